@@ -1,0 +1,76 @@
+"""pixsim: from a Mitsuba 3 spectral scene to the pixel size with the least visible error.
+
+Names are imported when first used, so that `import pixsim` stays quick.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from pixsim import optics as optics
+    from pixsim.charts import make_chart as make_chart
+    from pixsim.charts import write_chart as write_chart
+    from pixsim.errors import PixsimError as PixsimError
+    from pixsim.parameters import Camera as Camera
+    from pixsim.parameters import Display as Display
+    from pixsim.parameters import Exposure as Exposure
+    from pixsim.parameters import Pixel as Pixel
+    from pixsim.parameters import Study as Study
+    from pixsim.parameters import Technology as Technology
+    from pixsim.parameters import load_technology as load_technology
+    from pixsim.pixel import derive as derive
+    from pixsim.renderer import render as render
+    from pixsim.scene import load_scene as load_scene
+    from pixsim.scielab import delta_e_map as delta_e_map
+    from pixsim.score import evaluate as evaluate
+    from pixsim.sensor import Frame as Frame
+    from pixsim.sensor import capture as capture
+    from pixsim.sensor import make_sensor as make_sensor
+    from pixsim.spectral import SpectralImage as SpectralImage
+    from pixsim.spectral import read_exr as read_exr
+    from pixsim.spectral import write_exr as write_exr
+    from pixsim.sweep import study as study
+
+_HOME = {
+    "PixsimError": "errors",
+    "Camera": "parameters",
+    "Display": "parameters",
+    "Exposure": "parameters",
+    "Pixel": "parameters",
+    "Study": "parameters",
+    "Technology": "parameters",
+    "load_technology": "parameters",
+    "SpectralImage": "spectral",
+    "read_exr": "spectral",
+    "write_exr": "spectral",
+    "make_chart": "charts",
+    "write_chart": "charts",
+    "load_scene": "scene",
+    "render": "renderer",
+    "derive": "pixel",
+    "Frame": "sensor",
+    "capture": "sensor",
+    "make_sensor": "sensor",
+    "delta_e_map": "scielab",
+    "evaluate": "score",
+    "study": "sweep",
+}
+_MODULES = ("optics", "pixel", "sensor", "display", "scielab", "charts", "parameters", "spectral")
+
+__all__ = [*_HOME, "optics"]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"pixsim.{_HOME[name]}"), name)
+    if name in _MODULES:
+        return import_module(f"pixsim.{name}")
+    raise AttributeError(f"module 'pixsim' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,122 @@
+"""Test charts as textures: relative luminance in [0, 1], (H, W) float32, row 0 on top.
+
+A chart fills the die. Frequencies are given on the sensor, so a chart belongs to a die width, not to a lens.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pixsim.errors import refuse
+from pixsim.spectral import Array, write_channels
+
+# Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
+LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
+HIGHEST_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
+LOWEST_FREQUENCY_LP_PER_MM = 1.0
+LOWEST_CONTRAST = 0.01  # of the largest
+DIE_MM = 2.7136  # 512 pixels of 5.3 µm
+
+CSF_STEPS = 2**18
+SLANT_DEG = 5.0  # ISO 12233
+STAR_CYCLES = 72
+
+
+def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
+    """Local frequency at x in [0, 1] across the die: exponential from 1 to 33.3 lp/mm."""
+    return LOWEST_FREQUENCY_LP_PER_MM * (HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM) ** np.asarray(x)
+
+
+def csf_contrast(y: ArrayLike) -> Array:
+    """Michelson contrast at y in [0, 1], 0 on top: exponential from 1 % of the largest to the largest, 0.951."""
+    low, high = LUMINANCE_CD_PER_M2
+    return (high - low) / (high + low) * LOWEST_CONTRAST ** (1 - np.asarray(y, float))
+
+
+def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
+    """The CSF chart at a point: mean (1 + contrast(y) sin φ(x)), φ the integral of 2π frequency.
+
+    x to the right and y downwards, in [0, 1]. A value of 1 stands for 1000 cd/m², the mean is 0.5125.
+    """
+    low, high = LUMINANCE_CD_PER_M2
+    growth = np.log(HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM)
+    cycles = die_mm / growth * (csf_frequency_lp_per_mm(x) - LOWEST_FREQUENCY_LP_PER_MM)
+    return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
+
+
+def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, die_mm: float = DIE_MM) -> Array:
+    """A vertical sinusoidal grating at x in [0, 1], mean 0.5."""
+    return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
+
+
+def _grid(height: int, width: int) -> tuple[Array, Array]:
+    return np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+
+
+def csf(width: int = 8192, height: int = 256, die_mm: float = DIE_MM) -> NDArray[np.float32]:
+    """Contrast-sensitivity chart. 8192 texels hold the highest frequency to 0.06 % under bilinear interpolation.
+
+    The many rows are for the lowest half row, where a texture cannot follow its rising contrast (0.9 % short there).
+    Texels are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
+    """
+    x, y = _grid(height, width)
+    return (np.rint(csf_value(x, y, die_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
+
+
+def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: int, dark: float) -> NDArray[np.float32]:
+    """Area coverage of a shape, from 8 × 8 points a texel."""
+    factor = 8
+    x, y = _grid(height * factor, width * factor)
+    cover = inside(x, y).astype(np.float32).reshape(height, factor, width, factor).mean(axis=(1, 3))
+    return (dark + (1 - dark) * cover).astype(np.float32)
+
+
+def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> NDArray[np.float32]:
+    """An edge 5° from the vertical through the centre (ISO 12233), bright on the right."""
+    slope = np.tan(np.radians(SLANT_DEG))
+    return _antialiased(lambda x, y: x - 0.5 > (0.5 - y) * slope, width, height, dark)
+
+
+def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> NDArray[np.float32]:
+    """A sector star of 72 cycles in a disc of 90 % of the die."""
+
+    def inside(x: Array, y: Array) -> Array:
+        sector = np.sin(STAR_CYCLES * np.arctan2(0.5 - y, x - 0.5)) > 0
+        return sector | (np.hypot(x - 0.5, y - 0.5) > 0.45)
+
+    return _antialiased(inside, width, height, dark)
+
+
+def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
+    """A uniform field of value 1."""
+    return np.ones((height, width), np.float32)
+
+
+CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
+    "csf": csf,
+    "flat": flat,
+    "siemens_star": siemens_star,
+    "slanted_edge": slanted_edge,
+}
+
+
+def make_chart(kind: str, width: int | None = None, height: int | None = None) -> NDArray[np.float32]:
+    """A chart by name, (H, W) float32; the size defaults to what the shipped textures have."""
+    if kind not in CHARTS:
+        raise refuse("chart", f"'{kind}'", ", ".join(CHARTS))
+    size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
+    if any(not 2 <= value <= 32768 for value in size.values()):
+        raise refuse("chart size", size, "2 to 32768 texels a side")
+    return CHARTS[kind](**size)
+
+
+def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> None:
+    """Write a texture that Mitsuba reads as it is (with `raw` true): one linear float32 channel Y, row 0 on top."""
+    if Path(path).suffix.lower() != ".exr":
+        raise refuse("chart file", f"'{path}'", "a name that ends in .exr")
+    write_channels(path, {"Y": texels}, {})

@@ -1,0 +1,224 @@
+"""S-CIELAB: the colour difference that a viewer at a given distance sees between two pictures.
+
+XYZ -> three opponent channels -> the eye's blur of each -> XYZ -> CIELAB -> a difference per sample.
+
+A kernel that is even in x and in y is diagonal in the DCT-II, whose basis is the image reflected at its edges (half a
+sample outside the outermost centres). So each filter is one product with its transfer function: exact, no padding, and
+an image may be smaller than the kernel, which then meets repeated reflections.
+
+[ZW] X. Zhang & B. A. Wandell, "A spatial extension of CIELAB for digital color-image reproduction", J. SID 5 (1997) 61.
+[1996] the authors' first public code, SCIELAB-1996; what it computes, not its text (tests/data/scielab/README.md).
+[CIE] CIE 15:2004, Colorimetry, 8.2.1.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache, partial
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from pixsim.errors import refuse
+
+Filters = Literal["published", "zhang1996"]
+Formula = Literal["1976", "1994", "2000"]
+Floats = npt.NDArray[np.float64]
+
+# Luminance, red-green, blue-yellow from XYZ: [ZW] and [1996].
+OPPONENT_FROM_XYZ = np.array(
+    [[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]]
+)
+XYZ_FROM_OPPONENT = np.linalg.inv(OPPONENT_FROM_XYZ).astype(np.float64)
+
+# (weight, spread in degrees) of each Gaussian exp(-r^2 / spread^2), a row per opponent channel: [ZW].
+PUBLISHED_GAUSSIANS = (
+    ((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)),
+    ((0.531, 0.0392), (0.330, 0.494)),
+    ((0.488, 0.0536), (0.371, 0.386)),
+)
+# (weight, full width at half maximum in degrees): [1996].
+ZHANG1996_GAUSSIANS = (
+    ((1.00327, 0.05), (0.114416, 0.225), (-0.117686, 7.0)),
+    ((0.616725, 0.0685), (0.383275, 0.826)),
+    ((0.567885, 0.092), (0.432115, 0.6451)),
+)
+ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
+# CIELAB's f(t) is the cube root above a threshold, and slope t + 16/116 up to it, where L* is dark_slope Y/Yn.
+CIE_LAB = (216 / 24389, 841 / 108, 24389 / 27)  # [CIE]: (6/29)^3, (29/6)^2 / 3, (29/3)^3
+ZHANG1996_LAB = (0.008856, 7.787, 903.3)  # [1996]
+
+
+def delta_e_map(
+    reference_xyz: npt.ArrayLike,
+    test_xyz: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    formula: Formula = "1976",
+    workers: int = 1,
+) -> Floats:
+    """S-CIELAB difference of a test image from its reference, (H, W), in units of ΔE.
+
+    reference_xyz, test_xyz: (H, W, 3) CIE XYZ in any unit, the same for both and for the white.
+    white_xyz: (3,) XYZ of the white that the viewer is adapted to.
+    samples_per_deg: image samples per degree of visual angle.
+    filters, workers: see `filtered_lab`; formula: see `delta_e`.
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    """
+    reference, test = _checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
+    seen = partial(filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters, workers=workers)
+    return delta_e(seen(reference), seen(test), formula)
+
+
+def filtered_lab(
+    xyz: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    workers: int = 1,
+) -> Floats:
+    """CIELAB of an image as the eye blurs it, (H, W, 3): filter a study's ideal image once, compare many with it.
+
+    xyz: (H, W, 3); white_xyz: (3,), in the same unit; samples_per_deg: samples per degree of visual angle.
+    filters: "published" is [ZW] as defined in frequency, with unit gain at zero, so that a uniform image has its plain
+    CIELAB; "zhang1996" follows [1996], sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg.
+    workers: threads of the transforms; the result does not depend on it.
+    XYZ below zero (noise, the filters' negative lobe) follows CIELAB's linear branch on, so L* may be negative.
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    """
+    _check_choice("filters", filters, get_args(Filters))
+    white = _checked_white(white_xyz)
+    if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
+        mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
+        raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
+    planes = np.ascontiguousarray(np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0))
+    spectrum = scipy.fft.dctn(_combine(OPPONENT_FROM_XYZ, planes), axes=(1, 2), overwrite_x=True, workers=workers)
+    spectrum *= _transfer(filters, *planes.shape[1:], float(samples_per_deg))
+    blurred = scipy.fft.idctn(spectrum, axes=(1, 2), overwrite_x=True, workers=workers)
+    relative = _combine(XYZ_FROM_OPPONENT / white[:, np.newaxis], blurred)
+    return _lab(relative, *(CIE_LAB if filters == "published" else ZHANG1996_LAB))
+
+
+def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
+    """Colour difference of each sample, (...), from two CIELAB arrays (..., 3).
+
+    formula: "1976" Euclidean [CIE]; "1994" CIE 116-1995, graphic arts (kL 1, K1 .045, K2 .015), weighted by the chroma
+    of the reference, so not symmetric; "2000" CIE 142-2001, kL = kC = kH = 1. The last two by colour-science.
+    Raises PixsimError (a ValueError) for shapes that differ, values that are not finite, an unknown formula.
+    """
+    _check_choice("formula", formula, get_args(Formula))
+    reference, test = _checked_pair(lab_reference=lab_reference, lab_test=lab_test)
+    if formula == "1976":
+        squared = (test - reference) ** 2
+        return np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2])
+    import colour  # 2.6 s to import: only for those who ask
+
+    compare = colour.difference.delta_E_CIE1994 if formula == "1994" else colour.difference.delta_E_CIE2000
+    with colour.domain_range_scale("reference"):  # else a caller's global setting would change the result
+        return np.asarray(compare(reference, test), np.float64)
+
+
+def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
+    """CIELAB [CIE], unfiltered, of xyz (..., 3) under white_xyz (3,), of one unit; below zero: see `filtered_lab`."""
+    planes = np.moveaxis(_checked_triples("xyz", xyz), -1, 0)
+    white = _checked_white(white_xyz)
+    return _lab(np.stack([plane / scale for plane, scale in zip(planes, white, strict=True)]), *CIE_LAB)
+
+
+def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) -> Floats:
+    """(3, ...) planes of X/Xn, Y/Yn, Z/Zn to CIELAB (..., 3)."""
+    f = np.where(relative > threshold, np.cbrt(relative), slope * relative + 16 / 116)
+    lightness = np.where(relative[1] > threshold, 116 * f[1] - 16, dark_slope * relative[1])
+    return np.moveaxis(np.stack([lightness, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])]), 0, -1)
+
+
+def _combine(matrix: Floats, planes: Floats) -> Floats:
+    """3x3 matrix times planes (3, H, W), by einsum's own loop: a BLAS product rounds differently with more threads."""
+    return np.asarray(np.einsum("ij,jyx->iyx", matrix, planes, optimize=False))
+
+
+@lru_cache(maxsize=2)
+def _transfer(filters: Filters, height: int, width: int, samples_per_deg: float) -> Floats:
+    """Each opponent channel's factor for each DCT-II coefficient, (3, height, width)."""
+    terms = _published_terms if filters == "published" else _zhang1996_terms
+    transfer = np.zeros((3, height, width))
+    for channel, plane in enumerate(transfer):
+        along_y, along_x = terms(channel, height, samples_per_deg), terms(channel, width, samples_per_deg)
+        for (weight, fy), (_, fx) in zip(along_y, along_x, strict=True):
+            plane += (weight * fy)[:, np.newaxis] * fx
+    transfer.flags.writeable = False  # it is shared by all calls
+    return transfer
+
+
+def _published_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
+    """(weight, transfer (samples,) on an axis) of each Gaussian: exp(-x²/s²) becomes exp(-π²s²f²), f in cycles/deg."""
+    frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
+    gaussians = PUBLISHED_GAUSSIANS[channel]
+    gain = sum(weight for weight, _ in gaussians)
+    return [(weight / gain, np.exp(-((np.pi * s_deg * frequency_cy_per_deg) ** 2))) for weight, s_deg in gaussians]
+
+
+def _zhang1996_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
+    """The same for [1996]: an even kernel, wrapped on the reflected image's period 2·samples, has a real spectrum."""
+    position = _centred_positions(samples_per_deg).astype(int) % (2 * samples)
+    kernels = [(weight, _zhang1996_kernel(w_deg, samples_per_deg)) for weight, w_deg in ZHANG1996_GAUSSIANS[channel]]
+    wrapped = [(weight, np.bincount(position, kernel, 2 * samples)) for weight, kernel in kernels]
+    return [(weight, scipy.fft.rfft(kernel).real[:samples]) for weight, kernel in wrapped]
+
+
+def _zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
+    """One Gaussian of [1996], one degree long: its sum is 1 as built, but not after thinning to the image's density."""
+    upsampling = max(1, math.ceil(ZHANG1996_BUILD_SAMPLES_PER_DEG / samples_per_deg))
+    position = _centred_positions(samples_per_deg * upsampling)
+    alpha = 2 * math.sqrt(math.log(2)) / (width_deg * samples_per_deg * upsampling - 1)
+    dense = np.exp(-((alpha * position) ** 2))
+    dense /= dense.sum()
+    if upsampling == 1:
+        return dense
+    kept = _centred_positions(samples_per_deg) * upsampling
+    triangle = np.maximum(0, 1 - np.abs(position - kept[:, np.newaxis]) / upsampling)
+    return np.asarray((triangle * dense).sum(axis=1))
+
+
+def _centred_positions(samples_per_deg: float) -> Floats:
+    reach = math.ceil(samples_per_deg / 2) - 1  # so a kernel has 2⌈samples_per_deg / 2⌉ - 1 samples
+    return np.arange(-reach, reach + 1.0)
+
+
+def _checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = None) -> Floats:
+    array = np.asarray(values, np.float64)
+    if array.ndim != (dimensions or max(array.ndim, 1)) or array.shape[-1] != 3 or array.size == 0:
+        allowed = "(H, W, 3), not empty" if dimensions else "(..., 3), not empty"
+        raise refuse(f"{name}, shape", array.shape, allowed, "Move the three values last, y and x before them.")
+    finite = np.isfinite(array)
+    if not finite.all():
+        first = np.argwhere(~finite)[0]
+        got = f"{array[tuple(first)]} at {first.tolist()} ({np.count_nonzero(~finite)} such of {array.size})"
+        raise refuse(name, got, "finite numbers", "Mend them where they arise: a filter would spread them.")
+    return array
+
+
+def _checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tuple[Floats, Floats]:
+    first, second = (_checked_triples(name, values, dimensions) for name, values in arrays.items())
+    if first.shape != second.shape:
+        shapes = f"shapes {first.shape} and {second.shape}"
+        raise refuse(" and ".join(arrays), shapes, "equal ones", "Resample one image to the raster of the other.")
+    return first, second
+
+
+def _checked_white(white_xyz: npt.ArrayLike) -> Floats:
+    white = np.asarray(white_xyz, np.float64)
+    if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
+        mend = "Give X, Y, Z in the image's unit; D65 is (95.047, 100, 108.883) times its luminance over 100."
+        raise refuse("white_xyz", white.tolist(), "three finite numbers above 0", mend)
+    return white
+
+
+def _check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise refuse(name, repr(value), ", ".join(map(repr, allowed)))

@@ -1,0 +1,214 @@
+"""Spectral irradiance on the sensor plane: the value that flows from the renderer to the sensor, and its EXR file.
+
+Pictures are stored upright: row 0 is the top of the scene and column 0 its left, as the photographer sees it
+(the light on a real die is this picture turned by 180°).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import cached_property, lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pixsim.errors import PixsimError, refuse
+
+Array = NDArray[np.float64]
+
+PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
+LIGHT_SPEED_M_PER_S = 299792458.0
+LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
+
+
+def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
+    """λ/(hc)."""
+    return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
+
+
+@lru_cache
+def _photometric_table() -> Array:
+    return np.loadtxt(str(resources.files("pixsim") / "data/photopic_and_d65.csv"), delimiter=",", skiprows=3)
+
+
+def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
+    """ȳ(λ) of the CIE 1931 observer, zero outside 360-830 nm."""
+    table = _photometric_table()
+    return np.interp(wavelength_nm, table[:, 0], table[:, 1], left=0.0, right=0.0)
+
+
+def d65(wavelength_nm: ArrayLike) -> Array:
+    """Relative spectral power of CIE D65, 100 at 560 nm; zero outside 360-830 nm."""
+    table = _photometric_table()
+    return np.interp(wavelength_nm, table[:, 0], table[:, 2], left=0.0, right=0.0)
+
+
+def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
+    """What turns band values per nm into photometric ones: lx from W m⁻² nm⁻¹, cd/m² from W m⁻² sr⁻¹ nm⁻¹."""
+    return LUMINOUS_EFFICACY_LM_PER_W * photopic_efficiency(wavelength_nm) * np.asarray(band_width_nm, float)
+
+
+class SpectralImage:
+    """Spectral irradiance on the sensor plane before diffraction.
+
+    Parameters
+    ----------
+    wavelength_nm, band_width_nm : (B,) band centres and widths; a value is the mean over its band
+    pitch_um : sampling pitch on the sensor
+    data : (H, W, B) float32, W m⁻² nm⁻¹; or
+    factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.
+        With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
+    header : what made it (camera, scene hash, seed, samples, versions); JSON, travels in the file
+    """
+
+    def __init__(
+        self,
+        wavelength_nm: ArrayLike,
+        band_width_nm: ArrayLike,
+        pitch_um: float,
+        *,
+        data: ArrayLike | None = None,
+        factors: tuple[ArrayLike, ArrayLike] | None = None,
+        header: dict[str, Any] | None = None,
+    ) -> None:
+        self.wavelength_nm = np.asarray(wavelength_nm, float)
+        self.band_width_nm = np.broadcast_to(np.asarray(band_width_nm, float), self.wavelength_nm.shape).copy()
+        self.pitch_um = float(pitch_um)
+        self.header = dict(header or {})
+        if (data is None) == (factors is None):
+            raise PixsimError("a SpectralImage is made of data or of factors, one of them")
+        self.factors: tuple[Array, NDArray[np.float32]] | None = None
+        if factors is not None:
+            self.factors = np.atleast_2d(np.asarray(factors[0], float)), np.asarray(factors[1], np.float32)
+            spectra, pictures = self.factors
+            if pictures.ndim != 3 or spectra.shape != (len(pictures), self.wavelength_nm.size):
+                raise refuse("factors", f"{spectra.shape} and {pictures.shape}", "spectra (r, B), pictures (r, H, W)")
+        else:
+            self.data = np.ascontiguousarray(data, np.float32)
+            if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
+                raise refuse("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
+        if not (self.pitch_um > 0 and self.wavelength_nm.size and np.all(self.band_width_nm > 0)):
+            raise refuse("sampling", f"pitch {pitch_um} µm, bands {band_width_nm} nm", "positive pitch and band widths")
+
+    @cached_property
+    def data(self) -> NDArray[np.float32]:
+        """(H, W, B) float32, W m⁻² nm⁻¹; made from the factors when first asked for."""
+        return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
+
+    def band(self, index: int) -> NDArray[np.float32]:
+        """(H, W) float32, W m⁻² nm⁻¹, of one band."""
+        if not self.factors:
+            return self.data[:, :, index]
+        spectra, pictures = self.factors
+        total = np.zeros(self.shape, np.float32)
+        for spectrum, picture in zip(spectra.astype(np.float32), pictures, strict=True):
+            total += spectrum[index] * picture
+        return total
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
+
+    def weighted(self, weight: Array) -> Array:
+        """Σ_b weight_b · E_b per pixel, (H, W) float64; elementwise, so that it does not depend on threads."""
+        total = np.zeros(self.shape)
+        if self.factors:
+            for spectrum, picture in zip(*self.factors, strict=True):
+                total += (weight * spectrum).sum() * picture.astype(float)
+        else:
+            for band in np.flatnonzero(weight):
+                total += weight[band] * self.data[:, :, band]
+        return total
+
+    def illuminance_lx(self) -> Array:
+        """(H, W) lx. Bands of 10 nm or less integrate a smooth lamp to 0.03 %; four broad bands give no lux."""
+        return self.weighted(luminous_weight(self.wavelength_nm, self.band_width_nm))
+
+    def __repr__(self) -> str:
+        height, width = self.shape
+        kind = f"{len(self.factors[0])} spectrum × picture" if self.factors else "general"
+        return (
+            f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm, {self.wavelength_nm.size} bands "
+            f"{self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g} nm, {kind}, W m^-2 nm^-1>"
+        )
+
+
+def _band_channel(wavelength_nm: float) -> str:
+    """Fichet's channel name: total (Stokes 0) emissive value, decimal comma."""
+    return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
+
+
+def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any]) -> None:
+    """Contiguous float32 channels (others are written wrong without a word) to a lossless EXR, moved into place."""
+    import OpenEXR
+
+    target = Path(path)
+    partial = target.with_name(f".{target.name}.part")
+    planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
+    top = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+    try:
+        with OpenEXR.File(top, planes) as file:
+            file.write(str(partial))
+        partial.replace(target)
+    except (OSError, RuntimeError) as error:
+        partial.unlink(missing_ok=True)
+        raise refuse("output file", f"'{path}' ({error})", "a path that can be written") from None
+
+
+def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Name -> (H, W) float32 and the header of an EXR; PixsimError where it is missing or not an EXR."""
+    import OpenEXR
+
+    if not Path(path).is_file():
+        raise refuse("EXR file", f"'{path}', which does not exist", "a readable OpenEXR file")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
+            return planes, dict(file.header())
+    except (OSError, RuntimeError) as error:
+        raise refuse("EXR file", f"'{path}' ({error})", "a readable OpenEXR file") from None
+
+
+def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
+    """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the same bits back.
+
+    Channels `S0.550,000000nm` in W m⁻² nm⁻¹ for any reader, and `factor.N` pictures where the image has factors.
+    """
+    channels: dict[str, Any] = {
+        _band_channel(nm): image.band(band) for band, nm in enumerate(image.wavelength_nm)
+    }
+    own: dict[str, Any] = {
+        "wavelength_nm": image.wavelength_nm.tolist(),
+        "band_width_nm": image.band_width_nm.tolist(),
+        "pitch_um": image.pitch_um,
+        "header": image.header,
+    }
+    if image.factors:
+        own["spectra_w_per_m2_nm"] = image.factors[0].tolist()
+        channels |= {f"factor.{r}": picture for r, picture in enumerate(image.factors[1])}
+    header = {
+        "spectralLayoutVersion": "1.0",
+        "emissiveUnits": "W.m^-2.nm^-1",
+        "pixsim": json.dumps(own, sort_keys=True),
+    }
+    write_channels(path, channels, header)
+
+
+def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
+    """Read what `write_exr` wrote. PixsimError for a file that is damaged or was not written by pixsim."""
+    channels, header = read_channels(path)
+    if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
+        raise refuse("irradiance file", f"'{path}' without pixsim's header", "a file from pixsim.write_exr")
+    own = json.loads(header["pixsim"])
+    bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
+    if "spectra_w_per_m2_nm" in own:
+        spectra = np.array(own["spectra_w_per_m2_nm"])
+        pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])
+        return SpectralImage(*bands, factors=(spectra, pictures), header=own["header"])
+    data = np.stack([channels[_band_channel(nm)] for nm in own["wavelength_nm"]], axis=2)
+    return SpectralImage(*bands, data=data, header=own["header"])
