@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pixsim.parameters import Exposure as Exposure
     from pixsim.parameters import Pixel as Pixel
     from pixsim.parameters import Study as Study
-    from pixsim.parameters import Technology as Technology
-    from pixsim.parameters import load_technology as load_technology
     from pixsim.pixel import derive as derive
     from pixsim.renderer import render as render
     from pixsim.scene import load_scene as load_scene
@@ -34,6 +32,8 @@ if TYPE_CHECKING:
     from pixsim.spectral import read_exr as read_exr
     from pixsim.spectral import write_exr as write_exr
     from pixsim.sweep import study as study
+    from pixsim.technology import Technology as Technology
+    from pixsim.technology import load_technology as load_technology
 
 _HOME = {
     "PixsimError": "errors",
@@ -42,8 +42,8 @@ _HOME = {
     "Exposure": "parameters",
     "Pixel": "parameters",
     "Study": "parameters",
-    "Technology": "parameters",
-    "load_technology": "parameters",
+    "Technology": "technology",
+    "load_technology": "technology",
     "SpectralImage": "spectral",
     "read_exr": "spectral",
     "write_exr": "spectral",
@@ -61,7 +61,7 @@ _HOME = {
 }
 _MODULES = ("optics", "pixel", "sensor", "display", "scielab", "charts", "parameters", "spectral")
 
-__all__ = [*_HOME, "optics"]  # noqa: PLE0604
+__all__ = [*_HOME, "optics"]
 
 
 def __getattr__(name: str) -> Any:

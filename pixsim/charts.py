@@ -105,14 +105,23 @@ CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
 }
 
 
-def make_chart(kind: str, width: int | None = None, height: int | None = None) -> NDArray[np.float32]:
-    """A chart by name, (H, W) float32; the size defaults to what the shipped textures have."""
+def make_chart(
+    kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None
+) -> NDArray[np.float32]:
+    """A chart by name, (H, W) float32; the size defaults to what the shipped textures have.
+
+    `die_mm` is the width that the chart fills, for the one whose frequencies depend on it (csf).
+    """
     if kind not in CHARTS:
         raise refuse("chart", f"'{kind}'", ", ".join(CHARTS))
     size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
     if any(not 2 <= value <= 32768 for value in size.values()):
         raise refuse("chart size", size, "2 to 32768 texels a side")
-    return CHARTS[kind](**size)
+    if die_mm is None:
+        return CHARTS[kind](**size)
+    if kind != "csf" or not 0 < die_mm < 1000:
+        raise refuse("chart die_mm", f"{die_mm:g} for {kind}", "0 to 1000 mm, for csf: the others scale with the die")
+    return csf(**size, die_mm=die_mm)
 
 
 def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> None:

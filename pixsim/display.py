@@ -25,8 +25,12 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     """Scene luminance that is shown as display white: the display's own number, else that of texel value 1."""
     white = display.white_cd_per_m2 or irradiance.header.get("luminance_cd_per_m2")
     if not white:
-        raise refuse("display.white_cd_per_m2", "nothing, and the scene has no emissive chart that tells it",
-                     "the luminance in cd/m² that the display shows as white", "Set --display.white-cd-per-m2.")  # fmt: skip
+        raise refuse(
+            "display.white_cd_per_m2",
+            "nothing, and the scene has no emissive chart that tells it",
+            "the luminance in cd/m² that the display shows as white",
+            "Set --display.white-cd-per-m2.",
+        )
     return float(white)
 
 
@@ -56,7 +60,7 @@ def dot_edges_um(length_um: float, die_um: float, pitch_um: float, display: Disp
 
 def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:
     """Borders of a centred array of pixels."""
-    return length_um / 2 + (np.arange(count + 1) - count / 2) * pitch_um
+    return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
 
 
 def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:

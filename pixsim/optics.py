@@ -41,8 +41,9 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
     return 2 * np.pi * a / (q * (q + p))
 
 
-def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float,
-                 magnification: float) -> Array:  # fmt: skip
+def field_factor(
+    shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float, magnification: float
+) -> Array:
     """`irradiance_factor` at the centre of each sample of a grid centred on the axis, (H, W)."""
     y_um, x_um = (((np.arange(n) + 0.5) - n / 2) * pitch_um for n in shape)
     tan_field = np.hypot(x_um[None, :], y_um[:, None]) / (1e3 * image_distance_mm)
@@ -74,8 +75,9 @@ def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f
     return otf
 
 
-def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float,
-             workers: int = 1) -> Array:  # fmt: skip
+def diffract(
+    picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1
+) -> Array:
     """Convolve a picture (H, W) with the white-light diffraction PSF, reflecting it at its borders.
 
     In the DCT-II basis a symmetric kernel is diagonal and half-sample reflection is exact: no padding, no dark border.

@@ -1,4 +1,4 @@
-"""Everything a user can set: frozen records, checked when made, read from TOML, with a content hash out.
+"""Everything a user can set: frozen records, checked when made, with a content hash out.
 
 Lengths on the sensor are in µm, the die and the focal length in mm, distances in m; every name ends in its unit.
 """
@@ -8,15 +8,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
-from functools import cached_property, lru_cache
-from importlib import resources
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from functools import cached_property
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from pixsim.errors import PixsimError, refuse
+from pixsim.config import merge
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -52,7 +49,7 @@ class Camera(Record):
     transmittance: Fraction = Field(1.0, description="of the lens")
 
     @model_validator(mode="after")
-    def _in_front_of_the_focus(self) -> Camera:
+    def _in_front_of_the_focus(self) -> Self:
         if self.focal_length_mm >= 1e3 * self.object_distance_m:
             raise ValueError(
                 f"focal_length_mm = {self.focal_length_mm:g} is not shorter than object_distance_m = "
@@ -90,9 +87,7 @@ class Camera(Record):
         return self.die_mm / 2 * self.object_distance_m / self.image_distance_mm
 
     @classmethod
-    def from_lens_geometry(
-        cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float
-    ) -> Camera:
+    def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
         """The camera behind a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
         v_mm = die_mm / (2 * math.tan(math.radians(fov_deg) / 2))
         u_mm = 1e3 * focus_distance_m
@@ -108,48 +103,19 @@ class Camera(Record):
 class CameraOptions(Record):
     """Camera fields that replace what the scene says; None leaves the scene's own."""
 
-    focal_length_mm: Positive | None = None
-    f_number: Positive | None = None
-    die_mm: Positive | None = None
-    object_distance_m: Positive | None = None
-    transmittance: Fraction | None = None
+    focal_length_mm: Positive | None = Field(None, description=Camera.model_fields["focal_length_mm"].description)
+    f_number: Positive | None = Field(None, description=Camera.model_fields["f_number"].description)
+    die_mm: Positive | None = Field(None, description=Camera.model_fields["die_mm"].description)
+    object_distance_m: Positive | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
+    transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
     def over(self, camera: Camera) -> Camera:
         return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True))
 
 
-class Technology(Record):
-    """A CMOS process, as a 3T pixel sees it. Junction parameters carry their SPICE names; capacitances are zero-bias."""
+class PixelOptions(Record):
+    """A pixel but for its process and size. What is left at None is derived from the technology."""
 
-    name: str
-    feature_size_um: Positive
-    reset_voltage_v: Positive
-    voltage_swing_v: Positive
-    cj_ff_per_um2: NonNegative
-    pb_v: Positive
-    mj: Annotated[float, Field(ge=0, lt=1)]
-    cjsw_ff_per_um: NonNegative
-    pbsw_v: Positive
-    mjsw: Annotated[float, Field(ge=0, lt=1)]
-    node_capacitance_ff: NonNegative
-    dark_current_na_per_cm2: NonNegative
-    dark_doubling_k: Positive
-    peak_quantum_efficiency: Fraction
-    prnu: NonNegative
-    dsnu: NonNegative
-    offset_fpn: NonNegative
-    column_fpn: NonNegative
-    read_noise_e: NonNegative
-    fill_factor_limit: Fraction
-    fill_factor_zero_pitch_features: Positive
-    sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
-
-
-class Pixel(Record):
-    """One pixel of a sensor. What is left at None is derived from the technology (`pixsim.pixel.derive`)."""
-
-    technology: str = Field("0.35um", description="a packaged technology, or the path of a TOML file")
-    pitch_um: Positive = Field(6.5, description="centre to centre")
     capacitance: Literal["mosis", "paper"] = Field(
         "mosis", description="junction capacitance of the process, or 2.6 fF + 0.22 fF/µm² and a swing of 1 V"
     )
@@ -160,32 +126,39 @@ class Pixel(Record):
         None, description="of the photodiode at every wavelength; None: the response curve"
     )
     infrared_cut_nm: Positive | None = Field(None, description="no response beyond this wavelength")
-    fill_factor: Fraction | None = None
-    full_well_e: Positive | None = None
-    dark_current_e_per_s: NonNegative | None = None
+    fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area")
+    full_well_e: Positive | None = Field(None, description="charge that the ADC's top code stands for")
+    dark_current_e_per_s: NonNegative | None = Field(None, description="per pixel")
     read_noise_e: NonNegative | None = Field(None, description="temporal, beside the reset noise")
     reset_noise_factor: NonNegative = Field(1.0, description="n in the variance n kTC/q²; ½ soft reset, 2 hard with DDS")
     prnu: NonNegative | None = Field(None, description="standard deviation of the gain over its mean")
     dsnu: NonNegative | None = Field(None, description="standard deviation of the dark signal over its mean")
     offset_fpn: NonNegative | None = Field(None, description="per pixel, fraction of the full well")
     column_fpn: NonNegative | None = Field(None, description="per column, fraction of the full well")
-    bits: Annotated[int, Field(ge=1, le=24)] = 10
-    black_level_dn: NonNegative = 0.0
-    temperature_k: Annotated[float, Field(ge=77, le=400)] = 300.15
+    bits: Annotated[int, Field(ge=1, le=24)] = Field(10, description="of the ADC")
+    black_level_dn: NonNegative = Field(0.0, description="added before the ADC; at least 6 σ of the dark for data sheets")
+    temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(300.15, description="of dark current and reset noise")
 
     @model_validator(mode="after")
-    def _black_below_white(self) -> Pixel:
+    def _black_below_white(self) -> Self:
         if self.black_level_dn >= 2**self.bits - 1:
             raise ValueError(f"black_level_dn = {self.black_level_dn:g} leaves no codes below {2**self.bits - 1}")
         return self
 
 
+class Pixel(PixelOptions):
+    """One pixel of a sensor; `pixsim.pixel.derive` fills in what is left at None."""
+
+    technology: str = Field("0.35um", description="a packaged technology, or the path of a TOML file")
+    pitch_um: Positive = Field(6.5, description="centre to centre")
+
+
 class Exposure(Record):
     """Manual where `integration_s` is given, else automatic: the brightest pixel's mean at `well_target` of the well."""
 
-    integration_s: Positive | None = None
-    max_integration_s: Positive = 0.1
-    well_target: Fraction = 0.95
+    integration_s: Positive | None = Field(None, description="manual")
+    max_integration_s: Positive = Field(0.1, description="automatic: never longer")
+    well_target: Fraction = Field(0.95, description="automatic: the brightest pixel's mean, of the full well")
 
 
 class Display(Record):
@@ -198,12 +171,12 @@ class Display(Record):
     samples_per_deg: Positive = Field(23.0, description="display dots per degree of visual angle; 72 dpi at 18 inch")
     interpolation: Literal["linear", "nearest", "cubic"] = Field("linear", description="where pixels exceed dots")
     gamma: Positive = Field(2.2, description="light = counts^gamma")
-    bits: Annotated[int, Field(ge=1, le=16)] = 8
+    bits: Annotated[int, Field(ge=1, le=16)] = Field(8, description="of the digital counts")
     white_cd_per_m2: Positive | None = Field(
         None, description="scene luminance shown as display white; None: that of texel value 1 of an emissive chart"
     )
-    filters: Literal["published", "zhang1996"] = "published"
-    delta_e: Literal["1976", "1994", "2000"] = "1976"
+    filters: Literal["published", "zhang1996"] = Field("published", description="of S-CIELAB")
+    delta_e: Literal["1976", "1994", "2000"] = Field("1976", description="colour difference formula")
 
 
 class PitchRange(Record):
@@ -211,7 +184,7 @@ class PitchRange(Record):
 
     min_fill_factor: Fraction = 0.05
     max_um: Positive = 15.0
-    count: Annotated[int, Field(ge=5, le=1000)] = 16
+    count: Annotated[int, Field(ge=5, le=1000)] = 24
     values_um: tuple[Positive, ...] | None = None
 
 
@@ -232,7 +205,7 @@ class Study(Record):
     iso_delta_e: Positive = Field(3.0, description="level of the iso-ΔE curves")
     scene: StudyScene = StudyScene()
     camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")
-    pixel: Pixel = Pixel()
+    pixel: PixelOptions = PixelOptions()
     exposure: Exposure = Exposure()
     display: Display = Display()
     quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
@@ -252,52 +225,3 @@ class Run(Record):
     pixel: Pixel = Pixel()
     exposure: Exposure = Exposure()
     display: Display = Display()
-
-
-def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Nested tables laid over each other; the later value wins."""
-    merged = dict(base)
-    for key, value in over.items():
-        old = merged.get(key)
-        merged[key] = merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
-    return merged
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """A TOML file as a dict; PixsimError where it is missing, not text or not TOML."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise refuse("configuration file", f"'{path}', which does not exist", "a TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise refuse("configuration file", f"'{path}' ({error})", "a readable TOML file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise refuse(f"configuration file '{path}'", error, "TOML, see https://toml.io") from None
-
-
-def packaged(folder: str) -> dict[str, Path]:
-    """Name -> path of the packaged TOML files of a folder (`data/technologies`, `studies`)."""
-    root = Path(str(resources.files("pixsim") / folder))
-    return {path.stem: path for path in sorted(root.glob("*.toml"))}
-
-
-@lru_cache
-def load_technology(name: str) -> Technology:
-    """A packaged technology by name, or a user's by the path of its TOML file.
-
-    Every number is a table `{value, confidence, source}`. PixsimError for an unknown name, naming the known ones.
-    """
-    known = packaged("data/technologies")
-    path = known.get(name) or Path(name)
-    if path.suffix != ".toml":
-        raise refuse("technology", f"'{name}'", ", ".join(known), "Or give the path of a technology's TOML file.")
-    table = read_toml(path)
-    numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
-    try:
-        return Technology(
-            name=table.get("name", path.stem),
-            **{key: entry["value"] for key, entry in numbers.items()},
-            sources={key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()},
-        )
-    except KeyError as missing:
-        raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence, source") from None

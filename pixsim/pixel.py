@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.errors import refuse
-from pixsim.parameters import Pixel, Technology, load_technology
+from pixsim.parameters import Pixel
 from pixsim.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S, Array
+from pixsim.technology import Technology, load_technology
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
@@ -84,7 +85,7 @@ def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficien
     else:
         raw = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELECTRON_C / (table_nm * 1e-9) * raw
         scale = peak_quantum_efficiency / raw.max()
-    return np.interp(wavelength_nm, table_nm, raw * scale, left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), table_nm, raw * scale, left=0.0, right=0.0)
 
 
 @dataclass(frozen=True)
@@ -134,8 +135,12 @@ class PixelPhysics:
         """Eq. (1) of Chen et al. (2000). PixsimError where the dark charge fills the well."""
         dark_e = self.dark_current_e_per_s * integration_s
         if dark_e >= self.full_well_e:
-            raise refuse("dynamic range", f"{dark_e:.4g} e- of dark charge", f"less than the well, {self.full_well_e:.4g} e-",
-                         "Integrate for a shorter time or cool the sensor.")  # fmt: skip
+            raise refuse(
+                "dynamic range",
+                f"{dark_e:.4g} e- of dark charge",
+                f"less than the well, {self.full_well_e:.4g} e-",
+                "Integrate for a shorter time or cool the sensor.",
+            )
         return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(self._dark_variance_e2(dark_e)))
 
     def snr_db(self, signal_e: float, integration_s: float) -> float:
@@ -159,10 +164,11 @@ def derive(pixel: Pixel) -> PixelPhysics:
 
     if pixel.fill_factor is None and pixel.pitch_um <= smallest_pitch_um(technology):
         raise refuse(
-            "pixel.pitch_um", f"{pixel.pitch_um:g}",
+            "pixel.pitch_um",
+            f"{pixel.pitch_um:g}",
             f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel",
             f"5 % fill factor is reached at {pitch_for_fill_factor_um(0.05, technology):.4g} µm.",
-        )  # fmt: skip
+        )
     fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
     area_um2 = fill_factor * pixel.pitch_um**2
     if pixel.capacitance == "paper":

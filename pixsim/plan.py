@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.scene import FLAT_SHAPES, LAMP_GRID_NM, Lamp, Scene, find_lamp, nodes_of
+from pixsim.lamps import LAMP_GRID_NM, Lamp, find_lamp
+from pixsim.mitsuba_xml import nodes_of
+from pixsim.scene import Scene
 from pixsim.spectral import Array
 
 # 10 nm bands integrate a smooth lamp's luminance to 0.03 %. The outer edges keep half a nanometre of flank inside the
@@ -15,6 +17,7 @@ from pixsim.spectral import Array
 BAND_WIDTH_NM = 10.0
 BAND_CENTRE_NM = np.arange(370.0, 821.0, BAND_WIDTH_NM)
 FLANK_NM = 0.5
+FLAT_SHAPES = ("rectangle", "disk")
 BANDS_PER_PASS = 4  # Mitsuba carries four wavelengths a ray, one for each of 1, 2 or 4 disjoint pulses of equal area
 
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 import pixsim
 from pixsim import optics
 from pixsim.errors import refuse
+from pixsim.mitsuba_xml import plain, speaking_mitsuba
 from pixsim.parameters import Camera
 from pixsim.plan import BAND_CENTRE_NM, BAND_WIDTH_NM, Plan, band_means, band_pulse, make_plan
-from pixsim.scene import Scene, film_size, plain, sample_count, sensor_node, speaking_mitsuba
+from pixsim.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.spectral import Array, SpectralImage
 
 Progress = Callable[[float], None]
@@ -58,20 +59,16 @@ def render(
     pitch_um = 1e3 * camera.die_mm / width
     with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
         job = _Job(mi, scene, state, plan, camera, (height, width), spp, seed, progress)
-        if plan.rank_one:
-            picture = job.render([pixel_band()])[:, :, 0]
-        else:
-            radiance = _render_bands(job, plan)
+        radiance = job.render([neutral_pulse()]) if plan.rank_one else _render_bands(job, plan)
     factor = optics.field_factor((height, width), pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
     header = provenance(scene, camera, plan, seed, spp)
     bands = BAND_CENTRE_NM, BAND_WIDTH_NM, pitch_um
     if plan.rank_one:
         assert plan.lamp is not None
         on_axis = float(optics.irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
-        picture = checked(picture * (factor / (on_axis / camera.transmittance)))
-        return SpectralImage(*bands, factors=([band_means(plan.lamp) * on_axis], picture[None]), header=header)
-    data = checked(radiance * (camera.transmittance * factor[:, :, None]))
-    return SpectralImage(*bands, data=data, header=header)
+        relative = checked(radiance[:, :, 0] * (factor * camera.transmittance / on_axis))
+        return SpectralImage(*bands, factors=([band_means(plan.lamp) * on_axis], relative[None]), header=header)
+    return SpectralImage(*bands, data=checked(radiance * (camera.transmittance * factor[:, :, None])), header=header)
 
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
@@ -79,6 +76,7 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     header = {
         "scene": scene.path.name,
         "scene_hash": scene.content_hash,
+        "parameters": dict(scene.parameters),
         "camera": camera.model_dump(),
         "seed": seed,
         "spp": spp,
@@ -94,14 +92,24 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
 def checked(values: Array) -> NDArray[np.float32]:
     """float32 for storage; PixsimError where the picture is not finite, negative or all black."""
     if not np.isfinite(values).all() or values.min() < 0:
-        raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", "Check the scene's spectra and textures.")
+        raise refuse(
+            "rendered picture",
+            "NaN, infinite or negative values",
+            "finite light",
+            "Check the scene's spectra and textures.",
+        )
     if not values.any():
-        raise refuse("rendered picture", "black everywhere", "some light", "Lamps and charts shine to one side only: is the "
-                     "chart turned away, behind the camera, hidden by hide_emitters, or unlit?")  # fmt: skip
+        raise refuse(
+            "rendered picture",
+            "black everywhere",
+            "some light",
+            "Lamps and charts shine to one side only: is the "
+            "chart turned away, behind the camera, hidden by hide_emitters, or unlit?",
+        )
     return values.astype(np.float32)
 
 
-def pixel_band() -> dict[str, Any]:
+def neutral_pulse() -> dict[str, Any]:
     """One flat pulse: what a neutral picture needs."""
     return {"type": "regular", "wavelength_min": 540.0, "wavelength_max": 560.0, "values": "1, 1", "area": 20.0}
 
@@ -125,15 +133,30 @@ def _render_bands(job: _Job, plan: Plan) -> Array:
 
 def _srf(nodes_nm: Array, values: Array) -> dict[str, Any]:
     text = ", ".join(repr(float(value)) for value in values)
-    return {"type": "regular", "wavelength_min": float(nodes_nm[0]), "wavelength_max": float(nodes_nm[-1]), "values": text,
-            "area": 1.0}  # fmt: skip
+    return {
+        "type": "regular",
+        "wavelength_min": float(nodes_nm[0]),
+        "wavelength_max": float(nodes_nm[-1]),
+        "values": text,
+        "area": 1.0,
+    }
 
 
 class _Job:
     """One instantiated scene and what every pass over it shares."""
 
-    def __init__(self, mi: Any, scene: Scene, state: Any, plan: Plan, camera: Camera, size: tuple[int, int], spp: int,
-                 seed: int, progress: Progress | None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        mi: Any,
+        scene: Scene,
+        state: Any,
+        plan: Plan,
+        camera: Camera,
+        size: tuple[int, int],
+        spp: int,
+        seed: int,
+        progress: Progress | None,
+    ) -> None:
         self.mi, self.size, self.spp, self.seed, self.progress = mi, size, spp, seed, progress
         self.scalar = scene.choice.variant.startswith("scalar")
         sensor = sensor_node(state, scene.sensor_id)[1]
@@ -183,9 +206,16 @@ class _Job:
     def _film(self, responses: list[dict[str, Any]], top: int, bottom: int) -> dict[str, Any]:
         height, width = self.size
         film = {
-            "type": "specfilm", "width": width, "height": height, "component_format": "float32", "rfilter": {"type": "box"},
-            "crop_offset_x": 0, "crop_offset_y": int(top), "crop_width": width, "crop_height": int(bottom - top),
-        }  # fmt: skip
+            "type": "specfilm",
+            "width": width,
+            "height": height,
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+            "crop_offset_x": 0,
+            "crop_offset_y": int(top),
+            "crop_width": width,
+            "crop_height": int(bottom - top),
+        }
         for channel, response in enumerate(responses):
             film[f"band{channel}"] = {key: value for key, value in response.items() if key != "area"}
         return {"film": film}
@@ -200,12 +230,3 @@ def _take_out_lamp(mi: Any, state: Any, plan: Plan) -> None:
             props[name] = mi.Properties.ResolvedReference(picture)
         else:
             props[name] = picture
-
-
-def drjit_threads(count: int) -> None:
-    """Bound the threads of a render; the result does not depend on them."""
-    import drjit as dr
-
-    dr.set_thread_count(count)
-
-

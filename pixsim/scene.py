@@ -6,9 +6,7 @@ import difflib
 import math
 import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -16,35 +14,16 @@ from typing import Any
 import numpy as np
 
 from pixsim import variant as variants
-from pixsim.errors import PixsimError, refuse
+from pixsim.errors import refuse
+from pixsim.lamps import find_lamp
+from pixsim.mitsuba_xml import children, nodes_of, parse, plain
 from pixsim.parameters import Camera, CameraOptions, content_hash
-from pixsim.spectral import Array, luminous_weight, read_channels
+from pixsim.spectral import read_channels
 
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
 EMITTER_SCALE = "emitter_scale"
-FLAT_SHAPES = ("rectangle", "disk")
-# What the stock emitters call their spectrum.
-EMISSION = {"area": "radiance", "constant": "radiance", "point": "intensity", "spot": "intensity",
-            "directional": "irradiance"}  # fmt: skip
-LAMP_GRID_NM = np.arange(360.0, 831.0)
 FILM_35_MM = (36.0, 24.0)  # what Mitsuba's `focal_length` refers to
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """The one spectrum that all emitters share, and what each emitter is without it.
-
-    radiance : (471,) W m⁻² sr⁻¹ nm⁻¹ at 360 … 830 nm, of texel value 1 (or of the first emitter)
-    pictures : emitter node -> (property, node of its neutral picture, or its power relative to `radiance`)
-    """
-
-    radiance: Array = field(repr=False)
-    pictures: dict[int, tuple[str, int | float]]
-
-    @property
-    def luminance_cd_per_m2(self) -> float:
-        return float((self.radiance * luminous_weight(LAMP_GRID_NM, 1.0)).sum())
 
 
 @dataclass(frozen=True)
@@ -59,7 +38,7 @@ class Scene:
 
     def parse(self, **more: object) -> Any:
         """Mitsuba's parser state, with `more` parameters where the user gave none."""
-        return _parse(self.path, self.choice, {**{k: str(v) for k, v in more.items()}, **self.parameters})
+        return parse(self.path, self.choice.variant, {**{k: str(v) for k, v in more.items()}, **self.parameters})
 
     def camera(self, options: CameraOptions | None = None) -> Camera:
         """The camera that the file tells, with the options laid over it.
@@ -87,8 +66,10 @@ class Scene:
     def content_hash(self) -> str:
         """Of the parsed tree and the bytes of its textures."""
         state = self.parse()
-        tree = [[node.type.name, node.props.plugin_name(), sorted((k, str(v)) for k, v in plain(node, numbers_only=False))]
-                for node in state.nodes]  # fmt: skip
+        tree = [
+            [node.type.name, node.props.plugin_name(), sorted((k, str(v)) for k, v in plain(node, numbers_only=False))]
+            for node in state.nodes
+        ]
         files = [content_hash(path.read_bytes().hex()) for path in texture_files(state, self.path.parent)]
         return content_hash([tree, files])
 
@@ -139,9 +120,12 @@ def load_scene(
 def _with_luminance(scene: Scene, luminance: object) -> Scene:
     value = _positive(LUMINANCE, luminance)
     if EMITTER_SCALE not in scene.names:
-        raise refuse(LUMINANCE, f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}",
-                     f"scenes whose emitter has <float name=\"scale\" value=\"${EMITTER_SCALE}\"/>")  # fmt: skip
-    unit = _parse(scene.path, scene.choice, {**scene.parameters, EMITTER_SCALE: "1"})
+        raise refuse(
+            LUMINANCE,
+            f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}",
+            f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>',
+        )
+    unit = parse(scene.path, scene.choice.variant, {**scene.parameters, EMITTER_SCALE: "1"})
     lamp = find_lamp(unit, scene.choice.variant)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
         raise refuse(LUMINANCE, f"{value:g}, but the luminance of the emitters is not known", "one lamp spectrum above zero")
@@ -172,70 +156,9 @@ def _check_names(given: dict[str, str], allowed: frozenset[str]) -> None:
     for name in given:
         if name not in allowed:
             near = difflib.get_close_matches(name, allowed, 1)
-            raise refuse("scene parameter", f"'{name}'", ", ".join(sorted(allowed)),
-                         f"Did you mean '{near[0]}'?" if near else "")  # fmt: skip
-
-
-# --- Mitsuba ----------------------------------------------------------------------------------------------------------
-
-
-def import_mitsuba(variant: str) -> Any:
-    """Import Mitsuba with its variant set; `pixsim.variant.choose` must have run before."""
-    import mitsuba as mi
-
-    if mi.variant() != variant:
-        mi.set_variant(variant)
-    return mi
-
-
-@contextmanager
-def speaking_mitsuba(variant: str, folder: Path) -> Iterator[Any]:
-    """Mitsuba with the scene's folder on its search path for the while, and its errors told in one line."""
-    mi = import_mitsuba(variant)
-    before = mi.file_resolver()
-    resolver = mi.FileResolver(before)
-    resolver.prepend(str(folder))
-    mi.set_file_resolver(resolver)
-    try:
-        yield mi
-    except RuntimeError as error:
-        text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", str(error).strip())
-        raise PixsimError("Mitsuba refuses the scene: " + " ".join(text.split())) from None
-    finally:
-        mi.set_file_resolver(before)
-
-
-def _parse(path: Path, choice: variants.Choice, parameters: dict[str, str]) -> Any:
-    with speaking_mitsuba(choice.variant, path.parent) as mi:
-        state = mi.parser.parse_file(mi.parser.ParserConfig(choice.variant), str(path), **parameters)
-        return state
-
-
-def children(node: Any, state: Any) -> dict[str, int]:
-    """Property -> index of the node it refers to."""
-    found = {}
-    for key in node.props.keys():  # noqa: SIM118  (Properties is no dict)
-        kind = node.props.type(key).name
-        if kind == "ResolvedReference":
-            found[key] = node.props[key].index()
-        elif kind == "Reference":
-            found[key] = state.id_to_index[node.props[key].id()]
-    return found
-
-
-def plain(node: Any, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
-    """The properties of a node that are values, not other nodes."""
-    for key in node.props.keys():  # noqa: SIM118
-        if node.props.type(key).name not in ("ResolvedReference", "Reference", "Object"):
-            try:
-                yield key, node.props[key]
-            except RuntimeError:  # an <rgb> has no Python value
-                if not numbers_only:
-                    yield key, node.props.as_string(key)
-
-
-def nodes_of(state: Any, kind: str) -> list[tuple[int, Any]]:
-    return [(index, node) for index, node in enumerate(state.nodes) if node.type.name == kind]
+            raise refuse(
+                "scene parameter", f"'{name}'", ", ".join(sorted(allowed)), f"Did you mean '{near[0]}'?" if near else ""
+            )
 
 
 def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
@@ -250,8 +173,12 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
     index, node = sensors[0]
     plugin = node.props.plugin_name()
     if plugin != "thinlens":
-        raise refuse("sensor", f"'{plugin}'", "thinlens: a pixel's exposure and blur need an aperture",
-                     'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.')  # fmt: skip
+        raise refuse(
+            "sensor",
+            f"'{plugin}'",
+            "thinlens: a pixel's exposure and blur need an aperture",
+            'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.',
+        )
     for needed in ("aperture_radius", "focus_distance"):
         if needed not in node.props:
             raise refuse("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")
@@ -302,9 +229,6 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
     return exact.model_copy(update=rounded)
 
 
-# --- textures and lamps -----------------------------------------------------------------------------------------------
-
-
 def texture_files(state: Any, folder: Path) -> list[Path]:
     """Files that bitmap nodes name; PixsimError for one that is missing."""
     files = []
@@ -326,89 +250,8 @@ def check_textures(state: Any, folder: Path) -> None:
                 bad = ~(np.isfinite(texels) & (texels >= 0))
                 if bad.any():
                     row, column = np.argwhere(bad)[0]
-                    raise refuse(f"texture '{path}'", f"{texels[row, column]} at row {row}, column {column} of channel {name}",
-                                 "finite texels of 0 or more")  # fmt: skip
-
-
-def find_lamp(state: Any, variant: str) -> Lamp | None:
-    """The one spectrum behind all emitters, where there is one and what multiplies it is neutral; else None."""
-    emitters = nodes_of(state, "Emitter")
-    parts = [_emission(state, node) for _, node in emitters]
-    if not parts or any(part is None for part in parts):
-        return None
-    known = [part for part in parts if part is not None]
-    if len({part.spectrum for part in known}) > 1 or (len({part.scale for part in known}) > 1 and
-                                                      any(part.picture is not None for part in known)):  # fmt: skip
-        return None
-    first = known[0].scale
-    radiance = first * evaluate_spectrum(dict(known[0].spectrum), variant)
-    pictures: dict[int, tuple[str, int | float]] = {
-        index: (part.name, part.picture if part.picture is not None else (part.scale / first if first else 1.0))
-        for (index, _), part in zip(emitters, known, strict=True)
-    }
-    return Lamp(radiance, pictures)
-
-
-@dataclass(frozen=True)
-class _Emission:
-    """An emitter's spectrum (plugin and its values, hashable) × scale × neutral picture (a texture node)."""
-
-    name: str
-    spectrum: tuple[tuple[str, Any], ...]
-    scale: float
-    picture: int | None
-
-
-def _emission(state: Any, emitter: Any) -> _Emission | None:
-    name = EMISSION.get(emitter.props.plugin_name())
-    if name is None or name not in emitter.props:
-        return None
-    kind = emitter.props.type(name).name
-    if kind == "Spectrum":
-        value = emitter.props[name]
-        if value.is_uniform():
-            return _Emission(name, (("type", "uniform"), ("value", 1.0)), float(value.values[0]), None)
-        pairs = [",".join(map(repr, each)) for each in (value.wavelengths, value.values)]
-        return _Emission(name, (("type", "irregular"), ("wavelengths", pairs[0]), ("values", pairs[1])), 1.0, None)
-    if kind not in ("ResolvedReference", "Reference"):
-        return None
-    index = children(emitter, state)[name]
-    node = state.nodes[index]
-    plugin = node.props.plugin_name()
-    if plugin == "bitmap" and is_neutral(node):
-        return _Emission(name, (("type", "uniform"), ("value", 1.0)), 1.0, index)
-    if plugin not in ("d65", "uniform", "regular", "irregular", "blackbody"):
-        return None
-    nested = list(children(node, state).values())
-    if len(nested) > 1 or (nested and not is_neutral(state.nodes[nested[0]])):
-        return None
-    values = {key: value for key, value in plain(node) if isinstance(value, (int, float, str))}
-    scale = float(values.pop("scale", 1.0)) if plugin == "d65" else 1.0
-    return _Emission(name, (("type", plugin), *sorted(values.items())), scale, nested[0] if nested else None)
-
-
-def is_neutral(texture: Any) -> bool:
-    """A raw bitmap multiplies all wavelengths alike."""
-    return texture.props.plugin_name() == "bitmap" and bool(texture.props.get("raw", False))
-
-
-def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
-    """A spectrum plugin at 360 … 830 nm in steps of 1 nm, as Mitsuba returns it."""
-    with speaking_mitsuba(variant, Path()) as mi:
-        import drjit as dr
-
-        texture = mi.load_dict(description)
-        rows = np.resize(LAMP_GRID_NM, (-(-LAMP_GRID_NM.size // 4), 4))  # Mitsuba carries four wavelengths a ray
-        if variant.startswith("scalar"):
-            values = [_evaluate_four(mi, dr, texture, row.tolist()) for row in rows]
-        else:
-            interaction = dr.zeros(mi.SurfaceInteraction3f, len(rows))
-            interaction.wavelengths = mi.Spectrum(np.ascontiguousarray(rows.T, np.float32))
-            values = [np.asarray(texture.eval(interaction), float).T.ravel()]
-        return np.concatenate(values)[: LAMP_GRID_NM.size]
-
-
-def _evaluate_four(mi: Any, dr: Any, texture: Any, wavelengths_nm: list[float]) -> Array:
-    interaction = dr.zeros(mi.SurfaceInteraction3f)
-    interaction.wavelengths = wavelengths_nm
-    return np.asarray(texture.eval(interaction), float).ravel()
+                    raise refuse(
+                        f"texture '{path}'",
+                        f"{texels[row, column]} at row {row}, column {column} of channel {name}",
+                        "finite texels of 0 or more",
+                    )

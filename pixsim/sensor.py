@@ -36,7 +36,10 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
     One convolution for each spectrum of a factored image (the white-light OTF, exact), one a band otherwise.
     Values that rang below zero are clipped; `ringing` tells how much.
     """
-    nm, weight = irradiance.wavelength_nm, electrons_per_joule(physics, irradiance.wavelength_nm, irradiance.band_width_nm)
+    nm, weight = (
+        irradiance.wavelength_nm,
+        electrons_per_joule(physics, irradiance.wavelength_nm, irradiance.band_width_nm),
+    )
     rate = np.zeros(irradiance.shape)
     if not weight.any():
         return rate
@@ -47,7 +50,7 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
             if share.sum() > 0:
                 rate += share.sum() * optics.diffract(picture.astype(float), irradiance.pitch_um, nm, share, n_w, workers)
     else:
-        for band in np.flatnonzero(weight):
+        for band in np.flatnonzero(weight).tolist():
             plane, here = irradiance.band(band).astype(float), slice(band, band + 1)
             rate += weight[band] * optics.diffract(plane, irradiance.pitch_um, nm[here], weight[here], n_w, workers)
     return np.maximum(rate, 0.0) * M2_PER_UM2
@@ -190,7 +193,7 @@ class Frame:
     @property
     def electrons(self) -> Array:
         """Estimate of the photo-electrons: black level and expected dark charge (numbers, no dark frame) subtracted."""
-        return (self.dn - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
+        return (self.dn.astype(float) - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
 
     @property
     def saturated_fraction(self) -> float:
@@ -238,8 +241,9 @@ def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhy
     return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.pixel.black_level_dn
 
 
-def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: PixelPhysics,
-                       fixed_pattern: bool = True) -> Array:  # fmt: skip
+def frame_variance_dn2(
+    mean_e: Array | float, integration_s: float, physics: PixelPhysics, fixed_pattern: bool = True
+) -> Array:
     """Variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors; valid where `frame_mean_dn` is."""
     p, signal_e = physics, np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s
@@ -254,8 +258,12 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
     """A frame from the mean photo-electron rates of a sensor's pixels."""
     p = sensor.physics
     if signal_e_per_s.shape != sensor.shape:
-        raise refuse("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape",
-                     "Make the sensor with the camera that the irradiance was rendered with.")  # fmt: skip
+        raise refuse(
+            "sensor",
+            f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}",
+            "the same shape",
+            "Make the sensor with the camera that the irradiance was rendered with.",
+        )
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
     mean_e = signal_e_per_s * time_s
     return Frame(
@@ -271,9 +279,13 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
 
 
 def capture(
-    irradiance: SpectralImage, camera: Camera, sensor: Sensor, exposure: Exposure | None = None, *,
+    irradiance: SpectralImage,
+    camera: Camera,
+    sensor: Sensor,
+    exposure: Exposure | None = None,
+    *,
     rng: np.random.Generator,
-) -> Frame:  # fmt: skip
+) -> Frame:
     """Take one picture: diffraction, pixel integration, exposure, temporal noise from `rng`, ADC."""
     rate = mean_signal_rate(irradiance, camera, sensor.physics)
     return capture_rate(rate, sensor, exposure or Exposure(), rng)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.errors import PixsimError, refuse
+from pixsim.files import replacing
 
 Array = NDArray[np.float64]
 
@@ -38,13 +39,13 @@ def _photometric_table() -> Array:
 def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
     """ȳ(λ) of the CIE 1931 observer, zero outside 360-830 nm."""
     table = _photometric_table()
-    return np.interp(wavelength_nm, table[:, 0], table[:, 1], left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 1], left=0.0, right=0.0)
 
 
 def d65(wavelength_nm: ArrayLike) -> Array:
     """Relative spectral power of CIE D65, 100 at 560 nm; zero outside 360-830 nm."""
     table = _photometric_table()
-    return np.interp(wavelength_nm, table[:, 0], table[:, 2], left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
 
 
 def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
@@ -92,7 +93,7 @@ class SpectralImage:
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
                 raise refuse("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
         if not (self.pitch_um > 0 and self.wavelength_nm.size and np.all(self.band_width_nm > 0)):
-            raise refuse("sampling", f"pitch {pitch_um} µm, bands {band_width_nm} nm", "positive pitch and band widths")
+            raise refuse("sampling", f"pitch {pitch_um} µm, bands {self.band_width_nm} nm", "positive pitch and band widths")
 
     @cached_property
     def data(self) -> NDArray[np.float32]:
@@ -147,16 +148,12 @@ def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], heade
     """Contiguous float32 channels (others are written wrong without a word) to a lossless EXR, moved into place."""
     import OpenEXR
 
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.part")
     planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
     top = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
     try:
-        with OpenEXR.File(top, planes) as file:
+        with replacing(Path(path)) as partial, OpenEXR.File(top, planes) as file:
             file.write(str(partial))
-        partial.replace(target)
     except (OSError, RuntimeError) as error:
-        partial.unlink(missing_ok=True)
         raise refuse("output file", f"'{path}' ({error})", "a path that can be written") from None
 
 
@@ -179,9 +176,7 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
 
     Channels `S0.550,000000nm` in W m⁻² nm⁻¹ for any reader, and `factor.N` pictures where the image has factors.
     """
-    channels: dict[str, Any] = {
-        _band_channel(nm): image.band(band) for band, nm in enumerate(image.wavelength_nm)
-    }
+    channels: dict[str, Any] = {_band_channel(nm): image.band(band) for band, nm in enumerate(image.wavelength_nm)}
     own: dict[str, Any] = {
         "wavelength_nm": image.wavelength_nm.tolist(),
         "band_width_nm": image.band_width_nm.tolist(),

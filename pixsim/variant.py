@@ -22,7 +22,12 @@ LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
 OLDEST_LLVM = 17
 VARIANTS = ("llvm_ad_spectral", "scalar_spectral", "cuda_ad_spectral")
-SYSTEM_PATTERNS = ("lib/*-linux-gnu/libLLVM*.so*", "lib/llvm-*/lib/libLLVM*.so*", "lib64/libLLVM*.so*", "lib/libLLVM*.so*")
+SYSTEM_PATTERNS = (
+    "lib/*-linux-gnu/libLLVM*.so*",
+    "lib/llvm-*/lib/libLLVM*.so*",
+    "lib64/libLLVM*.so*",
+    "lib/libLLVM*.so*",
+)
 
 
 @dataclass(frozen=True)
@@ -71,8 +76,12 @@ def find_llvm() -> tuple[str | None, str]:
         version = llvm_version(asked)
         if version is None or version < OLDEST_LLVM:
             got = "cannot be loaded" if version is None else f"is version {version or '15 or older'}"
-            raise refuse(LLVM_VARIABLE, f"'{asked}', which {got}", f"LLVM {OLDEST_LLVM} or newer",
-                         f"Unset it and install the wheel: pip install {LLVM_WHEEL}.")  # fmt: skip
+            raise refuse(
+                LLVM_VARIABLE,
+                f"'{asked}', which {got}",
+                f"LLVM {OLDEST_LLVM} or newer",
+                f"Unset it and install the wheel: pip install {LLVM_WHEEL}.",
+            )
         return asked, f"{LLVM_VARIABLE}, LLVM {version}"
     for origin, candidates in (("system", _system_candidates()), (LLVM_WHEEL, _wheel_candidates())):
         for path in candidates:

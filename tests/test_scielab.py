@@ -58,9 +58,7 @@ def test_the_1996_maps_are_met(name, formula):
 
 def test_1994_is_weighted_by_the_reference():
     reference, test, data = load_pair("redgreen_grating_vs_mean")
-    swapped = scielab.delta_e_map(
-        test, reference, white_xyz=D65, samples_per_deg=30, filters="zhang1996", formula="1994"
-    )
+    swapped = scielab.delta_e_map(test, reference, white_xyz=D65, samples_per_deg=30, filters="zhang1996", formula="1994")
     assert np.abs(swapped - data["delta_e_1994"]).max() > 1  # measured 2.5: so the maps above do tell which is which
 
 
@@ -73,9 +71,7 @@ def test_the_1996_kernels_are_met(samples_per_deg):
                 for weight, width_deg in gaussians
             ]
             # Taps are at most 1 and rounded to 1e-16.
-            np.testing.assert_allclose(
-                signed_roots, kernels[f"spd{samples_per_deg}_k{channel + 1}"], rtol=0, atol=1e-14
-            )
+            np.testing.assert_allclose(signed_roots, kernels[f"spd{samples_per_deg}_k{channel + 1}"], rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("shape", [(64, 48), (5, 9)])  # larger and smaller than the kernel of 23 taps
@@ -184,9 +180,7 @@ def test_the_map_turns_with_the_images(filters):
 @pytest.mark.parametrize("formula", FORMULAS)
 def test_identical_images_differ_by_exactly_nothing(filters, formula):
     image = random_image((24, 40))
-    found = scielab.delta_e_map(
-        image, image.copy(), white_xyz=D65, samples_per_deg=23, filters=filters, formula=formula
-    )
+    found = scielab.delta_e_map(image, image.copy(), white_xyz=D65, samples_per_deg=23, filters=filters, formula=formula)
     assert np.array_equal(found, np.zeros((24, 40)))
 
 

@@ -1,0 +1,283 @@
+"""The `pixsim` command: options in, messages and files out. The only place that prints or exits.
+
+Results go to stdout, everything else to stderr. Exit codes: 0 done, 2 input that cannot be used, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import field, make_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+from cyclopts import App, Parameter
+from cyclopts.exceptions import CycloptsError
+from pydantic import ValidationError
+
+import pixsim
+from pixsim.config import merge, read_toml
+from pixsim.errors import PixsimError
+from pixsim.messages import explain
+from pixsim.parameters import CameraOptions, Display, Exposure, Pixel, Record, Run
+
+OK, UNUSABLE_INPUT, INTERRUPTED = 0, 2, 130
+DEFAULT_OUT = Path("pixsim-out")
+
+app = App(
+    name="pixsim",
+    version=pixsim.__version__,
+    help="From a Mitsuba 3 scene to the pixel size with the least visible error.",
+    default_parameter=Parameter(negative=()),
+)
+
+
+def option_table(record: type[Record], name: str) -> tuple[Any, Any]:
+    """The fields of a record as dotted options, and the table with none given.
+
+    They stay text: the record itself checks them, in one place.
+    """
+    fields = []
+    for key, info in record.model_fields.items():
+        default = "" if info.is_required() or info.default is None else f" [default: {info.default}]"
+        help_text = f"{info.description or ''}{default}".strip()
+        fields.append(
+            (
+                key,
+                Annotated[str | None, Parameter(help=help_text, allow_leading_hyphen=True, show_default=False)],
+                field(default=None),
+            )
+        )
+    table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
+    table.__module__ = __name__  # without it cyclopts takes the class for a builtin
+    return Annotated[table, Parameter(name=name, group=f"--{name}.…", show_default=False)], table()
+
+
+if TYPE_CHECKING:
+    CameraTable: TypeAlias = Any
+    PixelTable: TypeAlias = Any
+    ExposureTable: TypeAlias = Any
+    DisplayTable: TypeAlias = Any
+    NO_CAMERA = NO_PIXEL = NO_EXPOSURE = NO_DISPLAY = None
+else:
+    CameraTable, NO_CAMERA = option_table(CameraOptions, "camera")
+    PixelTable, NO_PIXEL = option_table(Pixel, "pixel")
+    ExposureTable, NO_EXPOSURE = option_table(Exposure, "exposure")
+    DisplayTable, NO_DISPLAY = option_table(Display, "display")
+Define = Annotated[
+    list[str], Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)
+]
+Seed = Annotated[str | None, Parameter(help="Of the render, the sensor and its noise [default: 0].")]
+Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
+Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
+Variant = Annotated[str | None, Parameter(help="Mitsuba variant; by default the fastest that works here.")]
+
+
+@app.command
+def run(
+    scene: str,
+    *,
+    config: Annotated[list[Path] | None, Parameter(help="TOML with tables [camera], [pixel], …; later files win.")] = None,
+    define: Define | None = None,
+    camera: CameraTable = NO_CAMERA,
+    pixel: PixelTable = NO_PIXEL,
+    exposure: ExposureTable = NO_EXPOSURE,
+    display: DisplayTable = NO_DISPLAY,
+    seed: Seed = None,
+    full: Annotated[bool, Parameter(help="Leave nothing out of the render.")] = False,
+    sensor: Annotated[str | None, Parameter(help="Id of the sensor, where the scene has several.")] = None,
+    variant: Variant = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Render a scene, take its picture with one sensor and score it.
+
+    Example: pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
+
+    Writes irradiance.exr, raw.exr, ideal.png, image.png, delta_e.exr, delta_e.png, score.json.
+
+    Parameters
+    ----------
+    scene
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge.
+    """
+    from pixsim.outputs import run_and_write
+
+    layers = [read_toml(path) for path in config or []]
+    options = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
+    layers.append({name: given(table) for name, table in options.items()})
+    layers.append({"scene": definitions(define or [])} | ({} if seed is None else {"seed": seed}))
+    settings: dict[str, Any] = {}
+    for layer in layers:
+        settings = merge(settings, layer)
+    chosen = Run.model_validate(settings)
+    folder = out or DEFAULT_OUT / Path(scene).stem
+    with stages() as stage:
+        result = run_and_write(scene, chosen, folder, full=full, sensor=sensor, variant=variant, progress=stage)
+    show(
+        result,
+        json,
+        f"mean ΔE {result['mean_delta_e']:.3f} with {result['pitch_um']:g} µm pixels, "
+        f"{1e3 * result['integration_s']:.3g} ms; pictures in {folder}",
+    )
+
+
+@app.command
+def study(
+    study: str,
+    *,
+    quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
+    jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
+    variant: Variant = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Sweep the pixel size and find the one with the least visible error.
+
+    Example: pixsim study chen2000 --quick
+
+    Writes results.csv, summary.json, figures/*.svg, provenance.json, report.html; an interrupted study goes on where it
+    stopped when the same command is given again.
+
+    Parameters
+    ----------
+    study
+        A TOML file, or the name of a packaged study: chen2000.
+    """
+    from pixsim import sweep
+    from pixsim.report import write_report
+
+    if jobs is not None and jobs < 1:
+        raise PixsimError(f"--jobs: got {jobs}; allowed: 1 or more.")
+    plan = sweep.load_study(study)
+    folder = out or DEFAULT_OUT / (plan.name + ("-quick" if quick else ""))
+    seconds: dict[str, float] = {}
+    with stages(seconds) as stage:
+        result = sweep.study(plan, folder, quick=quick, jobs=jobs, variant=variant, progress=stage)
+        stage("report")
+        report = write_report(result, folder, seconds)
+    lines = [found_line(curve) for curve in result.curves]
+    show(result.as_dict(), json, "\n".join([*lines, f"report: {report}"]))
+
+
+def found_line(curve: Any) -> str:
+    best = curve.optimum
+    if not best.inside:
+        return (
+            f"{curve.technology}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
+            f"the error is least at {best.pitch_um:.2f} µm, the end of the range"
+        )
+    low, high = best.within_1_percent_um
+    return (
+        f"{curve.technology}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %), mean ΔE "
+        f"{best.mean_delta_e:.3f}; {low:.2f} to {high:.2f} µm are within 1 %"
+    )
+
+
+@app.command
+def chart(
+    kind: str,
+    *,
+    output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR, row 0 on top.")],
+    width: Annotated[int | None, Parameter(help="Texels across.")] = None,
+    height: Annotated[int | None, Parameter(help="Texels down.")] = None,
+    die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+) -> None:
+    """Make a chart texture for -D chart=FILE.
+
+    Example: pixsim chart siemens_star -o star.exr
+
+    Parameters
+    ----------
+    kind
+        csf, flat, siemens_star or slanted_edge.
+    """
+    from pixsim import charts
+
+    texels = charts.make_chart(kind, width, height, die_mm)
+    charts.write_chart(output, texels)
+    print(f"{texels.shape[1]} × {texels.shape[0]} texels in {output}")
+
+
+def given(table: Any) -> dict[str, str]:
+    """Options that were on the command line."""
+    return {name: value for name, value in vars(table).items() if value is not None}
+
+
+def definitions(pairs: list[str]) -> dict[str, str]:
+    """name=value pairs as a table."""
+    table = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not (name and equals):
+            raise PixsimError(f"-D: got '{pair}'; allowed: name=value. Write -D resolution=512.")
+        table[name.strip()] = value
+    return table
+
+
+def show(result: dict[str, Any], as_json: bool, text: str) -> None:
+    if as_json:
+        import json
+
+        text = json.dumps(result, indent=2, sort_keys=True, ensure_ascii=False)
+    print(text)
+
+
+Stage = Callable[[str], Callable[[float], None]]
+
+
+@contextmanager
+def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
+    """Progress bars on a terminal's stderr, one a stage; `seconds` collects how long each took."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    clock = {} if seconds is None else seconds
+    current: list[tuple[str, float]] = []
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bars:
+
+        def close() -> None:
+            if current:
+                name, start = current.pop()
+                clock[name] = time.perf_counter() - start
+
+        def stage(name: str) -> Callable[[float], None]:
+            close()
+            current.append((name, time.perf_counter()))
+            task = bars.add_task(name, total=1.0)
+            return lambda done: bars.update(task, completed=done)
+
+        yield stage
+        close()
+
+
+def main() -> None:
+    """Run the command; one message and an exit code for whatever the user can mend."""
+    warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)
+    try:
+        app(exit_on_error=False, print_error=False)
+    except (PixsimError, ValidationError) as error:
+        print(f"pixsim: {explain(error)}", file=sys.stderr)
+        sys.exit(UNUSABLE_INPUT)
+    except CycloptsError as error:
+        print(f"pixsim: {error}\nTry 'pixsim --help'.", file=sys.stderr)
+        sys.exit(UNUSABLE_INPUT)
+    except OSError as error:
+        print(f"pixsim: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(UNUSABLE_INPUT)
+    except KeyboardInterrupt:
+        print("pixsim: interrupted; what was finished is kept, and the same command goes on from there", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    sys.exit(OK)

@@ -1,0 +1,47 @@
+"""Output files that are whole or not there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from pixsim.errors import PixsimError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A name to write to; it takes the place of `path` at the end, or vanishes if that is not reached."""
+    partial = path.with_name(f".{path.name}.part")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
+    """A folder that can be written to, made if need be; those made here and left empty by a failure are removed.
+
+    PixsimError where it cannot be written to.
+    """
+    folder = Path(out)
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    probe = folder / ".pixsim-probe"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise PixsimError(
+            f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
+        ) from None
+    try:
+        yield folder
+    except BaseException:
+        with suppress(OSError):  # it holds something
+            for each in made:
+                each.rmdir()
+        raise

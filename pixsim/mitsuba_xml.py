@@ -1,0 +1,70 @@
+"""The one place that imports Mitsuba: its errors in one line, its search path restored, its parser's tree made readable."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pixsim.errors import PixsimError
+
+
+def import_mitsuba(variant: str) -> Any:
+    """Import Mitsuba with its variant set; `pixsim.variant.choose` must have run before."""
+    import mitsuba as mi
+
+    if mi.variant() != variant:
+        mi.set_variant(variant)
+    return mi
+
+
+@contextmanager
+def speaking_mitsuba(variant: str, folder: Path) -> Iterator[Any]:
+    """Mitsuba with the scene's folder on its search path for the while, and its errors told in one line."""
+    mi = import_mitsuba(variant)
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    resolver.prepend(str(folder))
+    mi.set_file_resolver(resolver)
+    try:
+        yield mi
+    except RuntimeError as error:
+        text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", str(error).strip())
+        raise PixsimError("Mitsuba refuses the scene: " + " ".join(text.split())) from None
+    finally:
+        mi.set_file_resolver(before)
+
+
+def parse(path: Path, variant: str, parameters: dict[str, str]) -> Any:
+    """Mitsuba's parser state: the tree of nodes, before anything is built."""
+    with speaking_mitsuba(variant, path.parent) as mi:
+        return mi.parser.parse_file(mi.parser.ParserConfig(variant), str(path), **parameters)
+
+
+def children(node: Any, state: Any) -> dict[str, int]:
+    """Property -> index of the node it refers to."""
+    found = {}
+    for key in node.props.keys():  # noqa: SIM118  (Properties is no dict)
+        kind = node.props.type(key).name
+        if kind == "ResolvedReference":
+            found[key] = node.props[key].index()
+        elif kind == "Reference":
+            found[key] = state.id_to_index[node.props[key].id()]
+    return found
+
+
+def plain(node: Any, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
+    """The properties of a node that are values, not other nodes."""
+    for key in node.props.keys():  # noqa: SIM118
+        if node.props.type(key).name not in ("ResolvedReference", "Reference", "Object"):
+            try:
+                yield key, node.props[key]
+            except RuntimeError:  # an <rgb> has no Python value
+                if not numbers_only:
+                    yield key, node.props.as_string(key)
+
+
+def nodes_of(state: Any, kind: str) -> list[tuple[int, Any]]:
+    return [(index, node) for index, node in enumerate(state.nodes) if node.type.name == kind]

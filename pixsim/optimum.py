@@ -1,0 +1,103 @@
+"""The pitch with the least visible error, and how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from pixsim.spectral import Array
+
+CONFIDENCE = 0.95
+# The minimum is shallow and lopsided, and its left wall is steep: a cubic in log pitch through the points around the
+# lowest one that are within 10 % of it, and through six at least.
+DEGREE = 3
+WINDOW_LEVEL = 1.10
+FEWEST_POINTS = 6
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A minimum of mean ΔE over pitch.
+
+    ci95_um : half width of the 95 % interval that the seeds allow (jackknife over repeats, Student's t)
+    inside : whether the minimum lies between the pitches tried, not at their end
+    within_1_percent_um, within_2_percent_um : pitches whose fitted mean ΔE is so close to the best
+    """
+
+    pitch_um: float
+    ci95_um: float
+    mean_delta_e: float
+    inside: bool
+    within_1_percent_um: tuple[float, float]
+    within_2_percent_um: tuple[float, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def window(delta_e: Array) -> slice:
+    """The points of the local fit: neighbours of the lowest mean."""
+    first = lowest = int(np.argmin(delta_e))
+    last = lowest + 1  # exclusive
+    level = WINDOW_LEVEL * delta_e[lowest]
+    while first > 0 and delta_e[first - 1] <= level:
+        first -= 1
+    while last < delta_e.size and delta_e[last] <= level:
+        last += 1
+    while last - first < min(FEWEST_POINTS, delta_e.size):  # on the side that rises less
+        left = delta_e[first - 1] if first > 0 else np.inf
+        right = delta_e[last] if last < delta_e.size else np.inf
+        first, last = (first - 1, last) if left < right else (first, last + 1)
+    return slice(first, last)
+
+
+def fitted_curve(pitch_um: Array, delta_e: Array) -> tuple[Array, Array]:
+    """Pitches and mean ΔE of the local fit, on a grid finer than any number that is reported (0.01 %)."""
+    x = np.log(pitch_um / pitch_um.mean())
+    polynomial = np.polynomial.Polynomial.fit(x, delta_e, min(DEGREE, len(x) - 2))
+    grid = np.linspace(x[0], x[-1], 1 + int(np.ptp(x) / 1e-4))
+    return np.exp(grid) * pitch_um.mean(), polynomial(grid)
+
+
+def find_optimum(pitch_um: Array, delta_e: Array) -> Optimum:
+    """Fit mean ΔE locally and find its minimum.
+
+    Parameters
+    ----------
+    pitch_um : (P,) increasing, at least 5
+    delta_e : (P, R) mean ΔE of each repeat; R ≥ 2
+    """
+    repeats = delta_e.shape[1]
+    here = window(delta_e.mean(axis=1))
+    pitch, rows = pitch_um[here], delta_e[here]
+
+    def minimum(columns: Array) -> float:
+        grid, curve = fitted_curve(pitch, columns.mean(axis=1))
+        return float(grid[np.argmin(curve)])
+
+    left_out = np.array([minimum(np.delete(rows, r, axis=1)) for r in range(repeats)])
+    standard_error = np.sqrt((repeats - 1) / repeats * ((left_out - left_out.mean()) ** 2).sum())
+    grid, curve = fitted_curve(pitch, rows.mean(axis=1))
+    best = int(np.argmin(curve))
+    ranges = []
+    for percent in (1, 2):
+        near = grid[curve <= curve[best] * (1 + percent / 100)]
+        ranges.append((float(near[0]), float(near[-1])))
+    return Optimum(
+        pitch_um=float(grid[best]),
+        ci95_um=float(student_t.ppf((1 + CONFIDENCE) / 2, repeats - 1) * standard_error),
+        mean_delta_e=float(curve[best]),
+        inside=0 < best < len(grid) - 1,
+        within_1_percent_um=ranges[0],
+        within_2_percent_um=ranges[1],
+    )
+
+
+def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
+    """Mean over repeats and half width of its 95 % interval, for (P, R)."""
+    repeats = delta_e.shape[1]
+    spread = delta_e.std(axis=1, ddof=1) / np.sqrt(repeats)
+    return delta_e.mean(axis=1), student_t.ppf((1 + CONFIDENCE) / 2, repeats - 1) * spread

@@ -1,0 +1,156 @@
+"""One picture taken, shown and compared: irradiance + camera + pixel → frame, images and the ΔE map."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pixsim import display as displays
+from pixsim.parameters import Camera, Display, Exposure, Pixel
+from pixsim.pixel import PixelPhysics, derive
+from pixsim.scielab import delta_e, filtered_lab
+from pixsim.sensor import Frame, capture_rate, draw_sensor, mean_signal_rate
+from pixsim.spectral import Array, SpectralImage
+
+
+def stream(*key: object) -> np.random.Generator:
+    """A random stream that depends on its key only, never on the order or the number of workers."""
+    digest = hashlib.blake2b(json.dumps(key).encode(), digest_size=16).digest()
+    return np.random.default_rng(np.random.SeedSequence(int.from_bytes(digest, "little")))
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a viewer sees of a sensor's picture, beside what an ideal camera would have shown.
+
+    delta_e : (H, W) S-CIELAB difference on the display's dots
+    ideal, image : (H, W) shown luminance, 1 for white
+    """
+
+    delta_e: Array = field(repr=False)
+    ideal: Array = field(repr=False)
+    image: Array = field(repr=False)
+    frame: Frame = field(repr=False)
+    physics: PixelPhysics = field(repr=False)
+
+    @property
+    def mean_delta_e(self) -> float:
+        return float(self.delta_e.mean())
+
+    def statistics(self) -> dict[str, float]:
+        """The numbers that stand in score.json and in a study's rows."""
+        p, frame = self.physics, self.frame
+        return {
+            "pitch_um": p.pitch_um,
+            "fill_factor": p.fill_factor,
+            "full_well_e": p.full_well_e,
+            "integration_s": frame.integration_s,
+            "saturated_fraction": frame.saturated_fraction,
+            "mean_electrons_e": float(frame.mean_e.mean()),
+            **delta_e_statistics(self.delta_e),
+        }
+
+    def __repr__(self) -> str:
+        return (
+            f"<Score mean ΔE {self.mean_delta_e:.3f}, {self.physics.pitch_um:g} µm pixels, "
+            f"{1e3 * self.frame.integration_s:.3g} ms>"
+        )
+
+
+def delta_e_statistics(delta_e_map: Array) -> dict[str, float]:
+    median, p90, p99 = np.percentile(delta_e_map, (50, 90, 99))
+    return {
+        "mean_delta_e": float(delta_e_map.mean()),
+        "median_delta_e": float(median),
+        "p90_delta_e": float(p90),
+        "p99_delta_e": float(p99),
+        "max_delta_e": float(delta_e_map.max()),
+    }
+
+
+def seen_lab(shown: Array, display: Display, workers: int = 1) -> Array:
+    """CIELAB of a shown grey image as the viewer's eye blurs it, (H, W, 3)."""
+    return filtered_lab(
+        displays.to_xyz(shown),
+        white_xyz=displays.WHITE_XYZ,
+        samples_per_deg=display.samples_per_deg,
+        filters=display.filters,
+        workers=workers,
+    )
+
+
+def shown_ideal(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> Array:
+    """The ideal image as the display shows it, (H, W)."""
+    return displays.shown_luminance(displays.ideal_luminance(irradiance, camera, physics, display), display)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What all pictures of one pixel type share: its mean signal and the viewer's ideal image."""
+
+    signal_e_per_s: Array
+    physics: PixelPhysics
+    exposure: Exposure
+    display: Display
+    size_um: tuple[float, float]
+    white_e_per_s: float
+    ideal: Array
+    ideal_lab: Array
+
+    def score(self, *key: object) -> Score:
+        """Another sensor and another frame for each key."""
+        sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, stream(*key, "sensor"))
+        frame = capture_rate(self.signal_e_per_s, sensor, self.exposure, stream(*key, "frame"))
+        white_e = self.white_e_per_s * frame.integration_s
+        luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display)
+        image = displays.shown_luminance(luminance, self.display)
+        map_ = delta_e(self.ideal_lab, seen_lab(image, self.display), self.display.delta_e)
+        return Score(map_, self.ideal, image, frame, self.physics)
+
+
+def make_bench(irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display) -> Bench:
+    """Everything up to the noise."""
+    physics = derive(pixel)
+    ideal = shown_ideal(irradiance, camera, physics, display)
+    white_per_um2 = displays.white_rate(irradiance, camera, physics, display)
+    return Bench(
+        signal_e_per_s=mean_signal_rate(irradiance, camera, physics),
+        physics=physics,
+        exposure=exposure,
+        display=display,
+        size_um=displays.picture_size_um(irradiance),
+        white_e_per_s=white_per_um2 * physics.photodiode_area_um2,
+        ideal=ideal,
+        ideal_lab=seen_lab(ideal, display),
+    )
+
+
+def evaluate(
+    irradiance: SpectralImage,
+    camera: Camera,
+    pixel: Pixel,
+    exposure: Exposure | None = None,
+    display: Display | None = None,
+    *,
+    seed: int = 0,
+) -> Score:
+    """Sense an irradiance with one individual sensor, show it, and compare it with the ideal image by S-CIELAB.
+
+    Parameters
+    ----------
+    camera : the one that the irradiance was rendered with
+    seed : of the individual sensor and of its temporal noise
+
+    Raises PixsimError for a pitch that is too small or larger than the die, or an unknown scene white.
+    """
+    bench = make_bench(irradiance, camera, pixel, exposure or Exposure(), display or Display())
+    return bench.score("evaluate", seed)
+
+
+def describe(score: Score, irradiance: SpectralImage) -> dict[str, Any]:
+    """score.json: numbers, then what made them."""
+    return {**score.statistics(), "pixel": score.physics.pixel.model_dump(), "irradiance": irradiance.header}

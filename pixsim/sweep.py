@@ -1,0 +1,291 @@
+"""Studies: mean ΔE for many pixel sizes, technologies and individual sensors; resumable, the same on any number of workers.
+
+One row of results.csv is one evaluation (technology, pitch, repeat). Its key is the content that it depends on, so the
+file is also the state from which an interrupted study goes on.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixsim.config import packaged, read_toml
+from pixsim.errors import refuse
+from pixsim.files import output_folder, replacing
+from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
+from pixsim.parameters import Camera, Pixel, Study, content_hash
+from pixsim.pixel import derive, pitch_for_fill_factor_um
+from pixsim.score import Bench, Score, make_bench
+from pixsim.spectral import Array, SpectralImage
+from pixsim.technology import load_technology
+
+COLUMNS = (
+    "key",
+    "technology",
+    "pitch_um",
+    "repeat",
+    "fill_factor",
+    "full_well_e",
+    "integration_s",
+    "saturated_fraction",
+    "mean_electrons_e",
+    "mean_delta_e",
+    "median_delta_e",
+    "p90_delta_e",
+    "p99_delta_e",
+    "max_delta_e",
+)
+Row = dict[str, str]
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Mean ΔE against pitch for one technology."""
+
+    technology: str
+    feature_size_um: float
+    pitch_um: Array = field(repr=False)
+    fill_factor: Array = field(repr=False)
+    delta_e: Array = field(repr=False)  # (pitches, repeats)
+    optimum: Optimum
+
+    def as_dict(self) -> dict[str, Any]:
+        mean, ci95 = mean_and_ci95(self.delta_e)
+        return {
+            "technology": self.technology,
+            "optimum": self.optimum.as_dict(),
+            "optimum_fill_factor": float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor)),
+            "optimum_features": self.optimum.pitch_um / self.feature_size_um,
+            "pitch_um": self.pitch_um.tolist(),
+            "fill_factor": self.fill_factor.tolist(),
+            "mean_delta_e": mean.tolist(),
+            "ci95_delta_e": ci95.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """What a study found, and what its report needs."""
+
+    study: Study
+    curves: tuple[Curve, ...]
+    irradiance: SpectralImage = field(repr=False)
+    camera: Camera
+
+    def as_dict(self) -> dict[str, Any]:
+        """summary.json."""
+        return {
+            "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "irradiance": self.irradiance.header,
+            "curves": [curve.as_dict() for curve in self.curves],
+        }
+
+    def score(self, technology: str, pitch_um: float, repeat: int = 0) -> Score:
+        """One picture of the study again, for showing."""
+        return bench_for(self.study, self.irradiance, self.camera, technology, pitch_um).score(
+            *stream_key(self.study, technology, pitch_um, repeat)
+        )
+
+    def __repr__(self) -> str:
+        found = "; ".join(
+            f"{c.technology}: {c.optimum.pitch_um:.2f} ± {c.optimum.ci95_um:.2f} µm, ΔE {c.optimum.mean_delta_e:.3f}"
+            for c in self.curves
+        )
+        return f"<StudyResult {self.study.name}: {found}>"
+
+
+def load_study(name: str | os.PathLike[str]) -> Study:
+    """A packaged study by name, or a TOML file."""
+    known = packaged("studies")
+    path = known.get(str(name)) or Path(name)
+    if path.suffix != ".toml" and not path.is_file():
+        raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}")
+    return Study.model_validate(read_toml(path))
+
+
+def study_pitches_um(study: Study, technology: str) -> Array:
+    """The pitches of a technology; PixsimError where the range is empty."""
+    if study.pitch.values_um is not None:
+        pitches = np.unique(study.pitch.values_um)
+        if pitches.size < 5:
+            raise refuse("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
+        return pitches
+    low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, load_technology(technology))
+    if low >= study.pitch.max_um:
+        raise refuse(
+            "pitch.max_um",
+            study.pitch.max_um,
+            f"above {low:.4g} µm, where {technology} has a fill factor of {study.pitch.min_fill_factor:g}",
+        )
+    return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
+
+
+def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
+    return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
+
+
+def bench_for(study: Study, irradiance: SpectralImage, camera: Camera, technology: str, pitch_um: float) -> Bench:
+    return make_bench(irradiance, camera, pixel_of(study, technology, pitch_um), study.exposure, study.display)
+
+
+def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
+    return study.name, study.seed, technology, pitch_um, repeat
+
+
+@dataclass(frozen=True)
+class _Task:
+    """All missing repeats of one pitch."""
+
+    study: Study
+    camera: Camera
+    technology: str
+    pitch_um: float
+    keys: dict[int, str]  # repeat -> key of its row
+
+
+def _evaluate_pitch(task: _Task, irradiance: SpectralImage) -> list[Row]:
+    bench = bench_for(task.study, irradiance, task.camera, task.technology, task.pitch_um)
+    rows = []
+    for repeat, key in task.keys.items():
+        score = bench.score(*stream_key(task.study, task.technology, task.pitch_um, repeat))
+        numbers = {name: repr(value) for name, value in score.statistics().items()}
+        rows.append({"key": key, "technology": task.technology, "repeat": str(repeat), **numbers})
+    return rows
+
+
+def _plan_tasks(
+    study: Study, camera: Camera, irradiance: SpectralImage, done: dict[str, Row]
+) -> tuple[list[_Task], list[str]]:
+    """The missing work, and the keys of all rows in the order of the table."""
+    shared = [
+        irradiance.header,
+        camera.model_dump(),
+        study.exposure.model_dump(),
+        study.display.model_dump(),
+        study.name,
+        study.seed,
+    ]
+    tasks: list[_Task] = []
+    order: list[str] = []
+    for technology in study.technologies:
+        process = load_technology(technology).model_dump(exclude={"sources"})
+        for pitch_um in study_pitches_um(study, technology).tolist():
+            pixel = pixel_of(study, technology, pitch_um)
+            derive(pixel)  # refuse a pitch that is too small before any work is done
+            keys = {r: content_hash([*shared, process, pixel.model_dump(), r]) for r in range(study.repeats)}
+            order += keys.values()
+            missing = {repeat: key for repeat, key in keys.items() if key not in done}
+            if missing:
+                tasks.append(_Task(study, camera, technology, pitch_um, missing))
+    return tasks, order
+
+
+def _read_rows(path: Path) -> dict[str, Row]:
+    """Finished rows by key; a last line that was cut off is left out."""
+    if not path.is_file():
+        return {}
+    with path.open(newline="", encoding="utf-8") as file:
+        return {row["key"]: row for row in csv.DictReader(file) if all(row.get(name) for name in COLUMNS)}
+
+
+def _write_rows(path: Path, rows: list[Row]) -> None:
+    with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _run_tasks(tasks: list[_Task], irradiance: SpectralImage, jobs: int) -> Iterator[list[Row]]:
+    """Rows of each pitch as they come. Workers never import Mitsuba."""
+    if jobs == 1 or len(tasks) < 2:
+        yield from (_evaluate_pitch(task, irradiance) for task in tasks)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    with parallel_config("loky", inner_max_num_threads=1):
+        parallel = Parallel(n_jobs=min(jobs, len(tasks)), return_as="generator_unordered", batch_size=1)
+        yield from parallel(delayed(_evaluate_pitch)(task, irradiance) for task in tasks)
+
+
+def evaluate_all(
+    study: Study, camera: Camera, irradiance: SpectralImage, results: Path, jobs: int, progress: Progress | None = None
+) -> list[Row]:
+    """Bring results.csv up to date: rows that fit are kept, missing ones are appended as they come, then all are sorted."""
+    done = _read_rows(results)
+    tasks, order = _plan_tasks(study, camera, irradiance, done)
+    done = {key: done[key] for key in order if key in done}
+    _write_rows(results, list(done.values()))
+    total = len(order)
+    with results.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        for rows in _run_tasks(tasks, irradiance, jobs):
+            writer.writerows(rows)
+            file.flush()
+            done |= {row["key"]: row for row in rows}
+            if progress:
+                progress(len(done) / total)
+    table = [done[key] for key in order]
+    _write_rows(results, table)
+    return table
+
+
+def curve_of(technology: str, rows: list[Row]) -> Curve:
+    """The rows of one technology as a curve with its optimum."""
+    own = [row for row in rows if row["technology"] == technology]
+    pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
+    place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
+    repeats = 1 + max(int(row["repeat"]) for row in own)
+    delta_e, fill_factor = np.full((pitches.size, repeats), np.nan), np.zeros(pitches.size)
+    for row in own:
+        index = place[float(row["pitch_um"])]
+        delta_e[index, int(row["repeat"])] = float(row["mean_delta_e"])
+        fill_factor[index] = float(row["fill_factor"])
+    feature_um = load_technology(technology).feature_size_um
+    return Curve(technology, feature_um, pitches, fill_factor, delta_e, find_optimum(pitches, delta_e))
+
+
+def study(
+    plan: Study | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    quick: bool = False,
+    jobs: int | None = None,
+    variant: str | None = None,
+    progress: Callable[[str], Progress] | None = None,
+) -> StudyResult:
+    """Run a study, or go on with an interrupted one, and keep its rows in `out`/results.csv.
+
+    Parameters
+    ----------
+    plan : a Study, the name of a packaged one, or a TOML file
+    out : folder, made if need be
+    quick : with the study's `quick` table
+    jobs : processes; None takes one a core. The results do not depend on it.
+    progress : gives a callback for each named stage
+
+    Raises PixsimError for input that cannot be used.
+    """
+    from pixsim.renderer import render
+    from pixsim.scene import load_scene
+
+    chosen = plan if isinstance(plan, Study) else load_study(plan)
+    chosen = chosen.quickened if quick else chosen
+    for technology in chosen.technologies:  # refuse bad pitches before the render
+        for pitch_um in study_pitches_um(chosen, technology).tolist():
+            derive(pixel_of(chosen, technology, pitch_um))
+    parameters: dict[str, Any] = dict(chosen.scene.parameters)
+    scene = load_scene(chosen.scene.file, variant=variant, **parameters)
+    camera = scene.camera(chosen.camera)
+    stage = progress or (lambda _: lambda _: None)
+    with output_folder(out) as folder:
+        irradiance = render(scene, camera, chosen.seed, progress=stage("render"))
+        workers = jobs or os.cpu_count() or 1
+        rows = evaluate_all(chosen, camera, irradiance, folder / "results.csv", workers, stage("evaluate"))
+    return StudyResult(chosen, tuple(curve_of(t, rows) for t in chosen.technologies), irradiance, camera)
