@@ -61,7 +61,7 @@ def render(
         job = _Job(mi, scene, state, plan, camera, (height, width), spp, seed, progress)
         radiance = job.render([neutral_pulse()]) if plan.rank_one else _render_bands(job, plan)
     factor = optics.field_factor((height, width), pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-    header = provenance(scene, camera, plan, seed, spp)
+    header = provenance(scene, camera, plan, seed, job.runs * job.spp)
     bands = BAND_CENTRE_NM, BAND_WIDTH_NM, pitch_um
     if plan.rank_one:
         assert plan.lamp is not None
@@ -157,7 +157,10 @@ class _Job:
         seed: int,
         progress: Progress | None,
     ) -> None:
-        self.mi, self.size, self.spp, self.seed, self.progress = mi, size, spp, seed, progress
+        self.mi, self.size, self.seed, self.progress = mi, size, seed, progress
+        # Long renders are averages of shorter ones; multijitter rounds their samples up to what it can stratify.
+        self.runs = -(-spp // SPP_PER_RENDER)
+        self.spp = mi.load_dict({"type": "multijitter", "sample_count": -(-spp // self.runs)}).sample_count()
         self.scalar = scene.choice.variant.startswith("scalar")
         sensor = sensor_node(state, scene.sensor_id)[1]
         self.sensor = {key: value for key, value in plain(sensor) if key not in ("focal_length", "fov_axis")}
@@ -166,6 +169,7 @@ class _Job:
             "fov": camera.fov_deg,
             "aperture_radius": camera.aperture_radius_m,
             "focus_distance": camera.object_distance_m,
+            "sampler": {"type": "multijitter", "sample_count": self.spp},
         }
         if plan.lamp is not None:
             _take_out_lamp(mi, state, plan)
@@ -182,26 +186,24 @@ class _Job:
     def render(self, responses: list[dict[str, Any]], number: int = 0, of: int = 1) -> Array:
         """Radiance through each response over its area, (H, W, channels) float64: strips of rows, runs of samples."""
         height, width = self.size
-        runs = -(-self.spp // SPP_PER_RENDER)
-        spp = -(-self.spp // runs)
-        strips = SCALAR_STRIPS if self.scalar else -(-height * width * spp // SAMPLES_PER_KERNEL)
+        strips = SCALAR_STRIPS if self.scalar else -(-height * width * self.spp // SAMPLES_PER_KERNEL)
         rows = np.linspace(0, height, min(strips, height) + 1).astype(int)
         total = np.zeros((height, width, len(responses)))
         areas = np.array([response["area"] for response in responses])
-        count = runs * (len(rows) - 1)
+        count = self.runs * (len(rows) - 1)
         for index in range(count):
-            top, bottom = rows[index // runs], rows[index // runs + 1]
-            sensor = self.mi.load_dict(self.sensor | self._film(responses, top, bottom) | self._sampler(spp))
+            top, bottom = rows[index // self.runs], rows[index // self.runs + 1]
+            sensor = self.mi.load_dict(self.sensor | self._film(responses, top, bottom))
             # Small consecutive seeds: the scalar variants multiply them by the number of pixels, modulo 2³².
             seed = (self.seed * of + number) * count + index
-            strip = self.mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=spp, seed=seed % 2**32)
-            total[top:bottom] += np.asarray(strip, float) / runs
+            strip = self.mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=self.spp, seed=seed % 2**32)
+            values = np.asarray(strip, float)
+            if values.shape[2] != len(responses):
+                raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
+            total[top:bottom] += values / self.runs
             if self.progress:
                 self.progress((number + (index + 1) / count) / of)
         return total / areas
-
-    def _sampler(self, spp: int) -> dict[str, Any]:
-        return {"sampler": {"type": "multijitter", "sample_count": spp}}
 
     def _film(self, responses: list[dict[str, Any]], top: int, bottom: int) -> dict[str, Any]:
         height, width = self.size

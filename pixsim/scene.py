@@ -179,6 +179,9 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
             "thinlens: a pixel's exposure and blur need an aperture",
             'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.',
         )
+    for offset in ("principal_point_offset_x", "principal_point_offset_y"):
+        if sensor_offset := float(node.props.get(offset, 0.0)):
+            raise refuse("sensor", f"{offset} = {sensor_offset:g}", "0: the die is centred on the axis of the lens")
     for needed in ("aperture_radius", "focus_distance"):
         if needed not in node.props:
             raise refuse("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")

@@ -1,0 +1,6 @@
+"""`python -m pixsim`."""
+
+from pixsim.cli import main
+
+if __name__ == "__main__":
+    main()
