@@ -27,7 +27,7 @@ DELTA_E_SHOWN = 10.0  # top of the fixed colour scale, so that two maps can be c
 VIEWING_GAMMA = 2.2
 # Okabe and Ito (2008): told apart by colour-blind people, and printed grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
-ISO_SMOOTHING_DOTS = 4.0
+ISO_SMOOTHING_DOTS = 8.0  # about a cycle of the middle frequencies: ΔE peaks in each dark bar
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
 
 
@@ -179,18 +179,20 @@ def figure_pictures(result: StudyResult, curve: Curve) -> Figure:
     draw_picture(image, scores[0].image, result.irradiance)
     map_.set_title(f"ΔE map, mean {scores[0].mean_delta_e:.3f}")
     draw_delta_e(figure, map_, scores[0].delta_e, result.irradiance)
-    iso.set_title("iso-ΔE curves")
+    iso.set_title(f"curves of equal ΔE, mean of {len(scores)} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
     left, right, bottom, top = extent(result.irradiance)
     x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
     y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
-    lines = iso.contour(x, y, smooth, levels=levels, colors=COLOURS[0], linewidths=[0.7, 0.7, 1.8, 0.7])
-    iso.clabel(lines, fmt="%g", fontsize=7)
+    lines = iso.contour(x, y, smooth, levels=levels, colors=COLOURS, linewidths=[1, 1, 2.2, 1])
+    iso.legend(lines.legend_elements()[0], [f"ΔE = {each:g}" for each in levels], frameon=False, loc="upper left")
     iso.set_xlim(left, right)
     iso.set_ylim(bottom, top)
     iso.set_aspect("equal")
     label_axes(iso, result.irradiance)
+    for spine in iso.spines.values():
+        spine.set(visible=True, color="0.8")
     return figure
 
 
@@ -242,6 +244,7 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float]) -
         ],
         main_figure=embedded(figures / "delta_e_against_pitch.svg"),
         header=result.irradiance.header,
+        iso_smoothing=ISO_SMOOTHING_DOTS,
         settings=settings(result),
         provenance=provenance,
     )

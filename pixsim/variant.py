@@ -109,7 +109,7 @@ def choose(asked: str | None = None) -> Choice:
     if path is not None:
         os.environ[LLVM_VARIABLE] = path
         return Choice("llvm_ad_spectral", path, reason)
-    mend = f"for renders about seven times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
+    mend = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if asked is not None:
         raise refuse("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {mend}.")
     warnings.warn(f"rendering with scalar_spectral, since {reason}; {mend}", stacklevel=2)

@@ -1,0 +1,222 @@
+"""The lens: Foote's factor and the diffraction OTF against integrals, limits, conservation and ISETCam's numbers."""
+
+from __future__ import annotations
+
+from decimal import Decimal, localcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from pixsim import optics
+from pixsim.errors import PixsimError
+from pixsim.spectral import luminous_weight, photons_per_joule
+
+ISETCAM = Path(__file__).parent / "data" / "isetcam_optics" / "isetcam_optics.npz"
+NM = np.array([550.0])
+ONE = np.array([1.0])
+
+
+def tan_deg(angle_deg: float) -> float:
+    return float(np.tan(np.radians(angle_deg)))
+
+
+# --- Radiance to irradiance ---
+
+
+def lens_integral(tan_alpha: float, tan_field: float) -> float:
+    """∫ cos θ₁ cos θ₂ / r² over a disc at height 1, seen from a point tan_field off its axis.
+
+    Gauss-Legendre in radius, trapezoid in angle (which converges exponentially for a periodic function).
+    """
+    x, w = np.polynomial.legendre.leggauss(120)
+    radius, weight = tan_alpha * (x + 1) / 2, tan_alpha * w / 2
+    angle = 2 * np.pi * np.arange(400) / 400
+    distance2 = 1 + radius[:, None] ** 2 + tan_field**2 - 2 * radius[:, None] * tan_field * np.cos(angle)
+    return float(((radius * weight)[:, None] / distance2**2).sum() * 2 * np.pi / angle.size)
+
+
+@pytest.mark.parametrize("f_number", [0.5, 0.7, 1.4, 4.0, 32.0, 1000.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 1e-3, 12.0, 45.0, 60.0])
+def test_irradiance_is_the_integral_over_the_lens(f_number, angle_deg):
+    found = optics.irradiance_factor(f_number, tan_deg(angle_deg))
+    # Both sides hold 13 digits or more: measured 4e-15. cos⁴ instead of Foote is 0.3 % off at f/4 and 12°.
+    assert found == pytest.approx(lens_integral(0.5 / f_number, tan_deg(angle_deg)), rel=1e-9)
+
+
+@pytest.mark.parametrize("f_number", [0.5, 1.0, 4.0, 100.0, 1000.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 0.01, 20.0, 45.0, 80.0, 89.9])
+def test_irradiance_against_foote_in_60_digits(f_number, angle_deg):
+    tan_field = tan_deg(angle_deg)
+    with localcontext() as context:
+        context.prec = 60
+        a, t = (1 / (2 * Decimal(f_number))) ** 2, Decimal(tan_field) ** 2
+        root = (t * t + 2 * t * (1 - a) + (1 + a) ** 2).sqrt()
+        foote = Decimal(np.pi) / 2 * (1 - (1 + t - a) / root)
+        error = Decimal(float(optics.irradiance_factor(f_number, tan_field))) / foote - 1
+    # A few roundings of float64: measured 4e-16. Foote's own form loses 5e-10 at f/1000.
+    assert abs(float(error)) < 2e-15
+
+
+@pytest.mark.parametrize(("f_number", "magnification"), [(0.5, 0.0), (2.0, 0.0), (1.4, -0.5), (0.25, 1.0)])
+def test_irradiance_on_the_axis_is_pi_sine_squared(f_number, magnification):
+    sine = np.sin(np.arctan(0.5 / (f_number * (1 + abs(magnification)))))
+    assert optics.irradiance_factor(f_number, 0.0, magnification) == pytest.approx(np.pi * sine**2, rel=1e-14)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 15.0, 40.0, 70.0])
+def test_slow_lenses_fall_off_as_cosine_to_the_fourth(angle_deg):
+    f_number, magnification = 500.0, 0.3
+    a = 1 / (4 * f_number**2 * (1 + magnification) ** 2)
+    cos4 = np.cos(np.radians(angle_deg)) ** 4
+    found = optics.irradiance_factor(f_number, tan_deg(angle_deg), magnification)
+    # The next term of the series, in A = 5.9e-7: -1 on the axis, -0.75 to 0.19 at these angles.
+    assert found == pytest.approx(np.pi * cos4 * a, rel=1.1 * a)
+
+
+def test_two_stops_of_f_number_do_not_quarter_the_light_of_a_fast_lens():
+    # On axis E = πL/(1 + 4N²): (1 + 16)/(1 + 4) from f/1 to f/2, not 4.
+    ratio = optics.irradiance_factor(1.0, 0.0) / optics.irradiance_factor(2.0, 0.0)
+    assert ratio == pytest.approx(17 / 5, rel=1e-14)
+
+
+def test_a_lens_at_the_focus_of_a_half_space_gives_half_of_pi():
+    # f/0.5 seen from its axis: a cone of 45° half angle, sin² = ½.
+    assert optics.irradiance_factor(0.5, 0.0) == pytest.approx(np.pi / 2, rel=1e-15)
+
+
+@pytest.mark.parametrize("f_number", [0.4, 0.0, -4.0, np.nan])
+def test_impossible_f_numbers_are_refused(f_number):
+    with pytest.raises(PixsimError, match=r"f-number: got .*0\.5"):
+        optics.irradiance_factor(f_number, 0.0)
+
+
+def test_a_fast_engraved_f_number_is_allowed_where_the_working_one_is():
+    assert optics.irradiance_factor(0.4, 0.0, 0.25) == pytest.approx(np.pi / 2, rel=1e-15)
+
+
+def test_extreme_f_numbers_neither_overflow_nor_divide_by_zero():
+    assert optics.irradiance_factor(1e200, 0.5) == 0.0
+    assert optics.irradiance_factor(1e100, 0.0) == pytest.approx(np.pi / 4 * 1e-200, rel=1e-14)
+
+
+def test_field_factor_puts_the_axis_in_the_middle():
+    field = optics.field_factor((3, 4), 10.0, 2.0, 4.0, 0.1)
+    assert field[1, 0] == pytest.approx(optics.irradiance_factor(4.0, 15 / 2000, 0.1), rel=1e-15)
+    assert field[2, 3] == pytest.approx(optics.irradiance_factor(4.0, np.hypot(10, 15) / 2000, 0.1), rel=1e-15)
+    np.testing.assert_array_equal(field, field[::-1, ::-1])
+
+
+def test_isetcam_illuminance_at_the_centre():
+    with np.load(ISETCAM) as file:
+        data = dict(file)
+    nm = data["optics_wave"].astype(float)
+    radiance = data["optics_scene_radiance_photons"] / photons_per_joule(nm)
+    luminance_cd_per_m2 = (radiance * luminous_weight(nm, 10.0)).sum()
+    f_number = data["optics_irr_fnumber"]
+    here_lx = luminance_cd_per_m2 * optics.irradiance_factor(f_number, 0.0, data["optics_irr_mag"])
+    short = 1 - data["optics_irr_lux"] / here_lx
+    # ISETCam is 0.014 % (f/1.4) to 0.085 % (f/8) low: it pads with black, and the light that an Airy pattern sends
+    # beyond a radius grows as λN. So the whole difference must be proportional to N: a line through zero.
+    slope, at_zero = np.polyfit(f_number, short, 1)
+    assert np.all((short > 1e-4) & (short < 9e-4))
+    # Measured 1.07e-4 a stop number and -1.2e-5 at N = 0. |m| of the wrong sign would show as 2 % to 25 %.
+    assert slope == pytest.approx(1.07e-4, rel=0.05)
+    assert abs(at_zero) < 3e-5
+    assert np.abs(short - (slope * f_number + at_zero)).max() < 1e-5
+
+
+# --- Diffraction ---
+
+
+@pytest.mark.parametrize("x", [0.0, 0.1, 0.3, 0.5, 0.9, 0.999, 1.0])
+def test_otf_is_the_overlap_of_two_pupils(x):
+    # Two unit discs whose centres are 2x apart share 4 ∫ₓ¹ √(1-u²) du, of π.
+    overlap = 4 / np.pi * quad(lambda u: np.sqrt(1 - u * u), x, 1, epsabs=1e-14)[0]
+    frequency = x * optics.cutoff_cy_per_mm(550.0, 4.0)
+    assert optics.diffraction_otf(frequency, 550.0, 4.0) == pytest.approx(overlap, abs=1e-12)
+
+
+def test_otf_known_values():
+    # Cut-off 1/(λN) of 500 nm at f/4: 500 cy/mm. At half of it 2/3 - √3/(2π).
+    assert optics.cutoff_cy_per_mm(500.0, 4.0) == pytest.approx(500.0, rel=1e-15)
+    assert optics.diffraction_otf(250.0, 500.0, 4.0) == pytest.approx(2 / 3 - np.sqrt(3) / (2 * np.pi), abs=1e-15)
+    assert optics.diffraction_otf(-250.0, 500.0, 4.0) == optics.diffraction_otf(250.0, 500.0, 4.0)
+    assert optics.diffraction_otf(0.0, 500.0, 4.0) == 1.0
+    np.testing.assert_array_equal(optics.diffraction_otf([500.0, 501.0, 1e9], 500.0, 4.0), 0.0)
+
+
+def test_otf_falls_all_the_way_and_with_wavelength_and_f_number():
+    assert np.all(np.diff(optics.diffraction_otf(np.linspace(0, 500, 10001), 500.0, 4.0)) < 0)
+    assert np.all(np.diff(optics.diffraction_otf(100.0, np.arange(400.0, 800.0, 10), 4.0)) < 0)
+    # Only λN matters.
+    assert optics.diffraction_otf(100.0, 500.0, 4.0) == pytest.approx(optics.diffraction_otf(100.0, 400.0, 5.0), rel=1e-14)
+
+
+@pytest.mark.parametrize("nm", [450, 550, 650])
+def test_isetcam_mtf(nm):
+    with np.load(ISETCAM) as file:
+        frequency, mtf = file["optics_mtf_freq_cycmm"], file[f"optics_mtf_f4_{nm}nm"]
+    # The same closed form on both sides: measured 2e-16. Half a percent in N would be 3e-3.
+    assert np.abs(optics.diffraction_otf(frequency, nm, 4.0) - mtf).max() < 1e-14
+
+
+def test_square_aperture_mtf():
+    # A photodiode as wide as the pitch: 2/π at the Nyquist frequency 1/(2 · 5 µm), zero at 1/5 µm.
+    assert optics.square_aperture_mtf(100.0, 5.0) == pytest.approx(2 / np.pi, rel=1e-14)
+    assert optics.square_aperture_mtf(200.0, 5.0) == pytest.approx(0.0, abs=1e-15)
+
+
+# --- Convolution ---
+
+
+@pytest.mark.parametrize("shape", [(64, 48), (1, 33), (1, 1)])
+def test_diffraction_keeps_the_mean(shape):
+    picture = np.random.default_rng(1).uniform(0, 1, shape)
+    blurred = optics.diffract(picture, 1.0, NM, ONE, 8.0)
+    assert blurred.shape == shape
+    assert blurred.mean() == pytest.approx(picture.mean(), rel=1e-13)
+
+
+@pytest.mark.parametrize("shape", [(32, 20), (1, 7), (7, 1), (1, 1)])
+def test_a_flat_field_stays_flat_to_its_border(shape):
+    # Black padding, as in ISETCam, would halve the value at the border.
+    assert np.abs(optics.diffract(np.full(shape, 3.0), 2.0, NM, ONE, 4.0) - 3.0).max() < 1e-12
+
+
+@pytest.mark.parametrize("pitch_um", [2.65, 1.0, 0.25])
+@pytest.mark.parametrize(("row_order", "column_order"), [(0, 3), (5, 0), (40, 90), (127, 191), (0, 60)])
+def test_a_cosine_is_scaled_by_the_otf(pitch_um, row_order, column_order):
+    shape = (128, 192)
+    y, x = (
+        np.cos(np.pi * order * (np.arange(n) + 0.5) / n) for n, order in zip(shape, (row_order, column_order), strict=True)
+    )
+    picture = y[:, None] * x
+    frequency = np.hypot(row_order / (2 * 128 * pitch_um * 1e-3), column_order / (2 * 192 * pitch_um * 1e-3))
+    nm, weight = np.array([450.0, 550.0, 700.0]), np.array([1.0, 2.0, 0.5])
+    otf = (weight * optics.diffraction_otf(frequency, nm, 4.0)).sum() / 3.5
+    # The OTF comes from a table of 32768 frequencies: linear interpolation errs by 3e-8 at most, beside the cut-off.
+    assert np.abs(optics.diffract(picture, pitch_um, nm, weight, 4.0) - otf * picture).max() < 1e-7
+
+
+def test_a_point_has_an_airy_disc():
+    pitch_um, n = 0.1, 401
+    point = np.zeros((n, n))
+    point[n // 2, n // 2] = 1.0
+    psf = optics.diffract(point, pitch_um, NM, ONE, 4.0)
+    radius_um = pitch_um * np.hypot(*np.meshgrid(np.arange(n) - n // 2, np.arange(n) - n // 2))
+    first_dark_um = 1.21967 * 0.550 * 4.0
+    # 83.78 % of the energy lies within the first dark ring (Born & Wolf, 8.5.2); measured 83.80 %, the rest is
+    # what the borders reflect.
+    assert psf[radius_um < first_dark_um].sum() == pytest.approx(0.8378, abs=1e-3)
+    # The ring is dark: measured 2.6e-4 of the peak within half a sample of it.
+    ring = psf[np.abs(radius_um - first_dark_um) < pitch_um / 2]
+    assert ring.max() < 1e-3 * psf.max()
+
+
+def test_wavelengths_without_weight_do_not_count():
+    picture = np.random.default_rng(2).uniform(0, 1, (16, 16))
+    both = optics.diffract(picture, 1.0, np.array([450.0, 700.0]), np.array([0.0, 2.0]), 8.0)
+    # The table reaches further here, hence not the same bits.
+    np.testing.assert_allclose(both, optics.diffract(picture, 1.0, np.array([700.0]), ONE, 8.0), atol=1e-7)
