@@ -35,9 +35,7 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise PixsimError(
-            f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
-        ) from None
+        raise PixsimError(f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out.") from None
     try:
         yield folder
     except BaseException:

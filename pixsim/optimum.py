@@ -15,6 +15,9 @@ CONFIDENCE = 0.95
 # lowest one that are within 10 % of it, and through six at least.
 DEGREE = 3
 WINDOW_LEVEL = 1.10
+# Other fits that are as defensible; how far their minima lie from this one's is the uncertainty of the fit.
+OTHER_DEGREES = (2, 3, 4)
+OTHER_WINDOW_LEVELS = (1.06, 1.10, 1.15)
 FEWEST_POINTS = 6
 
 
@@ -23,12 +26,14 @@ class Optimum:
     """A minimum of mean ΔE over pitch.
 
     ci95_um : half width of the 95 % interval that the seeds allow (jackknife over repeats, Student's t)
-    inside : whether the minimum lies between the pitches tried, not at their end
+    fit_um : half of the range of minima that other degrees and windows of the fit give
+    inside : whether the fit has a minimum within its window; False where the error is least at an end of the pitches
     within_1_percent_um, within_2_percent_um : pitches whose fitted mean ΔE is so close to the best
     """
 
     pitch_um: float
     ci95_um: float
+    fit_um: float
     mean_delta_e: float
     inside: bool
     within_1_percent_um: tuple[float, float]
@@ -38,11 +43,11 @@ class Optimum:
         return asdict(self)
 
 
-def window(delta_e: Array) -> slice:
+def window(delta_e: Array, level: float = WINDOW_LEVEL) -> slice:
     """The points of the local fit: neighbours of the lowest mean."""
     first = lowest = int(np.argmin(delta_e))
     last = lowest + 1  # exclusive
-    level = WINDOW_LEVEL * delta_e[lowest]
+    level = level * delta_e[lowest]
     while first > 0 and delta_e[first - 1] <= level:
         first -= 1
     while last < delta_e.size and delta_e[last] <= level:
@@ -54,12 +59,23 @@ def window(delta_e: Array) -> slice:
     return slice(first, last)
 
 
-def fitted_curve(pitch_um: Array, delta_e: Array) -> tuple[Array, Array]:
+def fitted_curve(pitch_um: Array, delta_e: Array, degree: int = DEGREE) -> tuple[Array, Array]:
     """Pitches and mean ΔE of the local fit, on a grid finer than any number that is reported (0.01 %)."""
     x = np.log(pitch_um / pitch_um.mean())
-    polynomial = np.polynomial.Polynomial.fit(x, delta_e, min(DEGREE, len(x) - 2))
+    polynomial = np.polynomial.Polynomial.fit(x, delta_e, min(degree, len(x) - 2))
     grid = np.linspace(x[0], x[-1], 1 + int(np.ptp(x) / 1e-4))
     return np.exp(grid) * pitch_um.mean(), polynomial(grid)
+
+
+def fit_spread_um(pitch_um: Array, mean: Array) -> float:
+    """Half of the range of the minima over `OTHER_DEGREES` and `OTHER_WINDOW_LEVELS`."""
+    minima = []
+    for level in OTHER_WINDOW_LEVELS:
+        here = window(mean, level)
+        for degree in OTHER_DEGREES:
+            grid, curve = fitted_curve(pitch_um[here], mean[here], degree)
+            minima.append(float(grid[np.argmin(curve)]))
+    return (max(minima) - min(minima)) / 2
 
 
 def find_optimum(pitch_um: Array, delta_e: Array) -> Optimum:
@@ -84,11 +100,12 @@ def find_optimum(pitch_um: Array, delta_e: Array) -> Optimum:
     best = int(np.argmin(curve))
     ranges = []
     for percent in (1, 2):
-        near = grid[curve <= curve[best] * (1 + percent / 100)]
+        near = grid[curve <= curve[best] + abs(curve[best]) * percent / 100]
         ranges.append((float(near[0]), float(near[-1])))
     return Optimum(
         pitch_um=float(grid[best]),
         ci95_um=float(student_t.ppf((1 + CONFIDENCE) / 2, repeats - 1) * standard_error),
+        fit_um=fit_spread_um(pitch_um, delta_e.mean(axis=1)),
         mean_delta_e=float(curve[best]),
         inside=0 < best < len(grid) - 1,
         within_1_percent_um=ranges[0],

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.errors import refuse
+from pixsim.figures import save_delta_e_png, save_png
 from pixsim.files import output_folder
 from pixsim.parameters import Run
-from pixsim.report import save_delta_e_png, save_png, versions, write_json
+from pixsim.report import versions, write_json
 from pixsim.score import Score, describe, evaluate
 from pixsim.spectral import SpectralImage, write_channels, write_exr
 

@@ -126,11 +126,16 @@ class PixelOptions(Record):
         None, description="of the photodiode at every wavelength; None: the response curve"
     )
     infrared_cut_nm: Positive | None = Field(None, description="no response beyond this wavelength")
+    fill_factor_law: Literal["technology", "inset", "inset_unlimited"] = Field(
+        "technology", description="photodiode area against pitch: the technology's, or another fit to the paper's numbers"
+    )
     fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area")
     full_well_e: Positive | None = Field(None, description="charge that the ADC's top code stands for")
     dark_current_e_per_s: NonNegative | None = Field(None, description="per pixel")
     read_noise_e: NonNegative | None = Field(None, description="temporal, beside the reset noise")
-    reset_noise_factor: NonNegative = Field(1.0, description="n in the variance n kTC/q²; ½ soft reset, 2 hard with DDS")
+    reset_noise_factor: NonNegative | None = Field(
+        None, description="n in the variance n kTC/q²: 1 in the paper, ½ soft reset, 2 hard with delta double sampling"
+    )
     prnu: NonNegative | None = Field(None, description="standard deviation of the gain over its mean")
     dsnu: NonNegative | None = Field(None, description="standard deviation of the dark signal over its mean")
     offset_fpn: NonNegative | None = Field(None, description="per pixel, fraction of the full well")
@@ -202,13 +207,24 @@ class Study(Record):
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = ("0.35um",)
     pitch: PitchRange = PitchRange()
     repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="individual sensors for each pitch")
+    target_ci_um: Positive | None = Field(
+        None, description="add sensors until the 95 % interval of every optimum is this narrow (half width)"
+    )
+    max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(32, description="at most so many for target_ci_um")
     iso_delta_e: Positive = Field(3.0, description="level of the iso-ΔE curves")
+    paper: bool = Field(False, description="compare with the statements of Chen et al. (2000); needs the csf scene and 0.35um")
     scene: StudyScene = StudyScene()
     camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")
     pixel: PixelOptions = PixelOptions()
     exposure: Exposure = Exposure()
     display: Display = Display()
     quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
+
+    @model_validator(mode="after")
+    def _paper_needs_its_scene(self) -> Self:
+        if self.paper and (self.scene.file != "csf" or "chart" in self.scene.parameters or "0.35um" not in self.technologies):
+            raise ValueError("paper = true compares with Chen et al. (2000): it needs scene.file = 'csf' and technology '0.35um'")
+        return self
 
     @cached_property
     def quickened(self) -> Study:

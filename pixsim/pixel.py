@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pixsim.errors import refuse
 from pixsim.parameters import Pixel
 from pixsim.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S, Array
-from pixsim.technology import Technology, load_technology
+from pixsim.technology import Junction, Technology, load_technology, with_fill_factor_law
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
@@ -28,9 +28,13 @@ RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
 def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
-    """Photodiode area over pixel area, η(1 - (p0/p)²); negative below the smallest pitch p0."""
-    p0_um = smallest_pitch_um(technology)
-    return technology.fill_factor_limit * (1 - (p0_um / np.asarray(pitch_um, float)) ** 2)
+    """Photodiode area over pixel area, η((p - s)² - (p0 - s)²)/p²; negative below the smallest pitch p0.
+
+    s, the width that is lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²).
+    """
+    p = np.asarray(pitch_um, float)
+    inset_um = technology.fill_factor_inset_features * technology.feature_size_um
+    return technology.fill_factor_limit * ((p - inset_um) ** 2 - (smallest_pitch_um(technology) - inset_um) ** 2) / p**2
 
 
 def smallest_pitch_um(technology: Technology) -> float:
@@ -42,7 +46,11 @@ def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> floa
     """Inverse of `fill_factor_law`; PixsimError at or above the technology's limit."""
     if not 0 < fill_factor < technology.fill_factor_limit:
         raise refuse("fill factor", fill_factor, f"0 to {technology.fill_factor_limit} (limit of {technology.name})")
-    return smallest_pitch_um(technology) / math.sqrt(1 - fill_factor / technology.fill_factor_limit)
+    p0_um, inset_um = smallest_pitch_um(technology), technology.fill_factor_inset_features * technology.feature_size_um
+    limit = technology.fill_factor_limit
+    # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
+    root = limit**2 * inset_um**2 + (limit - fill_factor) * limit * p0_um * (p0_um - 2 * inset_um)
+    return (limit * inset_um + math.sqrt(root)) / (limit - fill_factor)
 
 
 def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, high_v: float, low_v: float) -> float:
@@ -54,13 +62,21 @@ def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, hig
     return zero_bias_ff * (charge(high_v) - charge(low_v)) / (high_v - low_v)
 
 
-def photodiode_capacitance_ff(area_um2: float, technology: Technology) -> float:
+def photodiode_capacitance_ff(area_um2: float, junction: Junction) -> float:
     """Mean capacitance of a square photodiode and its node over the swing: area, sidewall and fixed parts."""
-    t = technology
+    t = junction
     high_v, low_v = t.reset_voltage_v, t.reset_voltage_v - t.voltage_swing_v
     area_ff = mean_junction_ff(t.cj_ff_per_um2 * area_um2, t.pb_v, t.mj, high_v, low_v)
     side_ff = mean_junction_ff(t.cjsw_ff_per_um * 4 * math.sqrt(area_um2), t.pbsw_v, t.mjsw, high_v, low_v)
     return area_ff + side_ff + t.node_capacitance_ff
+
+
+def reset_capacitance_ff(area_um2: float, junction: Junction) -> float:
+    """Capacitance at the reset voltage, where the reset transistor opens and kTC noise freezes."""
+    j, v = junction, junction.reset_voltage_v
+    area_ff = j.cj_ff_per_um2 * area_um2 * (1 + v / j.pb_v) ** -j.mj
+    side_ff = j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
+    return area_ff + side_ff + j.node_capacitance_ff
 
 
 def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
@@ -69,8 +85,15 @@ def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1
 
 
 @lru_cache
-def _response_table() -> Array:
-    return np.loadtxt(str(resources.files("pixsim") / "data/hp_mosis_response.csv"), delimiter=",", skiprows=4)
+def _response_table(curve: str) -> Array:
+    """(wavelength_nm, value) rows."""
+    return np.loadtxt(str(resources.files("pixsim") / f"data/{curve}_response.csv"), delimiter=",", skiprows=4)
+
+
+def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> Array:
+    """QE of a generic silicon photodiode scaled to a peak; zero outside 359-1029 nm."""
+    table_nm, qe = _response_table("silicon").T
+    return np.interp(np.asarray(wavelength_nm, float), table_nm, qe * peak_quantum_efficiency / qe.max(), left=0.0, right=0.0)
 
 
 def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficiency: float) -> Array:
@@ -79,7 +102,7 @@ def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficien
     `literal`: the file's number is the QE (peak 4.2 %). `scaled`: it is A/W per pixel area, so QE = hc/(qλ) · number,
     scaled to the measured peak of 0.37. Both are scaled further by the technology's peak over 0.37.
     """
-    table_nm, raw = _response_table().T
+    table_nm, raw = _response_table("hp_mosis").T
     if reading == "literal":
         scale = peak_quantum_efficiency / RESPONSE_PEAK_QUANTUM_EFFICIENCY
     else:
@@ -93,9 +116,9 @@ class PixelPhysics:
     """What a pixel is, derived or measured. Currents and charges are per pixel."""
 
     pixel: Pixel
-    peak_quantum_efficiency: float
+    technology: Technology
     fill_factor: float
-    capacitance_ff: float
+    capacitance_ff: float | None  # None: a pinned photodiode, whose well is given
     full_well_e: float
     dark_current_e_per_s: float
     reset_noise_e: float
@@ -127,8 +150,10 @@ class PixelPhysics:
         wavelength_nm = np.asarray(wavelength_nm, float)
         if self.pixel.quantum_efficiency is not None:
             qe = np.full(wavelength_nm.shape, self.pixel.quantum_efficiency)
+        elif self.technology.response_curve == "silicon":
+            qe = silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
         else:
-            qe = response_curve(wavelength_nm, self.pixel.response, self.peak_quantum_efficiency)
+            qe = response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
         return np.where(wavelength_nm > (self.pixel.infrared_cut_nm or np.inf), 0.0, qe)
 
     def dynamic_range_db(self, integration_s: float) -> float:
@@ -141,7 +166,8 @@ class PixelPhysics:
                 f"less than the well, {self.full_well_e:.4g} e-",
                 "Integrate for a shorter time or cool the sensor.",
             )
-        return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(self._dark_variance_e2(dark_e)))
+        variance_e2 = self._dark_variance_e2(dark_e)
+        return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
     def snr_db(self, signal_e: float, integration_s: float) -> float:
         """Eq. (2) of Chen et al. (2000), for a signal charge."""
@@ -152,12 +178,36 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
 
 
+@dataclass(frozen=True)
+class Well:
+    """Where the charge is kept. Capacitances are None for a pinned photodiode, whose well is given."""
+
+    full_well_e: float
+    mean_ff: float | None = None  # over the swing: what the charge sees
+    reset_ff: float | None = None  # at the reset voltage: what kTC noise sees
+
+
+def well(pixel: Pixel, technology: Technology, area_um2: float) -> Well:
+    """C V_s/q from the junction or the paper's capacitance, or the given density."""
+    if technology.full_well_e_per_um2 is not None:
+        return Well(technology.full_well_e_per_um2 * area_um2)
+    junction = technology.junction
+    assert junction is not None  # the record's validator
+    if pixel.capacitance == "paper":
+        mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
+        swing_v = PAPER_SWING_V
+    else:
+        mean_ff, reset_ff = photodiode_capacitance_ff(area_um2, junction), reset_capacitance_ff(area_um2, junction)
+        swing_v = junction.voltage_swing_v
+    return Well(mean_ff * C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff)
+
+
 def derive(pixel: Pixel) -> PixelPhysics:
     """Fill in from the technology what the pixel leaves open.
 
     PixsimError for an unknown technology, and for a pitch at or below the smallest one (named in the message).
     """
-    technology = load_technology(pixel.technology)
+    technology = with_fill_factor_law(load_technology(pixel.technology), pixel.fill_factor_law)
 
     def given(value: float | None, otherwise: float) -> float:
         return otherwise if value is None else value
@@ -171,21 +221,19 @@ def derive(pixel: Pixel) -> PixelPhysics:
         )
     fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
     area_um2 = fill_factor * pixel.pitch_um**2
-    if pixel.capacitance == "paper":
-        capacitance_ff, swing_v = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2, PAPER_SWING_V
-    else:
-        capacitance_ff, swing_v = photodiode_capacitance_ff(area_um2, technology), technology.voltage_swing_v
-    full_well_e = given(pixel.full_well_e, capacitance_ff * C_PER_FF_V * swing_v / ELECTRON_C)
+    kept = well(pixel, technology, area_um2)
+    full_well_e = given(pixel.full_well_e, kept.full_well_e)
+    factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
     warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
     dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * warmth
     return PixelPhysics(
         pixel=pixel,
-        peak_quantum_efficiency=technology.peak_quantum_efficiency,
+        technology=technology,
         fill_factor=fill_factor,
-        capacitance_ff=capacitance_ff,
+        capacitance_ff=kept.mean_ff,
         full_well_e=full_well_e,
         dark_current_e_per_s=given(pixel.dark_current_e_per_s, dark_e_per_s),
-        reset_noise_e=reset_noise_e(capacitance_ff, pixel.temperature_k, pixel.reset_noise_factor),
+        reset_noise_e=reset_noise_e(kept.reset_ff or 0.0, pixel.temperature_k, factor),
         read_noise_e=given(pixel.read_noise_e, technology.read_noise_e),
         prnu=given(pixel.prnu, technology.prnu),
         dsnu=given(pixel.dsnu, technology.dsnu),

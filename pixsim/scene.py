@@ -156,9 +156,7 @@ def _check_names(given: dict[str, str], allowed: frozenset[str]) -> None:
     for name in given:
         if name not in allowed:
             near = difflib.get_close_matches(name, allowed, 1)
-            raise refuse(
-                "scene parameter", f"'{name}'", ", ".join(sorted(allowed)), f"Did you mean '{near[0]}'?" if near else ""
-            )
+            raise refuse("scene parameter", f"'{name}'", ", ".join(sorted(allowed)), f"Did you mean '{near[0]}'?" if near else "")
 
 
 def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:

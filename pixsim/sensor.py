@@ -210,7 +210,7 @@ def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
 
 
 def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
-    """Round half to even, clip to 0 … 2^bits - 1. Adds a variance of 1/12 DN² where σ exceeds 0.4 DN."""
+    """Round half to even, clip to 0 … 2^bits - 1. Adds a variance of 1/12 DN² (within 0.3 %) where σ exceeds 0.6 DN."""
     return np.clip(np.rint(level_dn), 0, 2**bits - 1).astype(np.int32)
 
 
@@ -241,9 +241,7 @@ def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhy
     return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.pixel.black_level_dn
 
 
-def frame_variance_dn2(
-    mean_e: Array | float, integration_s: float, physics: PixelPhysics, fixed_pattern: bool = True
-) -> Array:
+def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: PixelPhysics, fixed_pattern: bool = True) -> Array:
     """Variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors; valid where `frame_mean_dn` is."""
     p, signal_e = physics, np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s

@@ -7,8 +7,9 @@ file is also the state from which an interrupted study goes on.
 from __future__ import annotations
 
 import csv
+import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from pixsim.parameters import Camera, Pixel, Study, content_hash
 from pixsim.pixel import derive, pitch_for_fill_factor_um
 from pixsim.score import Bench, Score, make_bench
 from pixsim.spectral import Array, SpectralImage
-from pixsim.technology import load_technology
+from pixsim.technology import load_technology, with_fill_factor_law
 
 COLUMNS = (
     "key",
@@ -53,8 +54,13 @@ class Curve:
     feature_size_um: float
     pitch_um: Array = field(repr=False)
     fill_factor: Array = field(repr=False)
-    delta_e: Array = field(repr=False)  # (pitches, repeats)
+    statistics: dict[str, Array] = field(repr=False)  # mean_delta_e and the others, (pitches, repeats) each
     optimum: Optimum
+
+    @property
+    def delta_e(self) -> Array:
+        """Mean ΔE, (pitches, repeats)."""
+        return self.statistics["mean_delta_e"]
 
     def as_dict(self) -> dict[str, Any]:
         mean, ci95 = mean_and_ci95(self.delta_e)
@@ -117,7 +123,8 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         if pitches.size < 5:
             raise refuse("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
         return pitches
-    low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, load_technology(technology))
+    process = with_fill_factor_law(load_technology(technology), study.pixel.fill_factor_law)
+    low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
     if low >= study.pitch.max_um:
         raise refuse(
             "pitch.max_um",
@@ -160,9 +167,7 @@ def _evaluate_pitch(task: _Task, irradiance: SpectralImage) -> list[Row]:
     return rows
 
 
-def _plan_tasks(
-    study: Study, camera: Camera, irradiance: SpectralImage, done: dict[str, Row]
-) -> tuple[list[_Task], list[str]]:
+def _plan_tasks(study: Study, camera: Camera, irradiance: SpectralImage, done: dict[str, Row]) -> tuple[list[_Task], list[str]]:
     """The missing work, and the keys of all rows in the order of the table."""
     shared = [
         irradiance.header,
@@ -242,13 +247,25 @@ def curve_of(technology: str, rows: list[Row]) -> Curve:
     pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
     place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
     repeats = 1 + max(int(row["repeat"]) for row in own)
-    delta_e, fill_factor = np.full((pitches.size, repeats), np.nan), np.zeros(pitches.size)
+    statistics = {name: np.full((pitches.size, repeats), np.nan) for name in COLUMNS if name.endswith("_delta_e")}
+    fill_factor = np.zeros(pitches.size)
     for row in own:
         index = place[float(row["pitch_um"])]
-        delta_e[index, int(row["repeat"])] = float(row["mean_delta_e"])
+        for name, values in statistics.items():
+            values[index, int(row["repeat"])] = float(row[name])
         fill_factor[index] = float(row["fill_factor"])
     feature_um = load_technology(technology).feature_size_um
-    return Curve(technology, feature_um, pitches, fill_factor, delta_e, find_optimum(pitches, delta_e))
+    return Curve(technology, feature_um, pitches, fill_factor, statistics, find_optimum(pitches, statistics["mean_delta_e"]))
+
+
+def repeats_for_target(study: Study, curves: Sequence[Curve]) -> int:
+    """Sensors that the target interval needs, from the present one and 1/√n; no more than `max_repeats`."""
+    if study.target_ci_um is None:
+        return study.repeats
+    excess = max(curve.optimum.ci95_um for curve in curves) / study.target_ci_um
+    if excess <= 1:
+        return study.repeats
+    return max(study.repeats, min(study.max_repeats, math.ceil(study.repeats * excess**2)))
 
 
 def study(
@@ -287,5 +304,11 @@ def study(
     with output_folder(out) as folder:
         irradiance = render(scene, camera, chosen.seed, progress=stage("render"))
         workers = jobs or os.cpu_count() or 1
-        rows = evaluate_all(chosen, camera, irradiance, folder / "results.csv", workers, stage("evaluate"))
-    return StudyResult(chosen, tuple(curve_of(t, rows) for t in chosen.technologies), irradiance, camera)
+        while True:
+            rows = evaluate_all(chosen, camera, irradiance, folder / "results.csv", workers, stage("evaluate"))
+            curves = tuple(curve_of(technology, rows) for technology in chosen.technologies)
+            repeats = repeats_for_target(chosen, curves)
+            if repeats <= chosen.repeats:
+                break
+            chosen = chosen.model_copy(update={"repeats": repeats})
+    return StudyResult(chosen, curves, irradiance, camera)

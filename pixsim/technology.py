@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,11 +13,9 @@ from pixsim.errors import PixsimError, refuse
 from pixsim.parameters import Fraction, NonNegative, Positive, Record
 
 
-class Technology(Record):
-    """A CMOS process, as a 3T pixel sees it. Junction parameters carry their SPICE names; capacitances are zero-bias."""
+class Junction(Record):
+    """An n+/psub photodiode of a 3T pixel, with SPICE's names; capacitances are zero-bias."""
 
-    name: str
-    feature_size_um: Positive
     reset_voltage_v: Positive
     voltage_swing_v: Positive
     cj_ff_per_um2: NonNegative
@@ -27,6 +25,23 @@ class Technology(Record):
     pbsw_v: Positive
     mjsw: Annotated[float, Field(ge=0, lt=1)]
     node_capacitance_ff: NonNegative
+
+    @model_validator(mode="after")
+    def _swing_below_reset(self) -> Self:
+        if self.voltage_swing_v > self.reset_voltage_v:
+            raise ValueError(f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}")
+        return self
+
+
+class Technology(Record):
+    """A CMOS process, as a pixel sees it. Lengths of the fill-factor law are in units of the feature size."""
+
+    name: str
+    feature_size_um: Positive
+    junction: Junction | None = Field(None, description="3T: the well is the junction's capacitance times the swing")
+    full_well_e_per_um2: Positive | None = Field(None, description="4T: the well of a pinned photodiode, per its area")
+    reset_noise_factor: NonNegative = Field(1.0, description="n in the variance n kTC/q²; 0 for charge transfer with true CDS")
+    response_curve: Literal["hp_mosis", "silicon"] = "hp_mosis"
     dark_current_na_per_cm2: NonNegative
     dark_doubling_k: Positive
     peak_quantum_efficiency: Fraction
@@ -37,15 +52,28 @@ class Technology(Record):
     read_noise_e: NonNegative
     fill_factor_limit: Fraction
     fill_factor_zero_pitch_features: Positive
+    fill_factor_inset_features: NonNegative = 0.0
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
 
     @model_validator(mode="after")
-    def _swing_below_reset(self) -> Self:
-        if self.voltage_swing_v > self.reset_voltage_v:
-            raise ValueError(
-                f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}"
-            )
+    def _one_kind_of_well(self) -> Self:
+        if (self.junction is None) == (self.full_well_e_per_um2 is None):
+            raise ValueError(f"a technology needs either full_well_e_per_um2 or all of {', '.join(Junction.model_fields)}")
         return self
+
+
+# Other laws that meet the paper's three fill factors about as well: (limit, zero pitch, inset), as `fill_factor_law` takes.
+OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
+
+
+def with_fill_factor_law(technology: Technology, law: str) -> Technology:
+    """The technology with another fill-factor law (`Pixel.fill_factor_law`)."""
+    if law not in OTHER_FILL_FACTOR_LAWS:
+        return technology
+    limit, zero_pitch, inset = OTHER_FILL_FACTOR_LAWS[law]
+    return technology.model_copy(
+        update={"fill_factor_limit": limit, "fill_factor_zero_pitch_features": zero_pitch, "fill_factor_inset_features": inset}
+    )
 
 
 @lru_cache
@@ -61,9 +89,12 @@ def load_technology(name: str) -> Technology:
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     try:
+        values = {key: entry["value"] for key, entry in numbers.items()}
+        junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
         return Technology(
             name=table.get("name", path.stem),
-            **{key: entry["value"] for key, entry in numbers.items()},
+            **values,
+            **({"junction": junction} if junction else {}),
             sources={key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()},
         )
     except KeyError as missing:

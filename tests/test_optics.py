@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.fft import dct
 from scipy.integrate import quad
 
 from pixsim import optics
@@ -81,7 +82,7 @@ def test_two_stops_of_f_number_do_not_quarter_the_light_of_a_fast_lens():
     assert ratio == pytest.approx(17 / 5, rel=1e-14)
 
 
-def test_a_lens_at_the_focus_of_a_half_space_gives_half_of_pi():
+def test_the_fastest_lens_gives_half_of_pi():
     # f/0.5 seen from its axis: a cone of 45° half angle, sin² = ½.
     assert optics.irradiance_factor(0.5, 0.0) == pytest.approx(np.pi / 2, rel=1e-15)
 
@@ -189,15 +190,22 @@ def test_a_flat_field_stays_flat_to_its_border(shape):
 @pytest.mark.parametrize(("row_order", "column_order"), [(0, 3), (5, 0), (40, 90), (127, 191), (0, 60)])
 def test_a_cosine_is_scaled_by_the_otf(pitch_um, row_order, column_order):
     shape = (128, 192)
-    y, x = (
-        np.cos(np.pi * order * (np.arange(n) + 0.5) / n) for n, order in zip(shape, (row_order, column_order), strict=True)
-    )
+    y, x = (np.cos(np.pi * order * (np.arange(n) + 0.5) / n) for n, order in zip(shape, (row_order, column_order), strict=True))
     picture = y[:, None] * x
     frequency = np.hypot(row_order / (2 * 128 * pitch_um * 1e-3), column_order / (2 * 192 * pitch_um * 1e-3))
     nm, weight = np.array([450.0, 550.0, 700.0]), np.array([1.0, 2.0, 0.5])
     otf = (weight * optics.diffraction_otf(frequency, nm, 4.0)).sum() / 3.5
-    # The OTF comes from a table of 32768 frequencies: linear interpolation errs by 3e-8 at most, beside the cut-off.
+    # The OTF comes from a table of 32768 frequencies; beside the cut-off linear interpolation errs by 3e-8.
     assert np.abs(optics.diffract(picture, pitch_um, nm, weight, 4.0) - otf * picture).max() < 1e-7
+
+
+def test_every_frequency_is_scaled_by_the_otf_up_to_the_cut_off():
+    # A point in a corner holds all cosines: 8192 of them, those up to order 3723 below the cut-off of 454.5 cy/mm.
+    point = np.eye(1, 8192)
+    found = dct(optics.diffract(point, 0.5, NM, ONE, 4.0)[0]) / dct(point[0])
+    exact = optics.diffraction_otf(np.arange(8192) / (2 * 8192 * 0.5e-3), 550.0, 4.0)
+    assert np.abs(found - exact).max() < 1e-7
+    assert np.count_nonzero(exact) == 3724
 
 
 def test_a_point_has_an_airy_disc():

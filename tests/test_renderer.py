@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from functools import cache
@@ -64,13 +65,16 @@ def flat(variant: str, f_number: float = 4.0) -> tuple[pixsim.SpectralImage, pix
     return pixsim.render(scene, camera), camera
 
 
-# 0.2 % throughout: 10 nm bands cost 0.01 % of luminance, the lens nothing. N instead of N(1+m) is 1 % off, π/4N² 1.6 %.
+# 10 nm bands cost 0.003 % of this lamp's luminance (0.03 % of others'), the lens nothing; N instead of N(1+m) is 1 % off.
+GATE = 5e-4
+
+
 @VARIANTS
 def test_on_axis_illuminance(variant):
     image, camera = flat(variant)
     centre_lx = image.illuminance_lx()[32, 32]
-    assert centre_lx == pytest.approx(4.7857, rel=2e-3)
-    assert centre_lx == pytest.approx(100 * on_axis_sr(4, camera.magnification), rel=2e-3)
+    assert centre_lx == pytest.approx(4.7857, rel=GATE)
+    assert centre_lx == pytest.approx(100 * on_axis_sr(4, camera.magnification), rel=GATE)
 
 
 @VARIANTS
@@ -80,8 +84,8 @@ def test_illuminance_falls_off_as_the_lens_does(variant):
     tan_field = np.hypot(x_mm, x_mm[:, None]) / camera.image_distance_mm
     assert np.degrees(np.arctan(tan_field.max())) == pytest.approx(35, abs=0.5)
     expected = 100 * optics.irradiance_factor(4, tan_field, camera.magnification)
-    assert np.abs(image.illuminance_lx() / expected - 1).max() < 2e-3
-    assert expected.min() / expected.max() < 0.46  # cos⁴ 35° = .45: the corners are dark
+    assert np.abs(image.illuminance_lx() / expected - 1).max() < GATE
+    assert 0.44 < expected.min() / expected.max() < 0.48  # cos⁴ 35° = .45
 
 
 @VARIANTS
@@ -91,7 +95,7 @@ def test_illuminance_is_the_integral_over_the_lens(variant):
     for row, column in ((32, 32), (32, 64), (0, 32), (10, 50), (64, 0), (0, 64)):
         tan_field = np.hypot(row - 32, column - 32) * image.pitch_um * 1e-3 / v_mm
         expected = 100 * pupil_integral_sr(4, camera.magnification, tan_field)
-        assert image.illuminance_lx()[row, column] == pytest.approx(expected, rel=2e-3)
+        assert image.illuminance_lx()[row, column] == pytest.approx(expected, rel=GATE)
 
 
 @VARIANTS
@@ -99,7 +103,7 @@ def test_half_the_aperture(variant):
     (wide, camera), (narrow, _) = flat(variant), flat(variant, 8.0)
     m = camera.magnification
     ratio = wide.illuminance_lx()[32, 32] / narrow.illuminance_lx()[32, 32]
-    # 3.9538 against 4 for 1/N²; the spectra cancel, so only the factor is left.
+    # 3.954 against 4 for 1/N²; the spectra cancel, so only the factor is left.
     assert ratio == pytest.approx((1 + 16 * 16 * (1 + m) ** 2) / (1 + 4 * 16 * (1 + m) ** 2), rel=1e-5)
 
 
@@ -210,10 +214,11 @@ def test_contrast_is_diffraction_times_photodiode(f_number, frequency_lp_per_mm,
     otf = (electrons * (2 * half_angle - np.sin(2 * half_angle)) / np.pi).sum() / electrons.sum()
     aperture = np.sinc(frequency_lp_per_mm * physics.photodiode_side_um * 1e-3)
     expected = 0.9 * otf * aperture
-    # Noise, texture, spline and the fall-off's slope each below 0.1 %. A green OTF instead of the white one is 1 % off at
-    # f/8 and 60 lp/mm; a full pixel instead of the photodiode up to 60 %; a phase of 0.5 % is 0.08 of a 1024th of the die.
-    assert in_phase / mean == pytest.approx(expected, rel=5e-3)
-    assert abs(quadrature / mean) < 5e-3 * expected
+    # Measured 0.07 % at 60 lp/mm (texture and spline), 0.01 % at the others. At 60 lp/mm the green OTF instead of the
+    # white one is .8 % off at f/2.8 and 2.8 % at f/8; the full pixel instead of its photodiode 15 to 60 %.
+    assert in_phase / mean == pytest.approx(expected, rel=2e-3)
+    # A tenth of a render sample to one side would turn 60 lp/mm by 0.1 radian.
+    assert abs(quadrature / mean) < 2e-3 * expected
 
 
 # --- What is left out, and what is left in ---
@@ -230,7 +235,7 @@ def test_one_pass_serves_every_band(variant):
 
 
 def test_one_pass_serves_every_band_of_a_chart():
-    scene = pixsim.load_scene("csf", resolution=64, spp=256)
+    scene = pixsim.load_scene("csf", resolution=64)
     quick, full = pixsim.render(scene), pixsim.render(scene, full=True)
     ratio = full.data.mean(axis=(0, 1), dtype=float) / quick.data.mean(axis=(0, 1), dtype=float)
     # The seeds differ. Noise of a band's mean, from 8 seeds: 5e-6.
@@ -240,19 +245,17 @@ def test_one_pass_serves_every_band_of_a_chart():
 # --- Which way is up ---
 
 
-def test_top_left_stays_top_left_in_every_file(tmp_path, monkeypatch, capsys):
+def test_top_left_stays_top_left_in_every_file(tmp_path):
     import matplotlib.image
     import OpenEXR
 
     texels = np.full((8, 8), 0.05, np.float32)
     texels[:2, :2], texels[:2, 6:], texels[6:, :2] = 1.0, 0.6, 0.3  # the fourth corner stays dark
     pixsim.write_chart(tmp_path / "corners.exr", texels)
+    (tmp_path / "options.toml").write_text("pixel.pitch_um = 42.4\ndisplay.dots = 64")
     out = tmp_path / "out"
-    options = ["-D", f"chart={tmp_path / 'corners.exr'}", "-D", "resolution=64", "--pixel.pitch-um", "42.4"]
-    monkeypatch.setattr(sys, "argv", ["pixsim", "run", "flat", *options, "--display.dots", "64", "--out", str(out)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 0, capsys.readouterr().err
+    define = [f"chart={tmp_path / 'corners.exr'}", "resolution=64"]
+    cli.run("flat", define=define, config=[tmp_path / "options.toml"], out=out)
 
     def stored(name: str, channel: str) -> np.ndarray:
         with OpenEXR.File(str(out / name), separate_channels=True) as file:
@@ -292,23 +295,34 @@ def test_a_seed_gives_its_bits(variant):
 
 
 THREADS = """
-import hashlib, sys
+import hashlib, os, sys
+variant, cores = sys.argv[1:]
+if cores == "one":
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 import pixsim
-scene = pixsim.load_scene("csf", variant=sys.argv[1], resolution=96, spp=16)
-for threads in (1, 2, 3):
-    import drjit
-    drjit.set_thread_count(threads)
+scene = pixsim.load_scene("csf", variant=variant, resolution=96, spp=16)
+import drjit  # not before pixsim has chosen its LLVM
+for threads in (None,) if cores == "one" else (2, 3, 8):
+    if threads:
+        drjit.set_thread_count(threads)
     print(hashlib.sha256(pixsim.render(scene, seed=1).factors[1].tobytes()).hexdigest())
 """
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be chosen here")
 @VARIANTS
 def test_threads_change_no_bit(variant):
-    command = [sys.executable, "-c", THREADS, variant]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    hashes = done.stdout.split()
-    assert len(hashes) == 3
-    assert len(set(hashes)) == 1
+    def hashes(cores: str) -> list[str]:
+        # Mitsuba 3.9.1 alone waits for ever for a texture where there is only one core, hence the limit.
+        done = subprocess.run(
+            [sys.executable, "-c", THREADS, variant, cores], capture_output=True, text=True, check=True, timeout=30
+        )
+        return done.stdout.split()
+
+    several = hashes("several")
+    assert len(several) == 3
+    assert len(set(several)) == 1
+    assert hashes("one") == several[:1]
 
 
 # --- A general scene: a white plane that reflects ---
@@ -318,7 +332,9 @@ DARK, BRIGHT = 0.2, 0.8
 REFLECTANCE = f'<spectrum name="reflectance" value="360:{DARK}, 549.999:{DARK}, 550.001:{BRIGHT}, 830:{BRIGHT}"/>'
 SKY = '<emitter type="constant"><texture type="d65" name="radiance"><float name="scale" value="0.01"/></texture></emitter>'
 # Sampling the lobe alone, each path brings the sky times the reflectance: no noise.
-EXACT = '<integrator type="direct"><integer name="emitter_samples" value="0"/><integer name="bsdf_samples" value="1"/></integrator>'
+EXACT = (
+    '<integrator type="direct"><integer name="emitter_samples" value="0"/><integer name="bsdf_samples" value="1"/></integrator>'
+)
 
 
 def plane_scene(folder: Path, body: str, integrator: str = EXACT, spp: int = 64) -> Path:
@@ -346,9 +362,10 @@ def plane_scene(folder: Path, body: str, integrator: str = EXACT, spp: int = 64)
     return path
 
 
-def central_spectrum(image: pixsim.SpectralImage) -> np.ndarray:
-    """Mean of the four samples around the axis, (B,)."""
-    return image.data[7:9, 11:13].astype(float).mean(axis=(0, 1))
+def spectrum_over_lens(image: pixsim.SpectralImage, camera: pixsim.Camera) -> np.ndarray:
+    """Radiance behind the irradiance, mean over the picture, (B,)."""
+    lens = optics.field_factor(image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    return (image.data / lens[:, :, None]).mean(axis=(0, 1))
 
 
 def reflectance_of_band(centre_nm: np.ndarray) -> np.ndarray:
@@ -361,32 +378,29 @@ def test_a_plane_under_a_uniform_sky(variant, tmp_path):
     image, camera = pixsim.render(scene), scene.camera()
     assert image.factors is None
     assert camera.f_number == pytest.approx(2, rel=1e-5)
-    nm, found = image.wavelength_nm, central_spectrum(image)
-    # A convex body in a furnace: radiance = reflectance × sky.
-    sky = d65_radiance(nm, 0.01 * D65_LUMINANCE)
-    expected = reflectance_of_band(nm) * sky * on_axis_sr(2, camera.magnification)
-    smooth = nm != STEP_NM
-    # Nothing is random but the wavelength, which the lamp-shaped band takes out. D65 bends inside a band (its 5 nm table
-    # has corners): 0.3 % between a band's mean and its centre.
-    assert np.abs(found / expected - 1)[smooth].max() < 4e-3
-    # The band that the step halves has the noise of where its 4 × 64 wavelengths fall: stratified, some 1 %.
-    assert found[~smooth] == pytest.approx(expected[~smooth], rel=0.05)
-    # Against band means of the same lamp the gate is that of float32.
-    mean_sky = np.array([d65_radiance(np.linspace(a - 5, a + 5, 1001), 0.01 * D65_LUMINANCE).mean() for a in nm])
-    exact = reflectance_of_band(nm) * mean_sky * on_axis_sr(2, camera.magnification)
-    assert np.abs(found / exact - 1)[smooth].max() < 2e-4
+    # In a furnace a convex body's radiance is its reflectance times the sky; band means of D65 on a fine grid.
+    centre_nm = image.wavelength_nm
+    fine_nm = centre_nm[:, None] + np.linspace(-5, 5, 1001)
+    sky = d65_radiance(fine_nm, 0.01 * D65_LUMINANCE).mean(axis=1)
+    ratio = spectrum_over_lens(image, camera) / (reflectance_of_band(centre_nm) * sky)
+    smooth = centre_nm != STEP_NM
+    # Nothing is random but the wavelength, and the lamp-shaped bands take that out: 0.01 % at the corners of D65's 5 nm
+    # table, which the 1 nm flanks round off.
+    assert np.abs(ratio - 1)[smooth].max() < 5e-4
+    # The band that the step halves counts how many of its 24 576 wavelengths fall on either side: 0.2 % stratified,
+    # and D65 falls by 0.5 % from one half to the other.
+    assert abs(ratio[~smooth][0] - 1) < 2e-2
 
 
 @VARIANTS
 def test_the_luminance_of_a_plane_under_a_uniform_sky(variant, tmp_path):
     scene = pixsim.load_scene(plane_scene(tmp_path, SKY), variant=variant)
-    lit = pixsim.render(scene).illuminance_lx()[7:9, 11:13].mean()
+    image = pixsim.render(scene)
     nm = np.arange(360.0, 831.0)
-    reflectance = np.where(nm < STEP_NM, DARK, BRIGHT)
-    weight = spectral.photopic_efficiency(nm) * spectral.d65(nm)
-    luminance = 0.01 * D65_LUMINANCE * (reflectance * weight).sum() / weight.sum()
-    # A band that is cut by the step holds 10 % of the light; its reflectance is met to 1 %, ȳ's slope within it costs .3 %.
-    assert lit == pytest.approx(luminance * on_axis_sr(2, scene.camera().magnification), rel=5e-3)
+    light = reflectance_of_band(nm) * d65_radiance(nm, 0.01 * D65_LUMINANCE) * spectral.photopic_efficiency(nm)
+    luminance = spectrum_over_lens(image, scene.camera()) @ spectral.luminous_weight(image.wavelength_nm, 10.0)
+    # The step halves a band that holds 8 % of the light: its 2 % above is 0.16 % here.
+    assert luminance == pytest.approx(spectral.LUMINOUS_EFFICACY_LM_PER_W * light.sum(), rel=2e-3)
 
 
 def test_a_second_lamp_of_another_spectrum(tmp_path):

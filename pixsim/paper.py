@@ -1,0 +1,292 @@
+"""What Chen, Catrysse, El Gamal and Wandell (2000) say, and what pixsim finds: one row for each statement.
+
+A row that does not agree stays in, with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from pixsim import optics
+from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.optimum import mean_and_ci95
+from pixsim.parameters import Pixel
+from pixsim.pixel import PixelPhysics, derive, fill_factor_law
+from pixsim.sensor import electrons_per_joule
+from pixsim.spectral import Array, luminous_weight
+from pixsim.sweep import Curve, StudyResult
+from pixsim.technology import load_technology
+
+# Stated in the paper: section 4, Figures 2 and 6, abstract.
+REFERENCE_TECHNOLOGY = "0.35um"
+FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
+FIGURE_2_INTEGRATION_S = 0.030
+FIGURE_2_RANGE_DB = (35.0, 70.0)
+FIGURE_2_WELL_FRACTION = 0.20
+FIGURE_2B_PITCHES_UM = (6.0, 8.0, 10.0, 12.0)
+FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
+OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
+TOLERANCE_UM = 0.4  # "approximately 6.5 µm": less than half the step between the pitches of its Figure 6
+FILL_FACTOR_TOLERANCE = 0.05
+FREQUENCY_BINS, CONTRAST_BINS = 6, 8
+CONTRAST_SMOOTHING_DOTS = 4.0
+HISTOGRAM_STEP, HISTOGRAM_SMOOTHING_BINS, MODE_PROMINENCE = 0.02, 4.0, 0.02  # ΔE; bins; of the highest mode
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A statement of the paper beside what came out."""
+
+    statement: str
+    given: str
+    found: str
+    agrees: bool
+    why: str = ""
+
+    def as_dict(self) -> dict[str, str | bool]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The study and the mean ΔE maps that the statements are checked on."""
+
+    result: StudyResult
+    curves: dict[str, Curve] = field(repr=False)
+
+    @cached_property
+    def maps(self) -> dict[float, Array]:
+        """Pitch -> ΔE map at the reference technology, mean over the study's first eight sensors."""
+        repeats = range(min(8, self.result.study.repeats))
+        return {
+            pitch: np.mean([self.result.score(REFERENCE_TECHNOLOGY, pitch, r).delta_e for r in repeats], axis=0)
+            for pitch in FIGURE_6_PITCHES_UM
+        }
+
+    @cached_property
+    def thresholds(self) -> dict[float, Array]:
+        """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf where it never does."""
+        return {pitch: threshold_contrast(each, self.result.study.iso_delta_e) for pitch, each in self.maps.items()}
+
+
+def by_frequency(delta_e: Array, bins: int = FREQUENCY_BINS) -> Array:
+    """Means of a CSF map over bins of equal ratio in frequency, (rows, bins)."""
+    return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, bins, axis=1)], axis=1)
+
+
+def frequency_bins_lp_per_mm(bins: int = FREQUENCY_BINS) -> Array:
+    """Centres of `by_frequency`."""
+    return csf_frequency_lp_per_mm((np.arange(bins) + 0.5) / bins)
+
+
+def frequency_contrast_table(delta_e: Array) -> tuple[Array, Array, Array]:
+    """Frequencies (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map."""
+    table = np.stack([part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)])
+    return frequency_bins_lp_per_mm(), csf_contrast((np.arange(CONTRAST_BINS) + 0.5) / CONTRAST_BINS), table
+
+
+def threshold_contrast(delta_e: Array, level: float) -> Array:
+    """Contrast at which the mean ΔE of each frequency bin first exceeds a level, coming from low contrast, (F,)."""
+    smooth = gaussian_filter1d(by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest")
+    contrast = csf_contrast((np.arange(len(smooth)) + 0.5) / len(smooth))
+    above = smooth > level
+    return np.where(above.any(axis=0), contrast[above.argmax(axis=0)], np.inf)
+
+
+def modes(delta_e: Array) -> int:
+    """Number of modes of a map's distribution: maxima of a smoothed histogram that stand out by 2 % of the highest."""
+    counts, _ = np.histogram(delta_e, bins=np.arange(0.0, np.percentile(delta_e, 99.9) + 1, HISTOGRAM_STEP))
+    smooth = gaussian_filter1d(np.concatenate([[0.0], counts.astype(float)]), HISTOGRAM_SMOOTHING_BINS, mode="constant")
+    return len(find_peaks(smooth, prominence=MODE_PROMINENCE * smooth.max())[0])
+
+
+def dr_and_snr_db(pitch_um: Array, capacitance: str) -> tuple[Array, Array]:
+    """Figure 2a: eq. (1), and eq. (2) at 20 % of the well, at 30 ms, for the reference technology."""
+    pixels = [derive(Pixel.model_validate({"pitch_um": p, "capacitance": capacitance})) for p in pitch_um.tolist()]
+    dr = [pixel.dynamic_range_db(FIGURE_2_INTEGRATION_S) for pixel in pixels]
+    snr = [pixel.snr_db(FIGURE_2_WELL_FRACTION * pixel.full_well_e, FIGURE_2_INTEGRATION_S) for pixel in pixels]
+    return np.array(dr), np.array(snr)
+
+
+def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> Array:
+    """White-light diffraction times the photodiode's sinc, as the scene's light and the pixel's response weigh it."""
+    irradiance = result.irradiance
+    nm = irradiance.wavelength_nm
+    factors = irradiance.factors
+    spectrum = factors[0][0] if factors else irradiance.data.mean(axis=(0, 1), dtype=float)
+    weight = electrons_per_joule(physics, nm, irradiance.band_width_nm) * spectrum
+    lens = optics.white_otf(frequency_cy_per_mm, nm, weight, result.camera.working_f_number)
+    return lens * optics.square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
+
+
+def mtf50_cy_per_mm(result: StudyResult, physics: PixelPhysics) -> float:
+    """Frequency at which the system MTF falls to one half."""
+    frequency = np.linspace(0.0, 1e3 / physics.photodiode_side_um, 20001)
+    return float(np.interp(-0.5, -system_mtf(result, physics, frequency), frequency))
+
+
+def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = FIGURE_2_INTEGRATION_S) -> float:
+    """Minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2), in the scene's light."""
+    snr = 10 ** (30 / 20)
+    noise_e2 = physics.reset_noise_e**2 + physics.read_noise_e**2 + physics.dark_current_e_per_s * integration_s
+    signal_e = (snr**2 + np.sqrt(snr**4 + 4 * snr**2 * noise_e2)) / 2
+    return float(signal_e / (sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2))
+
+
+def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> float:
+    """Electrons per lx·s and µm² of photodiode in the scene's light."""
+    irradiance = result.irradiance
+    nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
+    spectrum = irradiance.factors[0][0] if irradiance.factors else irradiance.data.mean(axis=(0, 1), dtype=float)
+    electrons = (electrons_per_joule(physics, nm, width_nm) * spectrum).sum() * 1e-12
+    return float(electrons / (luminous_weight(nm, width_nm) * spectrum).sum())
+
+
+def growth_exponent(pitch_um: Array, level_db: Array) -> float:
+    """b in ratio ∝ pitch^b, by least squares in logarithms."""
+    return float(np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1).convert().coef[1])
+
+
+def findings(evidence: Evidence) -> list[Finding]:
+    """One row for each statement that the study has the data for."""
+    checks: list[Callable[[Evidence], Iterator[Finding]]] = [_pixel_rows]
+    if REFERENCE_TECHNOLOGY in evidence.curves:
+        checks += [_optimum_rows, _iso_rows, _map_rows]
+    if len(evidence.curves) > 1:
+        checks.append(_scaling_rows)
+    return [finding for check in checks for finding in check(evidence)]
+
+
+def _pixel_rows(_: Evidence) -> Iterator[Finding]:
+    for size_um, given in FILL_FACTORS.items():
+        found = float(fill_factor_law(size_um, load_technology(REFERENCE_TECHNOLOGY)))
+        yield Finding(
+            f"Fill factor at {size_um:g} µm",
+            f"{given:.0%}",
+            f"{found:.1%}",
+            abs(found - given) < 0.015,
+            "the law of the packaged process is fitted to these three numbers",
+        )
+    pitch_um = np.geomspace(5.3, 15.0, 25)
+    low, high = FIGURE_2_RANGE_DB
+    for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper"), strict=True):
+        inside = low <= db.min() and db.max() <= high
+        yield Finding(
+            f"{name} from 5.3 to 15 µm (Fig. 2a)",
+            f"within {low:g} to {high:g} dB",
+            f"{db.min():.1f} to {db.max():.1f} dB",
+            bool(inside),
+            "`paper` capacitance, fitted to this axis",
+        )
+        exponent = growth_exponent(pitch_um, db)
+        yield Finding(
+            f"{name} grows roughly as √pitch",
+            "pitch^0.5",
+            f"pitch^{exponent:.2f}",
+            abs(exponent - 0.5) < 0.15,
+            "the paper's fill factors, 5 to 73 %, make the photodiode's area grow as pitch^4.6 between these "
+            "pitches, and its own Fig. 2a spans more than √pitch would",
+        )
+
+
+def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
+    curve = evidence.curves[REFERENCE_TECHNOLOGY]
+    best = curve.optimum
+    total_um = best.ci95_um + best.fit_um
+    yield Finding(
+        "Optimal pixel size at 0.35 µm",
+        f"about {OPTIMUM_UM:g} µm",
+        f"{best.pitch_um:.2f} µm ± {best.ci95_um:.2f} (seeds) ± {best.fit_um:.2f} (fit)",
+        best.inside and abs(best.pitch_um - OPTIMUM_UM) <= max(TOLERANCE_UM, total_um),
+        "depends on the lens, response and display, which the paper does not tell",
+    )
+    fill_factor = float(np.interp(best.pitch_um, curve.pitch_um, curve.fill_factor))
+    yield Finding(
+        "Its fill factor",
+        f"{OPTIMUM_FILL_FACTOR:.0%}",
+        f"{fill_factor:.0%}",
+        abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE,
+    )
+
+
+def _contrasts(values: Array) -> str:
+    return ", ".join("never" if np.isinf(value) else f"{value:.2f}" for value in values)
+
+
+def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
+    """Fig. 6: a pixel is better where it reaches the iso level at a higher contrast."""
+    limits = evidence.thresholds
+    bins = ", ".join(f"{f:.2g}" for f in frequency_bins_lp_per_mm())
+    level = evidence.result.study.iso_delta_e
+    for better, worse in ((8.0, 15.0), (6.0, 8.0)):
+        ahead = limits[better] >= limits[worse]
+        yield Finding(
+            f"Iso-ΔE = {level:g}: {better:g} µm is better than {worse:g} µm",
+            "at every frequency",
+            f"at {ahead.sum()} of {ahead.size} frequencies; contrast at {bins} lp/mm: {_contrasts(limits[better])} "
+            f"against {_contrasts(limits[worse])}",
+            bool(ahead.all() and (limits[better] > limits[worse]).any()),
+        )
+    six, smallest = limits[6.0], limits[5.3]
+    apart = np.flatnonzero(six != smallest)
+    crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
+    swap = np.flatnonzero(np.diff(smallest > six))
+    where = f"; they cross near {frequency_bins_lp_per_mm()[swap[0] + 1]:.2g} lp/mm" if crosses and swap.size else ""
+    yield Finding(
+        f"Iso-ΔE = {level:g}: 6 and 5.3 µm cross",
+        "6 µm better at low, 5.3 µm at high frequencies",
+        f"contrast at {bins} lp/mm: {_contrasts(six)} for 6 µm, {_contrasts(smallest)} for 5.3 µm{where}",
+        crosses,
+    )
+
+
+def _map_rows(evidence: Evidence) -> Iterator[Finding]:
+    map_ = evidence.maps[8.0]
+    count = modes(evidence.result.score(REFERENCE_TECHNOLOGY, 8.0).delta_e)
+    yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", f"{count} mode{'s' if count > 1 else ''}", count == 1)
+    _, _, table = frequency_contrast_table(map_)
+    row, column = np.unravel_index(table.argmax(), table.shape)
+    corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
+    frequency, contrast, _ = frequency_contrast_table(map_)
+    yield Finding(
+        "Largest errors (8 µm)",
+        "at high frequency and high contrast",
+        f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}",
+        corner,
+    )
+
+
+def _scaling_rows(evidence: Evidence) -> Iterator[Finding]:
+    curves = sorted(evidence.curves.values(), key=lambda curve: -curve.feature_size_um)
+    size = np.array([curve.optimum.pitch_um for curve in curves])
+    ratio = size / [curve.feature_size_um for curve in curves]
+    best = np.array([mean_and_ci95(curve.delta_e)[0].min() for curve in curves])
+    names = ", ".join(f"{curve.feature_size_um:g}" for curve in curves)
+
+    def listed(values: Array, digits: int) -> str:
+        return ", ".join(f"{value:.{digits}f}" for value in values) + f" at {names} µm"
+
+    yield Finding("The optimum shrinks with technology", "yes", f"{listed(size, 2)}", bool((np.diff(size) < 0).all()))
+    slower = bool(ratio[-1] > ratio[0])
+    yield Finding(
+        "… but slower than the technology",
+        "optimum/F rises",
+        listed(ratio, 1),
+        slower,
+        ""
+        if (np.diff(ratio) > 0).all()
+        else "it rises over the whole range, but not at every step: the 0.25 µm junction is unusually capacitive",
+    )
+    yield Finding(
+        "The best mean ΔE gets worse as technology shrinks",
+        "rises",
+        listed(best, 3),
+        bool(best[-1] > best[0]),
+        "" if (np.diff(best) > 0).all() else "it does over the whole range, but not at every step: see the 0.25 µm junction",
+    )

@@ -1,0 +1,163 @@
+"""Figures 2 to 6 of Chen, Catrysse, El Gamal and Wandell (2000), from pixsim's own numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_picture, extent, new_figure
+from pixsim.paper import (
+    FIGURE_2B_PITCHES_UM,
+    FIGURE_6_PITCHES_UM,
+    REFERENCE_TECHNOLOGY,
+    Evidence,
+    dr_and_snr_db,
+    frequency_contrast_table,
+    mpe30_lx_s,
+    mtf50_cy_per_mm,
+    system_mtf,
+)
+from pixsim.pixel import derive
+from pixsim.plates import MARKERS, Column, Plate, draw_iso, pictures
+from pixsim.spectral import Array
+from pixsim.sweep import Curve, StudyResult, pixel_of
+
+FIGURE_5_PITCH_UM = 8.0
+SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
+
+
+def paper_plates(evidence: Evidence) -> list[Plate]:
+    """Every figure of the paper that is not a study's own curve, in its order."""
+    result = evidence.result
+    curve = evidence.curves[REFERENCE_TECHNOLOGY]
+    return [
+        figure_2a(),
+        figure_2b(result),
+        figure_4(result),
+        pictures(result, curve, FIGURE_5_PITCH_UM, "figure_5_pictures_8um"),
+        figure_6(evidence),
+        errors_by_frequency_and_contrast(evidence),
+        light_against_detail(result, curve),
+    ]
+
+
+def figure_2a() -> Plate:
+    """DR, and SNR at 20 % well, against pitch, at 30 ms, for both capacitances."""
+    pitch_um = np.geomspace(5.3, 15.0, 40)
+    figure = new_figure(6.0, 3.8)
+    axes = figure.subplots()
+    table: dict[str, Column] = {"pitch_um": pitch_um.tolist()}
+    for capacitance, style in (("paper", "-"), ("mosis", "--")):
+        for name, colour, db in zip(("DR", "SNR at 20 % well"), COLOURS, dr_and_snr_db(pitch_um, capacitance), strict=False):
+            axes.plot(pitch_um, db, style, color=colour, label=f"{name}, capacitance '{capacitance}'")
+            table[f"{name.split()[0].lower()}_{capacitance}_db"] = db.tolist()
+    axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("dB")
+    axes.legend(frameon=False, fontsize=8)
+    caption = "Figure 2a. Dynamic range and SNR at 20 % of the well against pixel size, 0.35 µm, 30 ms: equations (1) and (2)."
+    return Plate("figure_2a_dr_snr", caption, figure, table)
+
+
+def figure_2b(result: StudyResult) -> Plate:
+    """System MTF against frequency over the Nyquist frequency of 6 µm pixels."""
+    relative = np.linspace(0.0, 1.0, 101)
+    figure = new_figure(6.0, 3.8)
+    axes = figure.subplots()
+    table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist()}
+    for pitch_um, colour, marker in zip(FIGURE_2B_PITCHES_UM, COLOURS, MARKERS, strict=True):
+        physics = derive(pixel_of(result.study, REFERENCE_TECHNOLOGY, pitch_um))
+        mtf = system_mtf(result, physics, relative * SIX_UM_NYQUIST_CY_PER_MM)
+        axes.plot(relative, mtf, color=colour, marker=marker, markevery=20, ms=4, label=f"{pitch_um:g} µm")
+        nyquist = 6.0 / pitch_um
+        axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=colour, lw=1)
+        table[f"mtf_{pitch_um:g}um"] = mtf.tolist()
+    axes.set_xlabel("spatial frequency over the Nyquist frequency of 6 µm pixels (83.3 lp/mm)")
+    axes.set_ylabel("system MTF")
+    axes.set_ylim(0, 1)
+    axes.legend(frameon=False)
+    caption = (
+        "Figure 2b. System MTF: white-light diffraction times the photodiode's sinc. Dotted: the Nyquist frequency of each "
+        "pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch suggests."
+    )
+    return Plate("figure_2b_mtf", caption, figure, table)
+
+
+def figure_4(result: StudyResult) -> Plate:
+    """The CSF scene as rendered: illuminance on the sensor."""
+    lux = result.irradiance.illuminance_lx()
+    figure = new_figure(4.6, 4.4)
+    axes = figure.subplots()
+    draw_picture(axes, lux / lux.max(), result.irradiance)
+    rows = np.linspace(0, lux.shape[0] - 1, 5).astype(int)
+    x_mm = (np.arange(lux.shape[1]) + 0.5) / lux.shape[1] * extent(result.irradiance)[1]
+    table: dict[str, Column] = {"x_mm": x_mm.tolist()}
+    table |= {f"illuminance_lx_row_{row}": lux[row].tolist() for row in rows.tolist()}
+    caption = f"Figure 4. The scene as rendered on the sensor plane, {lux.min():.3g} to {lux.max():.3g} lx, fall-off included."
+    return Plate("figure_4_scene", caption, figure, table)
+
+
+def figure_6(evidence: Evidence) -> Plate:
+    """Curves of ΔE = 3 for four pixel sizes."""
+    level = evidence.result.study.iso_delta_e
+    figure = new_figure(5.4, 5.0)
+    axes = figure.subplots()
+    for pitch_um, colour in zip(FIGURE_6_PITCHES_UM, COLOURS, strict=True):
+        smooth = gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
+        draw_iso(axes, evidence.result, smooth, [level], [colour], [1.6], [f"{pitch_um:g} µm"])
+    handles = [axes.plot([], [], color=colour, label=f"{p:g} µm")[0]
+               for p, colour in zip(FIGURE_6_PITCHES_UM, COLOURS, strict=True)]  # fmt: skip
+    axes.legend(handles=handles, frameon=False, loc="upper left")
+    table: dict[str, Column] = {"pitch_um": list(FIGURE_6_PITCHES_UM)}
+    frequency = frequency_contrast_table(evidence.maps[FIGURE_6_PITCHES_UM[0]])[0]
+    limits: Array = np.stack([evidence.thresholds[pitch] for pitch in FIGURE_6_PITCHES_UM])
+    table |= {f"contrast_at_{f:.3g}_lp_per_mm": limits[:, index].tolist() for index, f in enumerate(frequency)}
+    caption = (
+        f"Figure 6. Curves of ΔE = {level:g} for four pixel sizes (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
+        "dots). Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the better the pixel. "
+        "The table gives the contrast at which the mean over a frequency band reaches the level (inf: never)."
+    )
+    return Plate("figure_6_iso_delta_e", caption, figure, table)
+
+
+def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
+    """Mean ΔE in cells of frequency and contrast, at 8 µm."""
+    frequency, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM])
+    figure = new_figure(5.4, 4.0)
+    axes = figure.subplots()
+    image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0)
+    for (row, column), value in np.ndenumerate(values):
+        axes.text(
+            column, row, f"{value:.1f}", ha="center", va="center", fontsize=7, color="w" if value < values.max() / 2 else "k"
+        )
+    axes.set_xticks(range(frequency.size), [f"{each:.2g}" for each in frequency])
+    axes.set_yticks(range(contrast.size), [f"{each:.2g}" for each in contrast])
+    axes.set_xlabel("spatial frequency on the sensor (lp/mm)")
+    axes.set_ylabel("contrast")
+    figure.colorbar(image, ax=axes, label="mean ΔE")
+    table: dict[str, Column] = {"contrast": contrast.tolist()}
+    table |= {f"delta_e_at_{each:.3g}_lp_per_mm": values[:, index].tolist() for index, each in enumerate(frequency)}
+    return Plate("delta_e_by_frequency_and_contrast", "Mean ΔE by spatial frequency and contrast, 8 µm pixels.", figure, table)
+
+
+def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
+    """MTF50 and MPE30 of each pitch: the two sides of the trade-off."""
+    pixels = [derive(pixel_of(result.study, curve.technology, pitch)) for pitch in curve.pitch_um.tolist()]
+    mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
+    mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
+    figure = new_figure(6.0, 3.8)
+    axes = figure.subplots()
+    axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0])
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
+    axes.set_ylim(bottom=0)
+    other = axes.twinx()
+    other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1])
+    other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
+    other.spines["right"].set_visible(True)
+    caption = (
+        f"Both sides of the trade-off ({curve.technology}): the frequency at which the system MTF is one half, and the least "
+        "exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High detail and little light are good."
+    )
+    table = {"pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "mpe30_lx_s": mpe30}
+    return Plate("light_against_detail", caption, figure, table)

@@ -1,0 +1,208 @@
+"""The figures of a study, each with the table that it was drawn from."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_delta_e, draw_picture, extent, label_axes, new_figure
+from pixsim.optimum import fitted_curve, mean_and_ci95, window
+from pixsim.spectral import Array
+from pixsim.sweep import Curve, StudyResult
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Column = Sequence[float | str]
+MARKERS = ("o", "s", "^", "D")
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A figure for figures/`name`.svg and the table behind it for figures/`name`.csv."""
+
+    name: str
+    caption: str
+    figure: Figure
+    table: dict[str, Column]
+
+    @property
+    def csv(self) -> str:
+        text = io.StringIO()
+        writer = csv.writer(text)
+        writer.writerow(self.table)
+        writer.writerows(zip(*self.table.values(), strict=True))
+        return text.getvalue()
+
+
+def draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
+    """Mean ΔE of each pitch with its 95 % interval, the local fit and the optimum."""
+    mean, ci95 = mean_and_ci95(curve.delta_e)
+    best = curve.optimum
+    label = f"{curve.technology}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else curve.technology
+    axes.errorbar(curve.pitch_um, mean, ci95, fmt=marker, ms=4, lw=1, capsize=2, color=colour, label=label)
+    here = window(mean)
+    axes.plot(*fitted_curve(curve.pitch_um[here], mean[here]), color=colour, lw=1.5)
+    if best.inside:
+        axes.plot(best.pitch_um, best.mean_delta_e, "v", ms=9, mfc="white", mec=colour, mew=1.5)
+    axes.axvspan(*best.within_1_percent_um, color=colour, alpha=0.12, lw=0)
+
+
+def fill_factor_axis(axes: Axes, curve: Curve) -> None:
+    """The fill factor of each pitch on top."""
+    top = axes.secondary_xaxis("top")
+    wanted = [each for each in (0.05, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7) if each <= curve.fill_factor.max()]
+    top.set_xticks(np.interp(wanted, curve.fill_factor, curve.pitch_um), [f"{100 * each:.0f}" for each in wanted], fontsize=8)
+    top.set_xlabel("fill factor (%)")
+
+
+def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    for curve, colour, marker in zip(curves, COLOURS, MARKERS, strict=False):
+        draw_curve(axes, curve, colour, marker)
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("mean ΔE, S-CIELAB")
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=8, loc="lower right")
+    if len(curves) == 1 and np.ptp(curves[0].fill_factor) > 0:
+        fill_factor_axis(axes, curves[0])
+    caption = (
+        f"Mean S-CIELAB error of the picture against pixel size. Points: mean of {result.study.repeats} sensors with its 95 % "
+        "interval; line: the local fit; triangle: the optimum; band: sizes within 1 % of the best."
+    )
+    return Plate(name, caption, figure, curve_table(curves))
+
+
+def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
+    table: dict[str, list[float | str]] = {
+        name: [] for name in ("technology", "pitch_um", "fill_factor", "mean_delta_e", "ci95_delta_e", *OTHER_STATISTICS)
+    }
+    for curve in curves:
+        mean, ci95 = mean_and_ci95(curve.delta_e)
+        table["technology"] += [curve.technology] * mean.size
+        columns = {"pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor, "mean_delta_e": mean, "ci95_delta_e": ci95}
+        columns |= {name: curve.statistics[name].mean(axis=1) for name in OTHER_STATISTICS}
+        for name, values in columns.items():
+            table[name] += values.tolist()
+    return dict(table)
+
+
+OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
+
+
+def other_statistics(curve: Curve) -> Plate:
+    """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
+    figure = new_figure(6.4, 3.6)
+    axes = figure.subplots()
+    for name, colour, marker in zip(("mean_delta_e", *OTHER_STATISTICS), (*COLOURS, "#555555"), (*MARKERS, "x"), strict=True):
+        values = curve.statistics[name].mean(axis=1)
+        label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
+        axes.plot(curve.pitch_um, values / values.min(), marker=marker, ms=3.5, lw=1, color=colour, label=label)
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("ΔE over its least value")
+    axes.set_ylim(0.9, 3.0)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=8)
+    caption = (
+        f"The same pictures judged by other statistics of ΔE ({curve.technology}), each divided by its smallest value. The "
+        "pitch in the legend is the best of those tried."
+    )
+    return Plate("other_statistics", caption, figure, curve_table([curve]))
+
+
+def pictures(result: StudyResult, curve: Curve, pitch_um: float, name: str) -> Plate:
+    """Ideal image, one output image, its ΔE map, and curves of equal ΔE of the mean map."""
+    scores = [result.score(curve.technology, pitch_um, repeat) for repeat in range(min(8, result.study.repeats))]
+    smooth = gaussian_filter(np.mean([score.delta_e for score in scores], axis=0), ISO_SMOOTHING_DOTS, mode="nearest")
+    figure = new_figure(8.6, 7.6)
+    (ideal, image), (map_, iso) = figure.subplots(2, 2)
+    ideal.set_title("ideal image")
+    draw_picture(ideal, scores[0].ideal, result.irradiance)
+    image.set_title(f"image from {pitch_um:.2f} µm pixels")
+    draw_picture(image, scores[0].image, result.irradiance)
+    map_.set_title(f"ΔE map, mean {scores[0].mean_delta_e:.3f}")
+    draw_delta_e(figure, map_, scores[0].delta_e, result.irradiance)
+    iso.set_title(f"curves of equal ΔE, mean of {len(scores)} sensors")
+    level = result.study.iso_delta_e
+    levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
+    draw_iso(iso, result, smooth, levels, COLOURS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
+    caption = (
+        f"What {pitch_um:.2f} µm pixels show ({curve.technology}): the ideal image, the picture of one sensor, its ΔE map "
+        f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} display dots; errors are larger below a curve."
+    )
+    table: dict[str, Column] = {"sensor": list(range(len(scores))), "mean_delta_e": [score.mean_delta_e for score in scores]}
+    return Plate(name, caption, figure, table)
+
+
+def draw_iso(
+    axes: Axes,
+    result: StudyResult,
+    smooth: Array,
+    levels: Sequence[float],
+    colours: Sequence[str],
+    widths: Sequence[float],
+    labels: Sequence[str],
+) -> None:
+    """Curves of equal ΔE in the axes of the picture."""
+    left, right, bottom, top = extent(result.irradiance)
+    x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
+    y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
+    there = [i for i, level in enumerate(levels) if smooth.min() < level < smooth.max()]
+    if there:
+        lines = axes.contour(
+            x,
+            y,
+            smooth,
+            levels=[levels[i] for i in there],
+            colors=[colours[i] for i in there],
+            linewidths=[widths[i] for i in there],
+        )
+        axes.legend(lines.legend_elements()[0], [labels[i] for i in there], frameon=False, loc="upper left")
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_aspect("equal")
+    label_axes(axes, result.irradiance)
+    for spine in axes.spines.values():
+        spine.set(visible=True, color="0.8")
+
+
+def optimum_against_technology(result: StudyResult) -> Plate:
+    """Optima with both error bars, beside what 'proportional to technology' would give."""
+    curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
+    feature_um = np.array([curve.feature_size_um for curve in curves])
+    size_um = np.array([curve.optimum.pitch_um for curve in curves])
+    ci95_um = np.array([curve.optimum.ci95_um for curve in curves])
+    fit_um = np.array([curve.optimum.fit_um for curve in curves])
+    figure = new_figure(5.4, 4.0)
+    axes = figure.subplots()
+    axes.errorbar(feature_um, size_um, ci95_um + fit_um, fmt="none", ecolor=COLOURS[1], lw=1, capsize=5, label="seeds and fit")
+    axes.errorbar(feature_um, size_um, ci95_um, fmt="o", color=COLOURS[0], lw=2, capsize=3, label="optimum, 95 % (seeds)")
+    proportional = size_um[-1] / feature_um[-1] * feature_um
+    axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
+    axes.set_xlabel("feature size (µm)")
+    axes.set_ylabel("optimal pixel size (µm)")
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False)
+    table = {
+        "technology": [curve.technology for curve in curves],
+        "feature_size_um": feature_um.tolist(),
+        "optimum_um": size_um.tolist(),
+        "ci95_um": ci95_um.tolist(),
+        "fit_um": fit_um.tolist(),
+        "optimum_features": (size_um / feature_um).tolist(),
+        "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
+        "proportional_um": proportional.tolist(),
+    }
+    caption = "Optimal pixel size against technology, and the line that the largest process scaled in proportion would follow."
+    return Plate("optimum_against_technology", caption, figure, table)

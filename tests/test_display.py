@@ -1,0 +1,234 @@
+"""From electrons to what the viewer sees: scale, rasters, averaging, codes; and the whole score where it must vanish."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pixsim import display as displays
+from pixsim import sensor as sensors
+from pixsim.errors import PixsimError
+from pixsim.parameters import Camera, Display, Exposure, Pixel
+from pixsim.pixel import derive
+from pixsim.score import evaluate
+from pixsim.sensor import Frame
+from pixsim.spectral import SpectralImage, d65
+
+NM = np.arange(400.0, 721.0, 10)
+DIE_MM = 0.6784  # a quarter of the usual die: 128 dots of 5.3 µm
+SMALL = Display(dots=128)
+CAMERA = Camera(die_mm=DIE_MM)
+
+
+def irradiance_of(picture: np.ndarray, camera: Camera = CAMERA, general: bool = False, known: bool = True) -> SpectralImage:
+    """A D65-lit chart of 1000 cd/m² at value 1, seen through the camera without fall-off: E = L τ π/(1 + 4N²(1+m)²)."""
+    image = SpectralImage(NM, 10.0, 1.0, factors=(d65(NM), np.ones((1, 1, 1))))
+    n_w = camera.f_number * (1 + camera.magnification)
+    white_lx = 1000.0 * camera.transmittance * np.pi / (1 + 4 * n_w**2)
+    spectrum = d65(NM) * white_lx / image.illuminance_lx()[0, 0]
+    light = {"data": picture[:, :, None] * spectrum} if general else {"factors": (spectrum, picture[None])}
+    header = {"luminance_cd_per_m2": 1000.0} if known else {}
+    return SpectralImage(NM, 10.0, 1e3 * camera.die_mm / picture.shape[1], header=header, **light)
+
+
+def noise_free(electrons: np.ndarray, pitch_um: float, mean_dark_e: float = 0.0, black_level_dn: float = 0.0) -> Frame:
+    """A frame that the ADC has only rounded, to 1e-3 e-."""
+    dn = np.rint((electrons + mean_dark_e) * 1e3 + black_level_dn).astype(np.int32)
+    return Frame(dn, electrons, 1.0, 1e3, black_level_dn, mean_dark_e, pitch_um, 31)
+
+
+# --- Scale ---
+
+
+@pytest.mark.parametrize("general", [False, True], ids=["factors", "data"])
+@pytest.mark.parametrize(("f_number", "transmittance"), [(4.0, 1.0), (1.4, 0.8)])
+def test_white_on_the_axis_has_relative_luminance_one(general, f_number, transmittance):
+    camera = Camera(die_mm=DIE_MM, f_number=f_number, transmittance=transmittance, object_distance_m=0.1)
+    physics = derive(Pixel(pitch_um=10.6))
+    irradiance = irradiance_of(np.ones((64, 64)), camera, general)
+    electrons = sensors.mean_signal_rate(irradiance, camera, physics) * 0.01
+    white_e = displays.white_rate(irradiance, camera, physics, SMALL) * 0.01 * physics.photodiode_area_um2
+    frame = noise_free(electrons, 10.6, mean_dark_e=12.3, black_level_dn=64)
+    shown = displays.frame_luminance(frame, displays.picture_size_um(irradiance), white_e, SMALL)
+    # Rounding of the ADC: 0.0005 e- of more than 1000; float32 in the irradiance: 1e-7.
+    assert white_e > 1000
+    np.testing.assert_allclose(shown, 1.0, rtol=2e-6)
+    np.testing.assert_allclose(displays.ideal_luminance(irradiance, camera, physics, SMALL), 1.0, rtol=1e-6)
+
+
+def test_the_displays_own_white_replaces_the_scenes():
+    irradiance, physics = irradiance_of(np.ones((64, 64))), derive(Pixel())
+    shown = displays.ideal_luminance(irradiance, CAMERA, physics, Display(dots=128, white_cd_per_m2=500))
+    np.testing.assert_allclose(shown, 2.0, rtol=1e-6)
+
+
+def test_an_unknown_white_is_refused():
+    with pytest.raises(PixsimError, match=r"white_cd_per_m2: got nothing.*--display\.white-cd-per-m2"):
+        displays.white_cd_per_m2(irradiance_of(np.ones((4, 4)), known=False), Display())
+
+
+def test_grey_has_the_white_of_d65():
+    np.testing.assert_allclose(displays.to_xyz(np.array([[0.5]])), [[[47.5235, 50.0, 54.4415]]], rtol=1e-12)
+
+
+# --- Rasters ---
+
+
+@pytest.mark.parametrize(("pitch_um", "shape"), [(5.3, (64, 128)), (6.5, (52, 104)), (1.7, (199, 399))])
+def test_shapes_of_the_rasters(pitch_um, shape):
+    picture = np.random.default_rng(1).uniform(100, 1000, shape)
+    size_um = (339.2, 678.4)
+    for raster, expected in (("fixed_size", (64, 128)), ("one_to_one", shape)):
+        display = Display(dots=128, raster=raster)
+        assert displays.frame_luminance(noise_free(picture, pitch_um), size_um, 1000.0, display).shape == expected
+        ideal = displays.ideal_luminance(irradiance_of(np.ones((32, 64))), CAMERA, derive(Pixel(pitch_um=6.5)), display)
+        assert ideal.shape == ((64, 128) if raster == "fixed_size" else (52, 104))
+
+
+@pytest.mark.parametrize("interpolation", ["nearest", "linear", "cubic"])
+@pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
+def test_a_pixel_as_large_as_a_dot_is_shown_as_it_is(interpolation, raster):
+    picture = np.random.default_rng(2).uniform(100, 1000, (64, 128))
+    display = Display(dots=128, raster=raster, interpolation=interpolation)
+    shown = displays.frame_luminance(noise_free(picture, 5.3), (339.2, 678.4), 1000.0, display)
+    # The frame holds 0.001 e-, half of it rounding, of 1000.
+    np.testing.assert_allclose(shown, picture / 1000, atol=1e-6)
+
+
+@pytest.mark.parametrize("pixels", [129, 200, 256, 1000])
+def test_averaging_over_dots_keeps_the_mean(pixels):
+    picture = np.random.default_rng(3).uniform(100, 1000, (pixels // 2, pixels))
+    pitch_um = 678.4 / pixels
+    size_um = (pitch_um * (pixels // 2), 678.4)
+    shown = displays.frame_luminance(noise_free(picture, pitch_um), size_um, 1000.0, SMALL)
+    assert shown.shape[1] == 128
+    assert shown.mean() == pytest.approx(picture.mean() / 1000, abs=1e-6)
+    if pixels == 256:
+        blocks = picture[: 2 * (pixels // 4)].reshape(64, 2, 128, 2).mean(axis=(1, 3))
+        np.testing.assert_allclose(shown, blocks / 1000, atol=1e-6)
+
+
+def test_averaging_by_hand():
+    # Values 1, 5, 3 on [0, 1], [1, 3], [3, 4]: means over [0.5, 2], [2, 4] and, going on constant, over [4, 6].
+    found = displays.average_axis(np.array([1.0, 5.0, 3.0]), np.array([0.0, 1, 3, 4]), np.array([0.5, 2.0, 4.0, 6.0]), 0)
+    np.testing.assert_allclose(found, [(0.5 + 5) / 1.5, 4.0, 3.0], rtol=1e-12)
+    before = displays.average_axis(np.array([1.0, 5.0]), np.array([0.0, 1, 2]), np.array([-2.0, -1.0, 0.5]), 0)
+    np.testing.assert_allclose(before, [1.0, 1.0], rtol=1e-12)
+
+
+def test_averaging_makes_noise_fall_with_the_number_of_pixels():
+    # Four pixels a dot halve the noise. 16 384 dots: 5σ is 2.8 % (6e-7 false alarms).
+    picture = 1000 + 50 * np.random.default_rng(4).standard_normal((256, 256))
+    shown = displays.frame_luminance(noise_free(picture, 2.65), (678.4, 678.4), 1000.0, SMALL)
+    assert shown.std() == pytest.approx(0.025, rel=5 / np.sqrt(2 * 16384))
+
+
+@pytest.mark.parametrize("pitch_um", [1.7, 3.3, 6.5, 9.7, 15.0])
+def test_frames_are_mapped_by_position_on_the_die(pitch_um):
+    # A linear picture survives averaging and linear interpolation; the array is centred and leaves a border uncovered.
+    n = int(678.4 / pitch_um)
+    x_um = 339.2 + (np.arange(n) - (n - 1) / 2) * pitch_um
+    picture = np.tile(500 + x_um, (n, 1))
+    shown = displays.frame_luminance(noise_free(picture, pitch_um), (678.4, 678.4), 1000.0, SMALL)
+    dots_um = (np.arange(128) + 0.5) * 5.3
+    inside = slice(4, -4)  # up to one pixel and a half at the border is held constant
+    tolerance = 1e-6 if pitch_um > 5.3 else pitch_um / 4000  # pixels cut by a dot's border count as constant
+    np.testing.assert_allclose(shown[64, inside], (500 + dots_um[inside]) / 1000, atol=tolerance)
+    assert shown[64].mean() == pytest.approx((500 + 339.2) / 1000, abs=1e-6)  # centred
+
+
+def test_the_ideal_image_is_the_picture_at_the_dots():
+    edges = np.linspace(0, 678.4, 257)
+    means = np.diff(300 * edges - 2000 * np.cos(edges / 20)) / np.diff(edges)
+    irradiance = irradiance_of(np.tile(means, (256, 1)) / 500)
+    ideal = displays.ideal_luminance(irradiance, CAMERA, derive(Pixel()), SMALL)
+    dots_um = (np.arange(128) + 0.5) * 5.3
+    exact = (300 + 100 * np.sin(dots_um / 20)) / 500
+    # Splines on 2.65 µm cells: found 6e-7; averaging over dots would show as 3e-4.
+    np.testing.assert_allclose(ideal, np.tile(exact, (128, 1)), atol=5e-6)
+
+
+# --- Codes ---
+
+
+@pytest.mark.parametrize("bits", [1, 4, 8, 12, 16])
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_codes_are_rounded_to_the_nearest(bits, gamma):
+    display = Display(bits=bits, gamma=gamma)
+    luminance = np.linspace(0, 1, 5001)
+    shown = displays.shown_luminance(luminance, display)
+    top = 2**bits - 1
+    steps = top * (shown ** (1 / gamma) - luminance ** (1 / gamma))
+    assert 0.4 < np.abs(steps).max() < 0.5 + 1e-9
+    # What is shown once stays as it is.
+    np.testing.assert_array_equal(displays.shown_luminance(shown, display), shown)
+    levels = (np.arange(top + 1) / top) ** gamma
+    np.testing.assert_allclose(displays.shown_luminance(levels, display), levels, rtol=1e-12)
+
+
+def test_codes_are_clipped():
+    np.testing.assert_array_equal(displays.shown_luminance(np.array([-3.0, 0.0, 1.0, 7.0]), Display()), [0, 0, 1, 1])
+    assert displays.shown_luminance(np.array(0.5), Display(gamma=1.0)) == pytest.approx(128 / 255, rel=1e-15)
+
+
+# --- The whole score ---
+
+
+def grating(samples: int = 256) -> np.ndarray:
+    """10 lp/mm, contrast 0.5 (deeper troughs are filtered to black, where CIELAB magnifies everything)."""
+    phase = 2 * np.pi * 10 * DIE_MM * (np.arange(samples) + 0.5) / samples
+    return np.tile(0.5 * (1 + 0.5 * np.sin(phase)), (samples, 1))
+
+
+PERFECT = {
+    "fill_factor": 1.0,
+    "quantum_efficiency": 1.0,
+    "full_well_e": 1e9,
+    "dark_current_e_per_s": 0,
+    "read_noise_e": 0,
+    "reset_noise_factor": 0,
+    "prnu": 0,
+    "dsnu": 0,
+    "offset_fpn": 0,
+    "column_fpn": 0,
+    "bits": 24,
+}
+
+
+def test_a_nearly_perfect_camera_has_nearly_no_error():
+    fast = Camera(die_mm=DIE_MM, f_number=1.0)
+    irradiance = irradiance_of(grating(), fast)
+    perfect = evaluate(irradiance, fast, Pixel(pitch_um=1.325, **PERFECT), Exposure(max_integration_s=100), SMALL, seed=1)
+    usual = evaluate(irradiance_of(grating()), CAMERA, Pixel(pitch_um=6.5), Exposure(), SMALL, seed=1)
+    # What is left: diffraction at f/1, dots that average the pixels where the ideal takes points, 8-bit codes. Found 0.17;
+    # 0.64 for the usual one.
+    assert perfect.mean_delta_e < 0.25
+    assert usual.mean_delta_e > 3 * perfect.mean_delta_e
+    assert perfect.delta_e.shape == perfect.ideal.shape == perfect.image.shape == (128, 128)
+
+
+def test_every_flaw_costs():
+    irradiance = irradiance_of(grating())
+    pixel = {"pitch_um": 5.3, **PERFECT}
+
+    def mean_delta_e(**flaw) -> float:
+        return evaluate(irradiance, CAMERA, Pixel(**pixel | flaw), Exposure(max_integration_s=10), SMALL).mean_delta_e
+
+    clean = mean_delta_e()
+    for flaw in (
+        {"prnu": 0.05},
+        {"offset_fpn": 0.02},
+        {"column_fpn": 0.01},
+        {"bits": 4},
+        {"pitch_um": 21.2},
+        {"full_well_e": 500},
+    ):
+        # Found 0.44 without a flaw, 0.9 to 7.3 with one.
+        assert mean_delta_e(**flaw) > 1.5 * clean, flaw
+
+
+def test_a_score_depends_on_its_seed_only():
+    irradiance = irradiance_of(grating(64))
+    one, same, other = (evaluate(irradiance, CAMERA, Pixel(), display=SMALL, seed=seed).delta_e for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one, same)
+    assert np.mean(one != other) > 0.9

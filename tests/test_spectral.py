@@ -1,0 +1,264 @@
+"""Spectral images and their files: bit for bit, as other readers see them; light units against colour-science."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+import OpenEXR
+import pytest
+
+import pixsim
+from pixsim import spectral, variant
+from pixsim.errors import PixsimError
+from pixsim.mitsuba_xml import import_mitsuba
+from pixsim.spectral import SpectralImage
+
+BANDS_NM = np.arange(370.0, 821.0, 10.0)
+D65_TEXT = "S0.550,000000nm"
+
+
+def any_float32(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
+    """Every kind of float32 that is a number: all exponents, denormals, both zeros, 1e30."""
+    bits = np.random.default_rng(seed).integers(0, 2**32, shape, np.uint32)
+    values = bits.view(np.float32)
+    values[~np.isfinite(values)] = 1e30
+    values.flat[:4] = 0.0, -0.0, np.float32(1e-42), 1e30
+    return values
+
+
+def bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32).view(np.uint32)
+
+
+def general(shape: tuple[int, int] = (5, 7)) -> SpectralImage:
+    return SpectralImage(BANDS_NM, 10.0, 2.65, data=any_float32((*shape, BANDS_NM.size)), header={"seed": 7, "µ": [1.5, None]})
+
+
+def factored(shape: tuple[int, int] = (5, 7)) -> SpectralImage:
+    spectra = np.random.default_rng(1).uniform(0, 1, (2, BANDS_NM.size)) * 1e-3
+    return SpectralImage(BANDS_NM, 10.0, 1 / 3, factors=(spectra, any_float32((2, *shape)) * np.float32(1e-6)))
+
+
+# --- Files ---
+
+
+def test_a_general_image_comes_back_bit_for_bit(tmp_path):
+    image = general()
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    back = pixsim.read_exr(tmp_path / "image.exr")
+    assert back.factors is None
+    assert np.array_equal(bits(back.data), bits(image.data))
+    assert np.array_equal(back.wavelength_nm, image.wavelength_nm)
+    assert np.array_equal(back.band_width_nm, image.band_width_nm)
+    assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
+
+
+def test_a_factored_image_comes_back_bit_for_bit(tmp_path):
+    image = factored()
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    back = pixsim.read_exr(tmp_path / "image.exr")
+    assert np.array_equal(back.factors[0], image.factors[0])  # float64
+    assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
+    assert np.array_equal(bits(back.data), bits(image.data))
+    assert back.pitch_um == image.pitch_um
+
+
+@pytest.mark.parametrize("make", [general, factored])
+def test_the_file_has_fichets_layout(make, tmp_path):
+    image = make()
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    with OpenEXR.File(str(tmp_path / "image.exr"), separate_channels=True) as file:
+        header, channels = file.header(), file.channels()
+        assert header["spectralLayoutVersion"] == "1.0"
+        assert header["emissiveUnits"] == "W.m^-2.nm^-1"
+        names = [name for name in channels if name.startswith("S0.")]
+        assert names == [f"S0.{nm},000000nm" for nm in range(370, 821, 10)]
+        assert np.array_equal(bits(channels[D65_TEXT].pixels), bits(image.data[:, :, 18]))
+
+
+def test_fractions_of_a_nanometre_have_a_decimal_comma(tmp_path):
+    pixsim.write_exr(tmp_path / "image.exr", SpectralImage([632.8, 1064.25], 0.1, 1.0, data=np.ones((1, 1, 2))))
+    with OpenEXR.File(str(tmp_path / "image.exr"), separate_channels=True) as file:
+        assert sorted(file.channels()) == ["S0.1064,250000nm", "S0.632,800000nm"]
+    assert pixsim.read_exr(tmp_path / "image.exr").wavelength_nm.tolist() == [632.8, 1064.25]
+
+
+@pytest.mark.parametrize("make", [general, factored])
+def test_mitsuba_reads_the_file(make, tmp_path):
+    image = make()
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    variant.choose(None)
+    bitmap = import_mitsuba("scalar_spectral").Bitmap(str(tmp_path / "image.exr"))
+    names = [field.name for field in bitmap.struct_()]
+    pixels = np.array(bitmap)
+    for band, nm in enumerate(range(370, 821, 10)):
+        assert np.array_equal(pixels[:, :, names.index(f"S0.{nm},000000nm")], image.data[:, :, band])
+
+
+def test_strided_arrays_are_written_as_they_look(tmp_path):
+    whole = any_float32((12, 14, 2 * BANDS_NM.size))
+    image = SpectralImage(BANDS_NM, 10.0, 1.0, data=whole[::-2, ::2, 1::2])
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    assert np.array_equal(bits(pixsim.read_exr(tmp_path / "image.exr").data), bits(whole[::-2, ::2, 1::2]))
+    plane = whole[:, :, 0].T[1:, ::3]
+    spectral.write_channels(tmp_path / "plane.exr", {"Y": plane, "Z": plane.astype(float)[::-1]}, {})
+    channels, _ = spectral.read_channels(tmp_path / "plane.exr")
+    assert np.array_equal(bits(channels["Y"]), bits(plane))
+    assert np.array_equal(bits(channels["Z"]), bits(plane[::-1]))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, share):
+    path = tmp_path / "image.exr"
+    pixsim.write_exr(path, general((64, 64)))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(PixsimError, match=r"EXR file: got '.*image\.exr' .*; allowed: a readable OpenEXR file"):
+        pixsim.read_exr(path)
+
+
+@pytest.mark.parametrize("content", [b"not an EXR", struct.pack("<II", 20000630, 2) + b"\xff" * 400])
+def test_another_kind_of_file_is_refused(tmp_path, content):
+    (tmp_path / "image.exr").write_bytes(content)
+    with pytest.raises(PixsimError, match="allowed: a readable OpenEXR file"):
+        pixsim.read_exr(tmp_path / "image.exr")
+
+
+@pytest.mark.parametrize("name", ["nowhere.exr", "."])
+def test_a_missing_file_is_refused(tmp_path, name):
+    with pytest.raises(PixsimError, match="which does not exist; allowed: a readable OpenEXR file"):
+        pixsim.read_exr(tmp_path / name)
+
+
+OWN = {"wavelength_nm": [550.0], "band_width_nm": [10.0], "pitch_um": 1.0, "header": {}}
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        {},
+        {"emissiveUnits": "W.m^-2.nm^-1"},
+        {"emissiveUnits": "W.m^-2.sr^-1.nm^-1", "pixsim": json.dumps(OWN)},
+        {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": "{torn"},
+        {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": json.dumps({"pitch_um": 1.0})},
+        {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": json.dumps(OWN | {"wavelength_nm": [560.0]})},
+        {"emissiveUnits": "W.m^-2.nm^-1", "pixsim": json.dumps(OWN | {"spectra_w_per_m2_nm": [[1.0]]})},
+    ],
+    ids=["plain", "no header", "radiance", "torn header", "half a header", "no such channel", "no such factor"],
+)
+def test_an_exr_from_elsewhere_is_refused(tmp_path, header):
+    spectral.write_channels(tmp_path / "image.exr", {D65_TEXT: np.ones((2, 2))}, header)
+    with pytest.raises(PixsimError, match=r"image\.exr"):
+        pixsim.read_exr(tmp_path / "image.exr")
+
+
+@pytest.mark.parametrize("where", ["no/such/folder/image.exr", "a_file/image.exr", "a_folder"])
+def test_a_path_that_cannot_be_written_is_left_as_it_was(tmp_path, where):
+    (tmp_path / "a_file").write_text("kept")
+    (tmp_path / "a_folder").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(PixsimError, match=r"output file: got '.*' \(.*\); allowed: a path that can be written"):
+        pixsim.write_exr(tmp_path / where, general())
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "a_file").read_text() == "kept"
+
+
+def test_an_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "image.exr"
+    pixsim.write_exr(path, factored())
+    before = path.read_bytes()
+
+    def full_disk(self, name):
+        with open(name, "wb") as file:
+            file.write(b"half")
+        raise RuntimeError("no space left on device")
+
+    monkeypatch.setattr(OpenEXR.File, "write", full_disk)
+    with pytest.raises(PixsimError, match="no space left on device"):
+        pixsim.write_exr(path, general())
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_equal_images_give_equal_files(tmp_path):
+    for name in ("a.exr", "b.exr"):
+        pixsim.write_exr(tmp_path / name, general())
+    assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
+
+
+# --- Light ---
+
+
+def test_tables_are_cies():
+    import colour
+
+    nm = np.arange(360.0, 781.0)
+    y_bar = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(360, 780, 1)).values[:, 1]
+    np.testing.assert_allclose(spectral.photopic_efficiency(nm), y_bar, rtol=1e-9)
+    # CIE 15 tabulates D65 every 5 nm and says to interpolate linearly.
+    d65 = colour.SDS_ILLUMINANTS["D65"]
+    np.testing.assert_allclose(spectral.d65(nm[::5]), d65[nm[::5]], rtol=1e-9)
+    np.testing.assert_allclose(spectral.d65(nm), np.interp(nm, nm[::5], d65[nm[::5]]), rtol=1e-5)  # six digits
+    assert spectral.d65(560.0) == 100
+    assert spectral.d65(np.array([359.0, 831.0])).tolist() == [0, 0]
+    assert spectral.photopic_efficiency(np.array([359.0, 831.0])).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("name", ["E", "D65", "A"])
+def test_illuminance_of_bands(name):
+    import colour
+
+    # colour-science sums at 1 nm, pixsim knows ten-nanometre means only.
+    shape = colour.SpectralShape(365, 825, 1)
+    lamp = colour.SDS_ILLUMINANTS[name].copy().align(shape, interpolator=colour.LinearInterpolator)
+    edges = (lamp.values[:-1] + lamp.values[1:]) / 2
+    image = SpectralImage(BANDS_NM, 10.0, 1.0, data=edges.reshape(46, 10).mean(axis=1)[None, None])
+    # Measured 1 to 5e-5. ȳ shifted by 1 nm is .2 % off for D65 and .7 % for A, 683 instead of 683.002 lm/W 3e-6.
+    assert image.illuminance_lx()[0, 0] == pytest.approx(colour.colorimetry.luminous_flux(lamp), rel=1e-4)
+
+
+def test_illuminance_of_a_laser():
+    image = SpectralImage([555.0], 1.0, 1.0, data=np.full((2, 3, 1), 2.0))
+    # 2 W/m² where the eye is best: 683 lm/W by the SI, for 555.016 nm in air.
+    np.testing.assert_allclose(image.illuminance_lx(), np.full((2, 3), 2 * 683), rtol=1e-5)
+
+
+def test_photons_of_a_joule():
+    import scipy.constants as si
+
+    assert spectral.photons_per_joule(555.0) == pytest.approx(555e-9 / (si.h * si.c), rel=1e-15)
+    # A lumen of 555 nm is 4.09e15 photons a second, as the handbooks have it.
+    assert spectral.photons_per_joule(555.0) / 683 == pytest.approx(4.09e15, rel=1e-3)
+    assert spectral.photons_per_joule([400, 800]) == pytest.approx(np.array([1, 2]) * spectral.photons_per_joule(400.0))
+
+
+def test_factors_are_the_data_they_stand_for():
+    rng = np.random.default_rng(0)
+    spectra, pictures = rng.uniform(0, 1, (3, BANDS_NM.size)), rng.uniform(0, 1, (3, 6, 9))
+    image = SpectralImage(BANDS_NM, 10.0, 1.0, factors=(spectra, pictures))
+    expected = np.einsum("rb,ryx->yxb", spectra, pictures)
+    assert image.shape == (6, 9)
+    np.testing.assert_allclose(image.data, expected, rtol=1e-6)  # float32
+    weight = rng.uniform(0, 1, BANDS_NM.size)
+    np.testing.assert_allclose(image.weighted(weight), expected @ weight, rtol=1e-6)
+    whole = SpectralImage(BANDS_NM, 10.0, 1.0, data=expected)
+    np.testing.assert_allclose(image.illuminance_lx(), whole.illuminance_lx(), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "made of data or of factors, one of them"),
+        ({"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))}, "one of them"),
+        ({"data": np.ones((2, 2))}, r"data: got \(2, 2\); allowed: \(H, W, 1\)"),
+        ({"data": np.ones((2, 2, 3))}, r"data: got \(2, 2, 3\); allowed: \(H, W, 1\)"),
+        ({"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))}, r"factors: got \(2, 1\) and \(1, 2, 2\)"),
+        ({"data": np.ones((2, 2, 1)), "pitch_um": 0.0}, "positive pitch"),
+        ({"data": np.ones((2, 2, 1)), "band_width_nm": -1.0}, "positive pitch and band widths"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(arguments, message):
+    with pytest.raises(PixsimError, match=message):
+        SpectralImage(**{"wavelength_nm": [550.0], "band_width_nm": 10.0, "pitch_um": 1.0, **arguments})
