@@ -282,7 +282,7 @@ main()
 """
 
 
-def test_the_same_command_gives_the_same_bytes_on_one_thread_and_from_another_folder(
+def test_the_same_command_gives_the_same_bytes_on_one_core_and_from_another_folder(
     desk: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")

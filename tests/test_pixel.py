@@ -18,9 +18,12 @@ from pixsim.config import packaged, read_toml
 from pixsim.errors import PixsimError
 from pixsim.parameters import Pixel
 from pixsim.spectral import d65, luminous_weight, photons_per_joule
-from pixsim.technology import Technology, load_technology
+from pixsim.technology import Junction, Technology, load_technology, with_fill_factor_law
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
+PINNED = ["4t-bsi", "4t-fsi"]
+# Fields with a default that a file may leave out.
+OPTIONAL = {"reset_noise_factor", "response_curve", "fill_factor_inset_features"}
 T035 = load_technology("0.35um")
 
 
@@ -77,7 +80,7 @@ def test_junction_capacitance_is_its_mean_over_the_swing(grading):
 
 @pytest.mark.parametrize("name", TECHNOLOGIES)
 def test_photodiode_capacitance_is_area_plus_rim_plus_node(name):
-    t = load_technology(name)
+    t = load_technology(name).junction
 
     def capacitance_ff(v: float, area_um2: float) -> float:
         area_ff = t.cj_ff_per_um2 * area_um2 * (1 + v / t.pb_v) ** -t.mj
@@ -87,6 +90,7 @@ def test_photodiode_capacitance_is_area_plus_rim_plus_node(name):
     for area_um2 in (0.5, 13.1, 160.0):
         mean_ff = quad(capacitance_ff, low_v, t.reset_voltage_v, args=(area_um2,))[0] / t.voltage_swing_v
         assert pixels.photodiode_capacitance_ff(area_um2, t) == pytest.approx(mean_ff, rel=1e-10)
+        assert pixels.reset_capacitance_ff(area_um2, t) == pytest.approx(capacitance_ff(t.reset_voltage_v, area_um2), rel=1e-12)
 
 
 def test_reset_noise_is_ktc():
@@ -263,20 +267,22 @@ def test_given_values_replace_derived_ones():
 
 
 def test_the_packaged_technologies():
-    assert set(packaged("data/technologies")) == set(TECHNOLOGIES)
+    assert set(packaged("data/technologies")) == {*TECHNOLOGIES, *PINNED}
 
 
-@pytest.mark.parametrize("name", TECHNOLOGIES)
+@pytest.mark.parametrize("name", [*TECHNOLOGIES, *PINNED])
 def test_every_number_has_a_source_and_a_confidence(name):
     table = read_toml(packaged("data/technologies")[name])
     numbers = {key: value for key, value in table.items() if key != "name"}
-    assert set(numbers) == set(Technology.model_fields) - {"name", "sources"}
+    common = set(Technology.model_fields) - {"name", "sources", "junction", "full_well_e_per_um2", *OPTIONAL}
+    assert set(numbers) - OPTIONAL == common | (set(Junction.model_fields) if name in TECHNOLOGIES else {"full_well_e_per_um2"})
     for key, entry in numbers.items():
         assert set(entry) == {"value", "confidence", "source"}, key
         assert entry["confidence"] in ("A", "B", "C", "D"), key
         assert len(entry["source"]) > 8, key
     loaded = load_technology(name)
-    assert loaded.feature_size_um == pytest.approx(float(name.removesuffix("um")))
+    if name in TECHNOLOGIES:
+        assert loaded.feature_size_um == pytest.approx(float(name.removesuffix("um")))
     assert set(loaded.sources) == set(numbers)
 
 
@@ -309,4 +315,30 @@ def test_a_missing_technology_file_is_refused(tmp_path):
 
 def test_a_swing_above_the_reset_voltage_is_refused():
     with pytest.raises(ValidationError, match=r"voltage_swing_v = 9.*reset_voltage_v = 2\.2"):
-        Technology.model_validate(T035.model_dump() | {"voltage_swing_v": 9.0})
+        Junction.model_validate(T035.junction.model_dump() | {"voltage_swing_v": 9.0})
+
+
+@pytest.mark.parametrize(("name", "pitch_um", "full_well_e"), [("4t-bsi", 1.4, 6000), ("4t-fsi", 6.0, 25000)])
+def test_a_pinned_photodiode_has_its_given_well_and_no_ktc(name, pitch_um, full_well_e):
+    physics = pixels.derive(Pixel(technology=name, pitch_um=pitch_um))
+    # The density was divided by the photodiode's area with the fill factor rounded: 5 %.
+    assert physics.full_well_e == pytest.approx(full_well_e, rel=0.05)
+    assert (physics.reset_noise_e, physics.capacitance_ff) == (0.0, None)
+    assert physics.quantum_efficiency([400.0, 557.0, 1100.0])[2] == 0
+    peak = physics.quantum_efficiency(np.arange(360.0, 1000.0)).max()
+    assert peak == pytest.approx(physics.technology.peak_quantum_efficiency, rel=1e-3)
+
+
+def test_a_technology_has_one_kind_of_well():
+    with pytest.raises(ValidationError, match="either full_well_e_per_um2 or all of reset_voltage_v"):
+        Technology.model_validate(T035.model_dump() | {"full_well_e_per_um2": 1000.0})
+
+
+@pytest.mark.parametrize("law", ["inset", "inset_unlimited"])
+def test_other_fill_factor_laws_meet_the_paper_too(law):
+    technology = with_fill_factor_law(T035, law)
+    # Reference fits: 5.0/30.0/73.0 and 5.4/27.4/73.4 %.
+    for pitch_um, stated in ((5.3, 0.05), (6.5, 0.30), (15.0, 0.73)):
+        found = float(pixels.fill_factor_law(pitch_um, technology))
+        assert found == pytest.approx(stated, abs=0.03)
+        assert pixels.pitch_for_fill_factor_um(found, technology) == pytest.approx(pitch_um, rel=1e-12)
