@@ -22,7 +22,7 @@ import pixsim
 from pixsim.config import merge, read_toml
 from pixsim.errors import PixsimError
 from pixsim.messages import explain
-from pixsim.parameters import CameraOptions, Display, Exposure, Pixel, Record, Run
+from pixsim.parameters import CameraOptions, Display, Exposure, Pixel, Record, Run, Study
 
 OK, UNUSABLE_INPUT, INTERRUPTED = 0, 2, 130
 DEFAULT_OUT = Path("pixsim-out")
@@ -145,22 +145,50 @@ def study(
     Parameters
     ----------
     study
-        A TOML file, or the name of a packaged study: chen2000.
+        A TOML file, or the name of a packaged study: chen2000, chen2000-sensitivity, modern.
     """
     from pixsim import sweep
-    from pixsim.report import write_report
 
     if jobs is not None and jobs < 1:
         raise PixsimError(f"--jobs: got {jobs}; allowed: 1 or more.")
-    plan = sweep.load_study(study)
-    folder = out or DEFAULT_OUT / (plan.name + ("-quick" if quick else ""))
+    table = sweep.read_study(study)
     seconds: dict[str, float] = {}
+    how: dict[str, Any] = {"quick": quick, "jobs": jobs, "variant": variant}
     with stages(seconds) as stage:
-        result = sweep.study(plan, folder, quick=quick, jobs=jobs, variant=variant, progress=stage)
-        stage("report")
-        report = write_report(result, folder, seconds)
-    lines = [found_line(curve) for curve in result.curves]
-    show(result.as_dict(), json, "\n".join([*lines, f"report: {report}"]))
+        if "vary" in table:
+            from pixsim.sensitivity import Sensitivity, run_sensitivity
+            from pixsim.sensitivity_report import write_sensitivity_report
+
+            moved = Sensitivity.model_validate(table)
+            folder = study_folder(out, moved.name, quick)
+            outcome = run_sensitivity(moved, folder, progress=stage, **how)
+            stage("report")
+            report = write_sensitivity_report(outcome, folder, seconds)
+            found, lines = outcome.as_dict(), sensitivity_lines(outcome)
+        else:
+            from pixsim.report import write_report
+
+            plan = Study.model_validate(table)
+            folder = study_folder(out, plan.name, quick)
+            result = sweep.study(plan, folder, progress=stage, **how)
+            stage("report")
+            report = write_report(result, folder, seconds)
+            found, lines = result.as_dict(), [found_line(curve) for curve in result.curves]
+    show(found, json, "\n".join([*lines, f"report: {report}"]))
+
+
+def study_folder(out: Path | None, name: str, quick: bool) -> Path:
+    return out or DEFAULT_OUT / (name + ("-quick" if quick else ""))
+
+
+def sensitivity_lines(outcome: Any) -> list[str]:
+    """The base, then each assumption with the range that it gives, widest first."""
+    lines = ["base: " + found_line(outcome.base.curves[0])]
+    for name, cases in outcome.by_variation().items():
+        sizes = sorted(case.first.optimum.pitch_um for case in (*cases, outcome.base_case))
+        best = sorted(case.first.optimum.mean_delta_e for case in (*cases, outcome.base_case))
+        lines.append(f"{name}: {sizes[0]:.2f} to {sizes[-1]:.2f} µm, best mean ΔE {best[0]:.3f} to {best[-1]:.3f}")
+    return lines
 
 
 def found_line(curve: Any) -> str:

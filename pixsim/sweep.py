@@ -107,13 +107,18 @@ class StudyResult:
         return f"<StudyResult {self.study.name}: {found}>"
 
 
-def load_study(name: str | os.PathLike[str]) -> Study:
-    """A packaged study by name, or a TOML file."""
+def read_study(name: str | os.PathLike[str]) -> dict[str, Any]:
+    """The table of a packaged study by name, or of a TOML file."""
     known = packaged("studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
         raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}")
-    return Study.model_validate(read_toml(path))
+    return read_toml(path)
+
+
+def load_study(name: str | os.PathLike[str]) -> Study:
+    """A packaged study by name, or a TOML file."""
+    return Study.model_validate(read_study(name))
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
@@ -183,7 +188,6 @@ def _plan_tasks(study: Study, camera: Camera, irradiance: SpectralImage, done: d
         process = load_technology(technology).model_dump(exclude={"sources"})
         for pitch_um in study_pitches_um(study, technology).tolist():
             pixel = pixel_of(study, technology, pitch_um)
-            derive(pixel)  # refuse a pitch that is too small before any work is done
             keys = {r: content_hash([*shared, process, pixel.model_dump(), r]) for r in range(study.repeats)}
             order += keys.values()
             missing = {repeat: key for repeat, key in keys.items() if key not in done}
@@ -268,6 +272,37 @@ def repeats_for_target(study: Study, curves: Sequence[Curve]) -> int:
     return max(study.repeats, min(study.max_repeats, math.ceil(study.repeats * excess**2)))
 
 
+def refuse_bad_pitches(study: Study) -> None:
+    """PixsimError for a pitch that a technology cannot have, before any work is done."""
+    for technology in study.technologies:
+        for pitch_um in study_pitches_um(study, technology).tolist():
+            derive(pixel_of(study, technology, pitch_um))
+
+
+def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
+    """The study's irradiance, and the camera that it was rendered with."""
+    from pixsim.renderer import render
+    from pixsim.scene import load_scene
+
+    parameters: dict[str, Any] = dict(study.scene.parameters)
+    scene = load_scene(study.scene.file, variant=variant, **parameters)
+    camera = scene.camera(study.camera)
+    return render(scene, camera, study.seed, progress=progress), camera
+
+
+def sweep_pitches(
+    study: Study, irradiance: SpectralImage, camera: Camera, results: Path, jobs: int, progress: Callable[[], Progress | None]
+) -> StudyResult:
+    """Evaluate what is missing in results.csv, add sensors until the target interval is met, and fit the optima."""
+    while True:
+        rows = evaluate_all(study, camera, irradiance, results, jobs, progress())
+        curves = tuple(curve_of(technology, rows) for technology in study.technologies)
+        repeats = repeats_for_target(study, curves)
+        if repeats <= study.repeats:
+            return StudyResult(study, curves, irradiance, camera)
+        study = study.model_copy(update={"repeats": repeats})
+
+
 def study(
     plan: Study | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -289,26 +324,11 @@ def study(
 
     Raises PixsimError for input that cannot be used.
     """
-    from pixsim.renderer import render
-    from pixsim.scene import load_scene
-
     chosen = plan if isinstance(plan, Study) else load_study(plan)
     chosen = chosen.quickened if quick else chosen
-    for technology in chosen.technologies:  # refuse bad pitches before the render
-        for pitch_um in study_pitches_um(chosen, technology).tolist():
-            derive(pixel_of(chosen, technology, pitch_um))
-    parameters: dict[str, Any] = dict(chosen.scene.parameters)
-    scene = load_scene(chosen.scene.file, variant=variant, **parameters)
-    camera = scene.camera(chosen.camera)
+    refuse_bad_pitches(chosen)
     stage = progress or (lambda _: lambda _: None)
     with output_folder(out) as folder:
-        irradiance = render(scene, camera, chosen.seed, progress=stage("render"))
+        irradiance, camera = render_for(chosen, variant, stage("render"))
         workers = jobs or os.cpu_count() or 1
-        while True:
-            rows = evaluate_all(chosen, camera, irradiance, folder / "results.csv", workers, stage("evaluate"))
-            curves = tuple(curve_of(technology, rows) for technology in chosen.technologies)
-            repeats = repeats_for_target(chosen, curves)
-            if repeats <= chosen.repeats:
-                break
-            chosen = chosen.model_copy(update={"repeats": repeats})
-    return StudyResult(chosen, curves, irradiance, camera)
+        return sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))

@@ -163,7 +163,7 @@ GRATING_ROWS = 16
 
 
 @cache
-def grating(f_number: float, frequency_lp_per_mm: float, folder: Path) -> tuple[pixsim.SpectralImage, pixsim.Camera]:
+def grating(camera: pixsim.Camera, frequency_lp_per_mm: float, folder: Path) -> pixsim.SpectralImage:
     """16 of 1024 rows of the shipped scene, with a sinusoid (or at 0 lp/mm nothing) on it."""
     x = (np.arange(16384) + 0.5) / 16384  # 100 texels a cycle: bilinear interpolation keeps 0.03 % of 60 lp/mm
     contrast = 0.9 if frequency_lp_per_mm else 0.0
@@ -173,10 +173,9 @@ def grating(f_number: float, frequency_lp_per_mm: float, folder: Path) -> tuple[
     text = packaged_scenes()["csf"].read_text()
     (folder / "strip.xml").write_text(text.replace(height.format("$resolution"), height.format(GRATING_ROWS)))
     scene = pixsim.load_scene(folder / "strip.xml", chart=str(folder / "sine.exr"), resolution=1024)
-    camera = pixsim.Camera(f_number=f_number)
     image = pixsim.render(scene, camera)
     assert image.shape == (GRATING_ROWS, 1024)
-    return image, camera
+    return image
 
 
 @pytest.fixture(scope="module")
@@ -195,10 +194,10 @@ def mean_electrons(image, camera, pixel) -> np.ndarray:
 
 @pytest.mark.parametrize("pitch_um", [5.3, 8.0, 15.0])
 @pytest.mark.parametrize("frequency_lp_per_mm", [5.0, 20.0, 60.0])
-@pytest.mark.parametrize("f_number", [2.8, 8.0])
-def test_contrast_is_diffraction_times_photodiode(f_number, frequency_lp_per_mm, pitch_um, grating_folder):
-    image, camera = grating(f_number, frequency_lp_per_mm, grating_folder)
-    plain, _ = grating(f_number, 0.0, grating_folder)
+@pytest.mark.parametrize(("f_number", "distance_m"), [(2.8, 1.0), (8.0, 1.0), (4.0, 0.02)])  # the last at |m| = 0.24
+def test_contrast_is_diffraction_times_photodiode(f_number, distance_m, frequency_lp_per_mm, pitch_um, grating_folder):
+    camera = pixsim.Camera(f_number=f_number, object_distance_m=distance_m)
+    image, plain = (grating(camera, frequency, grating_folder) for frequency in (frequency_lp_per_mm, 0.0))
     pixel = pixsim.Pixel(pitch_um=pitch_um)
     signal = mean_electrons(image, camera, pixel) / mean_electrons(plain, camera, pixel)  # without the fall-off
     # At 15 µm 60 lp/mm is beyond Nyquist: the true frequency at the pixel centres is the alias.
@@ -210,7 +209,7 @@ def test_contrast_is_diffraction_times_photodiode(f_number, frequency_lp_per_mm,
 
     physics, nm = derive(pixel), image.wavelength_nm
     electrons = physics.quantum_efficiency(nm) * nm * image.factors[0][0]
-    half_angle = np.arccos(np.minimum(frequency_lp_per_mm * nm * 1e-6 * camera.working_f_number, 1))
+    half_angle = np.arccos(np.minimum(frequency_lp_per_mm * nm * 1e-6 * f_number * (1 + 3.86 / (1e3 * distance_m - 3.86)), 1))
     otf = (electrons * (2 * half_angle - np.sin(2 * half_angle)) / np.pi).sum() / electrons.sum()
     aperture = np.sinc(frequency_lp_per_mm * physics.photodiode_side_um * 1e-3)
     expected = 0.9 * otf * aperture
@@ -238,13 +237,14 @@ def test_one_pass_serves_every_band_of_a_chart():
     scene = pixsim.load_scene("csf", resolution=64, spp=64)
     quick, full, other = pixsim.render(scene), pixsim.render(scene, full=True), pixsim.render(scene, full=True, seed=1)
     ratio = full.data.mean(axis=(0, 1), dtype=float) / quick.data.mean(axis=(0, 1), dtype=float)
-    # NOISE
+    # A quarter of a million samples each; from 8 seeds the noise of a band's mean is 4e-6.
     assert np.abs(ratio - 1).max() < 1e-4
-    # Passes have seeds of their own, or noise would not average out over bands: 4096 samples, 4.5σ (false alarm 7e-6).
+    # Passes have seeds of their own, or noise would not average out over bands. Two passes' correlation scatters by 0.05
+    # (most of the noise is in few samples), so 0.3 is 6σ: false alarm below 1e-6.
     noise = (full.data - other.data).reshape(-1, full.data.shape[2]).astype(float)
     first, second = band_passes()[4:6]
     assert np.corrcoef(noise[:, first[0]], noise[:, first[1]])[0, 1] > 0.9  # of one pass: the same rays
-    assert abs(np.corrcoef(noise[:, first[0]], noise[:, second[0]])[0, 1]) < 0.07
+    assert abs(np.corrcoef(noise[:, first[0]], noise[:, second[0]])[0, 1]) < 0.3
 
 
 # --- Which way is up ---

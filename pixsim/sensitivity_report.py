@@ -1,0 +1,96 @@
+"""The tornado chart of a sensitivity study, its table and its page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pixsim.figures import COLOURS, new_figure, save_svg
+from pixsim.plates import Column, Plate
+from pixsim.report import data_uri, versions, write_json, write_page
+from pixsim.sensitivity import Case, SensitivityResult, optimum_fill_factor
+
+
+def tornado(result: SensitivityResult) -> Plate:
+    """Range of the optimum and of the best mean ΔE of each assumption, widest first."""
+    groups = result.by_variation()
+    base = result.base_case.first.optimum
+    figure = new_figure(9.5, 0.42 * len(groups) + 1.4)
+    left, right = figure.subplots(1, 2, sharey=True)
+    for row, cases in enumerate(groups.values()):
+        draw_bar(
+            left, row, base.pitch_um, [(case.label, case.first.optimum.pitch_um, case.first.optimum.inside) for case in cases]
+        )
+        draw_bar(right, row, base.mean_delta_e, [(case.label, case.first.optimum.mean_delta_e, True) for case in cases])
+    for axes, at, label in ((left, base.pitch_um, "optimal pixel size (µm)"), (right, base.mean_delta_e, "best mean ΔE")):
+        axes.axvline(at, color="0.2", lw=1)
+        axes.set_xlabel(f"{label}, {result.base_case.first.technology}")
+        axes.grid(axis="x", alpha=0.25)
+        axes.margins(x=0.15)
+    left.set_yticks(range(len(groups)), list(groups))
+    left.invert_yaxis()
+    caption = (
+        f"Each assumption moved alone from the base ({base.pitch_um:.2f} µm, ΔE {base.mean_delta_e:.3f}; vertical lines) over its "
+        "plausible range. The wider the bar, the more it decides. A hollow point is an optimum at the end of the range of pitches."
+    )
+    return Plate("tornado", caption, figure, case_table(result))
+
+
+def draw_bar(axes: Any, row: int, base: float, points: list[tuple[str, float, bool]]) -> None:
+    """A bar from the lowest to the highest value, the base among them, with a labelled point for each setting."""
+    values = [base, *(value for _, value, _ in points)]
+    axes.barh(row, max(values) - min(values), left=min(values), height=0.55, color=COLOURS[0], alpha=0.25)
+    for index, (label, value, solid) in enumerate(sorted(points, key=lambda point: point[1])):
+        axes.plot(value, row, "o", ms=4, color=COLOURS[0], mfc=COLOURS[0] if solid else "white")
+        axes.annotate(
+            label, (value, row), textcoords="offset points", xytext=(0, 5 if index % 2 else -10), fontsize=6, ha="center"
+        )
+
+
+def case_table(result: SensitivityResult) -> dict[str, Column]:
+    """One row for each case and technology."""
+    rows = [(case, curve) for case in (result.base_case, *result.cases) for curve in case.curves]
+    return {
+        "variation": [case.variation for case, _ in rows],
+        "setting": [case.label for case, _ in rows],
+        "technology": [curve.technology for _, curve in rows],
+        "optimum_um": [curve.optimum.pitch_um for _, curve in rows],
+        "ci95_um": [curve.optimum.ci95_um for _, curve in rows],
+        "fit_um": [curve.optimum.fit_um for _, curve in rows],
+        "optimum_fill_factor": [optimum_fill_factor(curve) for _, curve in rows],
+        "mean_delta_e": [curve.optimum.mean_delta_e for _, curve in rows],
+        "inside": [str(curve.optimum.inside) for _, curve in rows],
+    }
+
+
+def meets(case: Case) -> str:
+    """Which of the paper's statements on scaling a case meets, for people."""
+    scaling = case.scaling()
+    if scaling is None:
+        return ""
+    missed = [name.replace("_", " ") for name, met in scaling.items() if not met]
+    return "all" if not missed else "not: " + ", ".join(missed)
+
+
+def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
+    """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; returns the report's path."""
+    plate = tornado(result)
+    figures = folder / "figures"
+    figures.mkdir(exist_ok=True)
+    save_svg(plate.figure, figures / "tornado.svg")
+    (figures / "tornado.csv").write_text(plate.csv, encoding="utf-8", newline="")
+    write_json(folder / "summary.json", result.as_dict())
+    provenance = {"versions": versions(), "seconds": seconds}
+    write_json(folder / "provenance.json", provenance)
+    page = {
+        "sensitivity": result.sensitivity,
+        "plate": plate,
+        "image": data_uri("image/svg+xml", (figures / "tornado.svg").read_bytes()),
+        "data": data_uri("text/csv", plate.csv.encode()),
+        "cases": [
+            (case, meets(case), [optimum_fill_factor(c) for c in case.curves]) for case in (result.base_case, *result.cases)
+        ],
+        "header": result.base.irradiance.header,
+        "provenance": provenance,
+    }
+    return write_page(folder / "report.html", "sensitivity.html.j2", page)
