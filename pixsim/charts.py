@@ -106,9 +106,7 @@ CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
 }
 
 
-def make_chart(
-    kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None
-) -> NDArray[np.float32]:
+def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:
     """A chart by name, (H, W) float32; the size defaults to what the shipped textures have.
 
     `die_mm` is the width that the chart fills, for the one whose frequencies depend on it (csf).

@@ -67,9 +67,7 @@ else:
     PixelTable, NO_PIXEL = option_table(Pixel, "pixel")
     ExposureTable, NO_EXPOSURE = option_table(Exposure, "exposure")
     DisplayTable, NO_DISPLAY = option_table(Display, "display")
-Define = Annotated[
-    list[str], Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)
-]
+Define = Annotated[list[str], Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)]
 Seed = Annotated[str | None, Parameter(help="Of the render, the sensor and its noise [default: 0].")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]

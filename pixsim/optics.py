@@ -41,9 +41,7 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
     return 2 * np.pi * a / (q * (q + p))
 
 
-def field_factor(
-    shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float, magnification: float
-) -> Array:
+def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float, magnification: float) -> Array:
     """`irradiance_factor` at the centre of each sample of a grid centred on the axis, (H, W)."""
     y_um, x_um = (((np.arange(n) + 0.5) - n / 2) * pitch_um for n in shape)
     tan_field = np.hypot(x_um[None, :], y_um[:, None]) / (1e3 * image_distance_mm)

@@ -45,8 +45,9 @@ class Optimum:
 
 def window(delta_e: Array, level: float = WINDOW_LEVEL) -> slice:
     """The points of the local fit: neighbours of the lowest mean."""
-    first = lowest = int(np.argmin(delta_e))
-    last = lowest + 1  # exclusive
+    lowest = int(np.argmin(delta_e))
+    # Both neighbours always: they enclose the minimum.
+    first, last = max(0, lowest - 1), min(delta_e.size, lowest + 2)
     level = level * delta_e[lowest]
     while first > 0 and delta_e[first - 1] <= level:
         first -= 1

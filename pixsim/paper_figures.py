@@ -127,9 +127,7 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     axes = figure.subplots()
     image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0)
     for (row, column), value in np.ndenumerate(values):
-        axes.text(
-            column, row, f"{value:.1f}", ha="center", va="center", fontsize=7, color="w" if value < values.max() / 2 else "k"
-        )
+        axes.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=7, color="w" if value < values.max() / 2 else "k")
     axes.set_xticks(range(frequency.size), [f"{each:.2g}" for each in frequency])
     axes.set_yticks(range(contrast.size), [f"{each:.2g}" for each in contrast])
     axes.set_xlabel("spatial frequency on the sensor (lp/mm)")

@@ -137,7 +137,7 @@ def pictures(result: StudyResult, curve: Curve, pitch_um: float, name: str) -> P
     draw_iso(iso, result, smooth, levels, COLOURS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.technology}): the ideal image, the picture of one sensor, its ΔE map "
-        f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} display dots; errors are larger below a curve."
+        f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} display dots; errors grow downwards."
     )
     table: dict[str, Column] = {"sensor": list(range(len(scores))), "mean_delta_e": [score.mean_delta_e for score in scores]}
     return Plate(name, caption, figure, table)

@@ -56,8 +56,7 @@ class Score:
 
     def __repr__(self) -> str:
         return (
-            f"<Score mean ΔE {self.mean_delta_e:.3f}, {self.physics.pitch_um:g} µm pixels, "
-            f"{1e3 * self.frame.integration_s:.3g} ms>"
+            f"<Score mean ΔE {self.mean_delta_e:.3f}, {self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms>"
         )
 
 

@@ -18,20 +18,19 @@ def tornado(result: SensitivityResult) -> Plate:
     figure = new_figure(9.5, 0.42 * len(groups) + 1.4)
     left, right = figure.subplots(1, 2, sharey=True)
     for row, cases in enumerate(groups.values()):
-        draw_bar(
-            left, row, base.pitch_um, [(case.label, case.first.optimum.pitch_um, case.first.optimum.inside) for case in cases]
-        )
+        draw_bar(left, row, base.pitch_um, [(case.label, case.first.optimum.pitch_um, case.first.optimum.inside) for case in cases])
         draw_bar(right, row, base.mean_delta_e, [(case.label, case.first.optimum.mean_delta_e, True) for case in cases])
     for axes, at, label in ((left, base.pitch_um, "optimal pixel size (µm)"), (right, base.mean_delta_e, "best mean ΔE")):
         axes.axvline(at, color="0.2", lw=1)
         axes.set_xlabel(f"{label}, {result.base_case.first.technology}")
         axes.grid(axis="x", alpha=0.25)
-        axes.margins(x=0.15)
+        axes.use_sticky_edges = False
+        axes.margins(x=0.15, y=0.03)
     left.set_yticks(range(len(groups)), list(groups))
     left.invert_yaxis()
     caption = (
-        f"Each assumption moved alone from the base ({base.pitch_um:.2f} µm, ΔE {base.mean_delta_e:.3f}; vertical lines) over its "
-        "plausible range. The wider the bar, the more it decides. A hollow point is an optimum at the end of the range of pitches."
+        f"Each assumption moved alone from the base ({base.pitch_um:.2f} µm, ΔE {base.mean_delta_e:.3f}: vertical lines) over its "
+        "plausible range. The wider the bar, the more it decides. A hollow point: the optimum is at the end of the pitches."
     )
     return Plate("tornado", caption, figure, case_table(result))
 
@@ -42,9 +41,7 @@ def draw_bar(axes: Any, row: int, base: float, points: list[tuple[str, float, bo
     axes.barh(row, max(values) - min(values), left=min(values), height=0.55, color=COLOURS[0], alpha=0.25)
     for index, (label, value, solid) in enumerate(sorted(points, key=lambda point: point[1])):
         axes.plot(value, row, "o", ms=4, color=COLOURS[0], mfc=COLOURS[0] if solid else "white")
-        axes.annotate(
-            label, (value, row), textcoords="offset points", xytext=(0, 5 if index % 2 else -10), fontsize=6, ha="center"
-        )
+        axes.annotate(label, (value, row), textcoords="offset points", xytext=(0, 5 if index % 2 else -10), fontsize=6, ha="center")
 
 
 def case_table(result: SensitivityResult) -> dict[str, Column]:
@@ -87,9 +84,7 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
         "plate": plate,
         "image": data_uri("image/svg+xml", (figures / "tornado.svg").read_bytes()),
         "data": data_uri("text/csv", plate.csv.encode()),
-        "cases": [
-            (case, meets(case), [optimum_fill_factor(c) for c in case.curves]) for case in (result.base_case, *result.cases)
-        ],
+        "cases": [(case, meets(case), [optimum_fill_factor(c) for c in case.curves]) for case in (result.base_case, *result.cases)],
         "header": result.base.irradiance.header,
         "provenance": provenance,
     }

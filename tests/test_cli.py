@@ -168,9 +168,7 @@ def test_a_failed_run_leaves_an_earlier_one_as_it_was(desk: Path) -> None:
 
 
 def in_a_process(line: str, **environment: str) -> tuple[int, str, str]:
-    done = subprocess.run(
-        [COMMAND, *shlex.split(line)], capture_output=True, text=True, timeout=120, env=os.environ | environment
-    )
+    done = subprocess.run([COMMAND, *shlex.split(line)], capture_output=True, text=True, timeout=120, env=os.environ | environment)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -297,9 +295,7 @@ def test_the_same_command_gives_the_same_bytes_on_one_core_and_from_another_fold
 
 
 def test_later_layers_win_and_the_rest_stays(desk: Path) -> None:
-    Path("first.toml").write_text(
-        "seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32"
-    )
+    Path("first.toml").write_text("seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32")
     Path("second.toml").write_text("[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4")
     code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
     assert code == 0, err

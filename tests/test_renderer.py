@@ -337,9 +337,7 @@ DARK, BRIGHT = 0.2, 0.8
 REFLECTANCE = f'<spectrum name="reflectance" value="360:{DARK}, 549.999:{DARK}, 550.001:{BRIGHT}, 830:{BRIGHT}"/>'
 SKY = '<emitter type="constant"><texture type="d65" name="radiance"><float name="scale" value="0.01"/></texture></emitter>'
 # Sampling the lobe alone, each path brings the sky times the reflectance: no noise.
-EXACT = (
-    '<integrator type="direct"><integer name="emitter_samples" value="0"/><integer name="bsdf_samples" value="1"/></integrator>'
-)
+EXACT = '<integrator type="direct"><integer name="emitter_samples" value="0"/><integer name="bsdf_samples" value="1"/></integrator>'
 
 
 def plane_scene(folder: Path, body: str, integrator: str = EXACT, spp: int = 64) -> Path:
@@ -406,6 +404,20 @@ def test_the_luminance_of_a_plane_under_a_uniform_sky(variant, tmp_path):
     luminance = spectrum_over_lens(image, scene.camera()) @ spectral.luminous_weight(image.wavelength_nm, 10.0)
     # The step halves a band that holds 8 % of the light: its 2 % above is 0.16 % here.
     assert luminance == pytest.approx(spectral.LUMINOUS_EFFICACY_LM_PER_W * light.sum(), rel=2e-3)
+
+
+@pytest.mark.parametrize("full", [False, True])
+@VARIANTS
+def test_a_lamp_without_a_picture(variant, full, tmp_path):
+    lamp = '<emitter type="area"><spectrum name="radiance" value="360:0, 830:4.7"/></emitter>'
+    path = plane_scene(tmp_path, "")
+    path.write_text(path.read_text().replace("</bsdf>", f"</bsdf>{lamp}"))
+    scene = pixsim.load_scene(path, variant=variant)
+    image = pixsim.render(scene, full=full)
+    assert (image.factors is None) == full
+    # A straight lamp: its band means are its values at the centres. 6e-6 for the rounded f-number.
+    radiance = spectrum_over_lens(image, scene.camera())
+    np.testing.assert_allclose(radiance, 0.01 * (image.wavelength_nm - 360), rtol=1e-4)
 
 
 def test_a_second_lamp_of_another_spectrum(tmp_path):
