@@ -5,14 +5,11 @@ Results go to stdout, everything else to stderr. Exit codes: 0 done, 2 input tha
 
 from __future__ import annotations
 
+import signal
 import sys
-import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import field, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 from cyclopts.exceptions import CycloptsError
@@ -22,9 +19,20 @@ import pixsim
 from pixsim.config import merge, read_toml
 from pixsim.errors import PixsimError
 from pixsim.messages import explain
-from pixsim.parameters import CameraOptions, Display, Exposure, Pixel, Record, Run, Study
+from pixsim.options import (
+    NO_CAMERA,
+    NO_DISPLAY,
+    NO_EXPOSURE,
+    NO_PIXEL,
+    CameraTable,
+    DisplayTable,
+    ExposureTable,
+    PixelTable,
+)
+from pixsim.parameters import Run, Study
+from pixsim.progress import stages
 
-OK, UNUSABLE_INPUT, INTERRUPTED = 0, 2, 130
+OK, UNUSABLE_INPUT, INTERRUPTED, TERMINATED = 0, 2, 130, 143
 DEFAULT_OUT = Path("pixsim-out")
 
 app = App(
@@ -32,41 +40,10 @@ app = App(
     version=pixsim.__version__,
     help="From a Mitsuba 3 scene to the pixel size with the least visible error.",
     default_parameter=Parameter(negative=()),
+    suppress_keyboard_interrupt=False,  # main() tells what is kept
 )
 
 
-def option_table(record: type[Record], name: str) -> tuple[Any, Any]:
-    """The fields of a record as dotted options, and the table with none given.
-
-    They stay text: the record itself checks them, in one place.
-    """
-    fields = []
-    for key, info in record.model_fields.items():
-        default = "" if info.is_required() or info.default is None else f" [default: {info.default}]"
-        help_text = f"{info.description or ''}{default}".strip()
-        fields.append(
-            (
-                key,
-                Annotated[str | None, Parameter(help=help_text, allow_leading_hyphen=True, show_default=False)],
-                field(default=None),
-            )
-        )
-    table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
-    table.__module__ = __name__  # without it cyclopts takes the class for a builtin
-    return Annotated[table, Parameter(name=name, group=f"--{name}.…", show_default=False)], table()
-
-
-if TYPE_CHECKING:
-    CameraTable: TypeAlias = Any
-    PixelTable: TypeAlias = Any
-    ExposureTable: TypeAlias = Any
-    DisplayTable: TypeAlias = Any
-    NO_CAMERA = NO_PIXEL = NO_EXPOSURE = NO_DISPLAY = None
-else:
-    CameraTable, NO_CAMERA = option_table(CameraOptions, "camera")
-    PixelTable, NO_PIXEL = option_table(Pixel, "pixel")
-    ExposureTable, NO_EXPOSURE = option_table(Exposure, "exposure")
-    DisplayTable, NO_DISPLAY = option_table(Display, "display")
 Define = Annotated[list[str], Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)]
 Seed = Annotated[str | None, Parameter(help="Of the render, the sensor and its noise [default: 0].")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
@@ -106,7 +83,7 @@ def run(
 
     layers = [read_toml(path) for path in config or []]
     options = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
-    layers.append({name: given(table) for name, table in options.items()})
+    layers.append({name: own for name, table in options.items() if (own := given(table))})
     layers.append({"scene": definitions(define or [])} | ({} if seed is None else {"seed": seed}))
     settings: dict[str, Any] = {}
     for layer in layers:
@@ -252,45 +229,9 @@ def show(result: dict[str, Any], as_json: bool, text: str) -> None:
     print(text)
 
 
-Stage = Callable[[str], Callable[[float], None]]
-
-
-@contextmanager
-def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
-    """Progress bars on a terminal's stderr, one a stage; `seconds` collects how long each took."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    clock = {} if seconds is None else seconds
-    current: list[tuple[str, float]] = []
-    console = Console(stderr=True)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bars:
-
-        def close() -> None:
-            if current:
-                name, start = current.pop()
-                clock[name] = time.perf_counter() - start
-
-        def stage(name: str) -> Callable[[float], None]:
-            close()
-            current.append((name, time.perf_counter()))
-            task = bars.add_task(name, total=1.0)
-            return lambda done: bars.update(task, completed=done)
-
-        yield stage
-        close()
-
-
 def main() -> None:
     """Run the command; one message and an exit code for whatever the user can mend."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # else worker processes are orphaned
     warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)
     try:
         app(exit_on_error=False, print_error=False)

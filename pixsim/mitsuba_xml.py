@@ -8,15 +8,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pixsim.errors import PixsimError
+from pixsim.errors import PixsimError, refuse
 
 
 def import_mitsuba(variant: str) -> Any:
     """Import Mitsuba with its variant set; `pixsim.variant.choose` must have run before."""
+    import drjit as dr
     import mitsuba as mi
 
     if mi.variant() != variant:
-        mi.set_variant(variant)
+        try:
+            mi.set_variant(variant)
+        except ImportError as error:
+            reason = " ".join(str(error).split())
+            raise refuse("variant", f"'{variant}' ({reason})", "one that runs here", "Leave out --variant.") from None
+    if dr.thread_count() < 2:
+        dr.set_thread_count(2)  # Mitsuba 3.9 waits for ever for an EXR texture in a pool of one
     return mi
 
 

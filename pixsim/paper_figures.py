@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from pixsim.evaluations import pixel_of
 from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_picture, extent, new_figure
 from pixsim.paper import (
     FIGURE_2B_PITCHES_UM,
@@ -20,7 +21,7 @@ from pixsim.paper import (
 from pixsim.pixel import derive
 from pixsim.plates import MARKERS, Column, Plate, draw_iso, pictures
 from pixsim.spectral import Array
-from pixsim.sweep import Curve, StudyResult, pixel_of
+from pixsim.sweep import Curve, StudyResult
 
 FIGURE_5_PITCH_UM = 8.0
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)

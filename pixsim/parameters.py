@@ -122,9 +122,7 @@ class PixelOptions(Record):
     response: Literal["scaled", "literal"] = Field(
         "scaled", description="reading of the response curve: A/W scaled to the measured peak, or literally a QE"
     )
-    quantum_efficiency: Annotated[float, Field(ge=0, le=1)] | None = Field(
-        None, description="of the photodiode at every wavelength; None: the response curve"
-    )
+    quantum_efficiency: Fraction | None = Field(None, description="of the photodiode at every wavelength; None: the response curve")
     infrared_cut_nm: Positive | None = Field(None, description="no response beyond this wavelength")
     fill_factor_law: Literal["technology", "inset", "inset_unlimited"] = Field(
         "technology", description="photodiode area against pitch: the technology's, or another fit to the paper's numbers"

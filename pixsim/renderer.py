@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import pixsim
 from pixsim import optics
 from pixsim.errors import refuse
-from pixsim.mitsuba_xml import plain, speaking_mitsuba
+from pixsim.mitsuba_xml import nodes_of, plain, speaking_mitsuba
 from pixsim.parameters import Camera
 from pixsim.plan import BAND_CENTRE_NM, BAND_WIDTH_NM, Plan, band_means, band_pulse, make_plan
 from pixsim.scene import Scene, film_size, sample_count, sensor_node
@@ -22,6 +22,7 @@ Progress = Callable[[float], None]
 # A kernel of so many samples runs about 1.5 s on two cores; between kernels Ctrl-C is heard and progress is told.
 SAMPLES_PER_KERNEL = 1 << 25
 SCALAR_STRIPS = 16
+SCALAR_BLOCK = 32  # fixed: left to itself Mitsuba makes blocks, and with them seeds, by the number of threads
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; longer averages are ours, in float64
 ALLOWED_SPP = (1, 1 << 20)
 ALLOWED_RESOLUTION = (1, 16384)
@@ -50,6 +51,8 @@ def render(
     camera = camera or scene.camera()
     state = scene.for_camera(camera)
     plan = make_plan(scene, state, full)
+    if plan.lamp is not None and not (np.isfinite(plan.lamp.radiance).all() and plan.lamp.radiance.min() >= 0):
+        raise refuse("emitter", f"radiance {plan.lamp.radiance.min():g}", "finite and not negative")
     sensor = sensor_node(state, scene.sensor_id)[1]
     height, width = film_size(state, sensor)
     spp = sample_count(state, sensor)
@@ -173,15 +176,18 @@ class _Job:
         }
         if plan.lamp is not None:
             _take_out_lamp(mi, state, plan)
+        for _, node in nodes_of(state, "Integrator"):
+            if self.scalar and "block_size" not in node.props:
+                node.props["block_size"] = SCALAR_BLOCK
         config = mi.parser.ParserConfig(scene.choice.variant)
         mi.parser.transform_all(config, state)
         built = mi.parser.instantiate(config, state)
         self.scene = next(each for each in built if isinstance(each, mi.Scene)) if isinstance(built, list) else built
         own = self.scene.integrator()
         # An emitter alone is seen at depth 1; a scene without an integrator gets unlimited paths.
-        self.integrator = mi.load_dict({"type": "path", "max_depth": 1}) if plan.rank_one else own
+        self.integrator = mi.load_dict({"type": "path", "max_depth": 1, "block_size": SCALAR_BLOCK}) if plan.rank_one else own
         if self.integrator is None:
-            self.integrator = mi.load_dict({"type": "path"})
+            self.integrator = mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK})
 
     def render(self, responses: list[dict[str, Any]], number: int = 0, of: int = 1) -> Array:
         """Radiance through each response over its area, (H, W, channels) float64: strips of rows, runs of samples."""
@@ -231,4 +237,4 @@ def _take_out_lamp(mi: Any, state: Any, plan: Plan) -> None:
         if isinstance(picture, int):
             props[name] = mi.Properties.ResolvedReference(picture)
         else:
-            props[name] = picture
+            props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65

@@ -49,8 +49,10 @@ class Scene:
         options = options or CameraOptions()
         fixed = any(name not in self.names or name in self.parameters for name in LENS_PARAMETERS)
         die_mm = options.die_mm if fixed and options.die_mm else Camera().die_mm
-        sensor = sensor_node(self.parse(), self.sensor_id)[1]
-        return options.over(read_camera(sensor, die_mm))
+        state = self.parse()
+        sensor = sensor_node(state, self.sensor_id)[1]
+        height, width = film_size(state, sensor)
+        return options.over(read_camera(sensor, die_mm, width / max(height, 1)))
 
     def for_camera(self, camera: Camera) -> Any:
         """The parser state with the camera's numbers in the scene's parameters, the chart's size with them."""
@@ -67,7 +69,12 @@ class Scene:
         """Of the parsed tree and the bytes of its textures."""
         state = self.parse()
         tree = [
-            [node.type.name, node.props.plugin_name(), sorted((k, str(v)) for k, v in plain(node, numbers_only=False))]
+            [
+                node.type.name,
+                node.props.plugin_name(),
+                sorted((k, _text(v)) for k, v in plain(node, numbers_only=False)),
+                sorted(children(node, state).items()),
+            ]
             for node in state.nodes
         ]
         files = [content_hash(path.read_bytes().hex()) for path in texture_files(state, self.path.parent)]
@@ -76,6 +83,11 @@ class Scene:
     def __repr__(self) -> str:
         given = "".join(f", {k}={v}" for k, v in self.parameters.items())
         return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
+
+
+def _text(value: Any) -> str:
+    """A property in full; Mitsuba's own text of a spectrum tells its length only."""
+    return f"{value.wavelengths} {value.values}" if hasattr(value, "wavelengths") else str(value)
 
 
 def packaged_scenes() -> dict[str, Path]:
@@ -210,7 +222,10 @@ def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
         half = math.hypot(*FILM_35_MM) / 2 / equivalent_mm
         axis = "diagonal"
     elif "fov" in sensor.props:
-        half = math.tan(math.radians(float(sensor.props["fov"])) / 2)
+        fov_deg = _positive("fov", sensor.props["fov"])
+        if fov_deg >= 180:
+            raise refuse("fov", f"{fov_deg:g}", "between 0 and 180 degrees")
+        half = math.tan(math.radians(fov_deg) / 2)
     else:
         raise refuse("sensor", "a thinlens without fov", "fov, aperture_radius and focus_distance")
     vertical = axis == "y" or (axis == "smaller" and aspect > 1) or (axis == "larger" and aspect < 1)
@@ -233,7 +248,7 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
 def texture_files(state: Any, folder: Path) -> list[Path]:
     """Files that bitmap nodes name; PixsimError for one that is missing."""
     files = []
-    for _, node in nodes_of(state, "Texture"):
+    for node in state.nodes:
         if "filename" in node.props:
             name = str(node.props["filename"])
             found = next((path for path in (folder / name, Path(name)) if path.is_file()), None)

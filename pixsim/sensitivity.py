@@ -12,10 +12,11 @@ import numpy as np
 from pydantic import Field
 
 from pixsim.config import merge
+from pixsim.evaluations import Progress
 from pixsim.files import output_folder
 from pixsim.parameters import Camera, PitchRange, Record, Study, content_hash
 from pixsim.spectral import SpectralImage
-from pixsim.sweep import Curve, Progress, StudyResult, load_study, refuse_bad_pitches, render_for, sweep_pitches
+from pixsim.sweep import Curve, StudyResult, load_study, refuse_bad_pitches, render_for, sweep_pitches
 
 
 class Setting(Record):

@@ -167,7 +167,7 @@ def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.fl
         with OpenEXR.File(str(path), separate_channels=True) as file:
             planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
             return planes, dict(file.header())
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise refuse("EXR file", f"'{path}' ({error})", "a readable OpenEXR file") from None
 
 
@@ -199,11 +199,14 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     channels, header = read_channels(path)
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
         raise refuse("irradiance file", f"'{path}' without pixsim's header", "a file from pixsim.write_exr")
-    own = json.loads(header["pixsim"])
-    bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
-    if "spectra_w_per_m2_nm" in own:
-        spectra = np.array(own["spectra_w_per_m2_nm"])
-        pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])
-        return SpectralImage(*bands, factors=(spectra, pictures), header=own["header"])
-    data = np.stack([channels[_band_channel(nm)] for nm in own["wavelength_nm"]], axis=2)
-    return SpectralImage(*bands, data=data, header=own["header"])
+    try:
+        own = json.loads(header["pixsim"])
+        bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
+        if "spectra_w_per_m2_nm" in own:
+            spectra = np.array(own["spectra_w_per_m2_nm"])
+            pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])
+            return SpectralImage(*bands, factors=(spectra, pictures), header=own["header"])
+        data = np.stack([channels[_band_channel(nm)] for nm in own["wavelength_nm"]], axis=2)
+        return SpectralImage(*bands, data=data, header=own["header"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise refuse("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None

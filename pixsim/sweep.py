@@ -1,15 +1,13 @@
 """Studies: mean ΔE for many pixel sizes, technologies and individual sensors; resumable, the same on any number of workers.
 
-One row of results.csv is one evaluation (technology, pitch, repeat). Its key is the content that it depends on, so the
-file is also the state from which an interrupted study goes on.
+`pixsim.evaluations` does the rows; here they become curves and optima.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,32 +16,14 @@ import numpy as np
 
 from pixsim.config import packaged, read_toml
 from pixsim.errors import refuse
-from pixsim.files import output_folder, replacing
+from pixsim.evaluations import COLUMNS, Progress, Row, bench_for, evaluate_all, pixel_of, stream_key, study_pitches_um
+from pixsim.files import output_folder
 from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
-from pixsim.parameters import Camera, Pixel, Study, content_hash
-from pixsim.pixel import derive, pitch_for_fill_factor_um
-from pixsim.score import Bench, Score, make_bench
+from pixsim.parameters import Camera, Study
+from pixsim.pixel import derive
+from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
-from pixsim.technology import load_technology, with_fill_factor_law
-
-COLUMNS = (
-    "key",
-    "technology",
-    "pitch_um",
-    "repeat",
-    "fill_factor",
-    "full_well_e",
-    "integration_s",
-    "saturated_fraction",
-    "mean_electrons_e",
-    "mean_delta_e",
-    "median_delta_e",
-    "p90_delta_e",
-    "p99_delta_e",
-    "max_delta_e",
-)
-Row = dict[str, str]
-Progress = Callable[[float], None]
+from pixsim.technology import load_technology
 
 
 @dataclass(frozen=True)
@@ -121,130 +101,6 @@ def load_study(name: str | os.PathLike[str]) -> Study:
     return Study.model_validate(read_study(name))
 
 
-def study_pitches_um(study: Study, technology: str) -> Array:
-    """The pitches of a technology; PixsimError where the range is empty."""
-    if study.pitch.values_um is not None:
-        pitches = np.unique(study.pitch.values_um)
-        if pitches.size < 5:
-            raise refuse("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
-        return pitches
-    process = with_fill_factor_law(load_technology(technology), study.pixel.fill_factor_law)
-    low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
-    if low >= study.pitch.max_um:
-        raise refuse(
-            "pitch.max_um",
-            study.pitch.max_um,
-            f"above {low:.4g} µm, where {technology} has a fill factor of {study.pitch.min_fill_factor:g}",
-        )
-    return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
-
-
-def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
-    return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
-
-
-def bench_for(study: Study, irradiance: SpectralImage, camera: Camera, technology: str, pitch_um: float) -> Bench:
-    return make_bench(irradiance, camera, pixel_of(study, technology, pitch_um), study.exposure, study.display)
-
-
-def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
-    return study.name, study.seed, technology, pitch_um, repeat
-
-
-@dataclass(frozen=True)
-class _Task:
-    """All missing repeats of one pitch."""
-
-    study: Study
-    camera: Camera
-    technology: str
-    pitch_um: float
-    keys: dict[int, str]  # repeat -> key of its row
-
-
-def _evaluate_pitch(task: _Task, irradiance: SpectralImage) -> list[Row]:
-    bench = bench_for(task.study, irradiance, task.camera, task.technology, task.pitch_um)
-    rows = []
-    for repeat, key in task.keys.items():
-        score = bench.score(*stream_key(task.study, task.technology, task.pitch_um, repeat))
-        numbers = {name: repr(value) for name, value in score.statistics().items()}
-        rows.append({"key": key, "technology": task.technology, "repeat": str(repeat), **numbers})
-    return rows
-
-
-def _plan_tasks(study: Study, camera: Camera, irradiance: SpectralImage, done: dict[str, Row]) -> tuple[list[_Task], list[str]]:
-    """The missing work, and the keys of all rows in the order of the table."""
-    shared = [
-        irradiance.header,
-        camera.model_dump(),
-        study.exposure.model_dump(),
-        study.display.model_dump(),
-        study.name,
-        study.seed,
-    ]
-    tasks: list[_Task] = []
-    order: list[str] = []
-    for technology in study.technologies:
-        process = load_technology(technology).model_dump(exclude={"sources"})
-        for pitch_um in study_pitches_um(study, technology).tolist():
-            pixel = pixel_of(study, technology, pitch_um)
-            keys = {r: content_hash([*shared, process, pixel.model_dump(), r]) for r in range(study.repeats)}
-            order += keys.values()
-            missing = {repeat: key for repeat, key in keys.items() if key not in done}
-            if missing:
-                tasks.append(_Task(study, camera, technology, pitch_um, missing))
-    return tasks, order
-
-
-def _read_rows(path: Path) -> dict[str, Row]:
-    """Finished rows by key; a last line that was cut off is left out."""
-    if not path.is_file():
-        return {}
-    with path.open(newline="", encoding="utf-8") as file:
-        return {row["key"]: row for row in csv.DictReader(file) if all(row.get(name) for name in COLUMNS)}
-
-
-def _write_rows(path: Path, rows: list[Row]) -> None:
-    with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def _run_tasks(tasks: list[_Task], irradiance: SpectralImage, jobs: int) -> Iterator[list[Row]]:
-    """Rows of each pitch as they come. Workers never import Mitsuba."""
-    if jobs == 1 or len(tasks) < 2:
-        yield from (_evaluate_pitch(task, irradiance) for task in tasks)
-        return
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config("loky", inner_max_num_threads=1):
-        parallel = Parallel(n_jobs=min(jobs, len(tasks)), return_as="generator_unordered", batch_size=1)
-        yield from parallel(delayed(_evaluate_pitch)(task, irradiance) for task in tasks)
-
-
-def evaluate_all(
-    study: Study, camera: Camera, irradiance: SpectralImage, results: Path, jobs: int, progress: Progress | None = None
-) -> list[Row]:
-    """Bring results.csv up to date: rows that fit are kept, missing ones are appended as they come, then all are sorted."""
-    done = _read_rows(results)
-    tasks, order = _plan_tasks(study, camera, irradiance, done)
-    done = {key: done[key] for key in order if key in done}
-    _write_rows(results, list(done.values()))
-    total = len(order)
-    with results.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        for rows in _run_tasks(tasks, irradiance, jobs):
-            writer.writerows(rows)
-            file.flush()
-            done |= {row["key"]: row for row in rows}
-            if progress:
-                progress(len(done) / total)
-    table = [done[key] for key in order]
-    _write_rows(results, table)
-    return table
-
-
 def curve_of(technology: str, rows: list[Row]) -> Curve:
     """The rows of one technology as a curve with its optimum."""
     own = [row for row in rows if row["technology"] == technology]
@@ -274,6 +130,8 @@ def repeats_for_target(study: Study, curves: Sequence[Curve]) -> int:
 
 def refuse_bad_pitches(study: Study) -> None:
     """PixsimError for a pitch that a technology cannot have, before any work is done."""
+    if len(set(study.technologies)) < len(study.technologies):
+        raise refuse("technologies", list(study.technologies), "each once")
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
             derive(pixel_of(study, technology, pitch_um))
@@ -287,6 +145,9 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     parameters: dict[str, Any] = dict(study.scene.parameters)
     scene = load_scene(study.scene.file, variant=variant, **parameters)
     camera = scene.camera(study.camera)
+    largest_um = max(study_pitches_um(study, technology).max() for technology in study.technologies)
+    if largest_um > 1e3 * camera.die_mm:
+        raise refuse("pitch", f"{largest_um:g} µm", f"at most the die, {1e3 * camera.die_mm:g} µm")
     return render(scene, camera, study.seed, progress=progress), camera
 
 

@@ -104,6 +104,12 @@ def choose(asked: str | None = None) -> Choice:
         return Choice(asked, None, "asked for")
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
         # Too late to choose a library: scalar never touches one.
+        mend = "import pixsim.renderer before mitsuba and drjit, or set " + LLVM_VARIABLE
+        if asked is not None:
+            raise refuse("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {mend}.")
+        warnings.warn(
+            f"rendering with scalar_spectral, since Mitsuba was imported before its LLVM was judged; {mend}", stacklevel=2
+        )
         return Choice("scalar_spectral", None, "Mitsuba was imported before pixsim could judge its LLVM")
     path, reason = find_llvm()
     if path is not None:

@@ -1,0 +1,43 @@
+"""Progress bars on a terminal, and how long each stage took."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Stage = Callable[[str], Callable[[float], None]]
+
+
+@contextmanager
+def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
+    """Progress bars on a terminal's stderr, one a stage; `seconds` collects how long each took."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    clock = {} if seconds is None else seconds
+    current: list[tuple[str, float]] = []
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bars:
+
+        def close() -> None:
+            if current:
+                name, start = current.pop()
+                clock[name] = time.perf_counter() - start
+
+        def stage(name: str) -> Callable[[float], None]:
+            close()
+            current.append((name, time.perf_counter()))
+            task = bars.add_task(name, total=1.0)
+            return lambda done: bars.update(task, completed=done)
+
+        yield stage
+        close()
