@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,7 +45,16 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def save_svg(figure: Figure, path: Path) -> None:
-    figure.savefig(path, format="svg", metadata={"Date": None, "Creator": "pixsim"})
+    """Write a figure; its ids are numbered, since Matplotlib's hash coordinates that vary in their last digit."""
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "pixsim"})
+    numbers: dict[str, str] = {}
+    svg = re.sub(
+        r'(id="|url\(#|href="#)([a-zA-Z]+[0-9a-f]{10})(?=["\)])',
+        lambda match: match[1] + numbers.setdefault(match[2], f"id{len(numbers)}"),
+        text.getvalue(),
+    )
+    path.write_text(svg, encoding="utf-8")
 
 
 def save_png(path: Path, luminance: Array) -> None:

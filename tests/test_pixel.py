@@ -247,7 +247,8 @@ def test_response_scales_with_the_technologys_peak_and_ends_with_the_file(readin
 def test_a_given_quantum_efficiency_and_the_infrared_cut():
     physics = pixels.derive(Pixel(quantum_efficiency=0.6, infrared_cut_nm=650))
     np.testing.assert_array_equal(physics.quantum_efficiency([300, 650, 650.1, 900]), [0.6, 0.6, 0.0, 0.0])
-    assert not pixels.derive(Pixel(quantum_efficiency=0)).quantum_efficiency([400, 550]).any()
+    with pytest.raises(ValidationError, match="greater than 0"):  # it would show black as white
+        Pixel(quantum_efficiency=0)
 
 
 # --- What is given wins ---
