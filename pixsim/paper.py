@@ -34,6 +34,7 @@ FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
 OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
 TOLERANCE_UM = 0.4  # "approximately 6.5 µm": less than half the step between the pitches of its Figure 6
 FILL_FACTOR_TOLERANCE = 0.05
+SENSORS = 8
 FREQUENCY_BINS, CONTRAST_BINS = 6, 8
 CONTRAST_SMOOTHING_DOTS = 4.0
 HISTOGRAM_STEP, HISTOGRAM_SMOOTHING_BINS, MODE_PROMINENCE = 0.02, 4.0, 0.02  # ΔE; bins; of the highest mode
@@ -63,9 +64,13 @@ class Evidence:
     @cached_property
     def maps(self) -> dict[float, Array]:
         """Pitch -> ΔE map at the reference technology, mean over the study's first eight sensors."""
-        repeats = range(min(8, self.result.study.repeats))
+        return {pitch: np.mean(maps, axis=0) for pitch, maps in self.sensor_maps.items()}
+
+    @cached_property
+    def sensor_maps(self) -> dict[float, list[Array]]:
+        """Pitch -> ΔE map of each of those sensors."""
         return {
-            pitch: np.mean([self.result.score(REFERENCE_TECHNOLOGY, pitch, r).delta_e for r in repeats], axis=0)
+            pitch: [score.delta_e for score in self.result.scores(REFERENCE_TECHNOLOGY, pitch, SENSORS)]
             for pitch in FIGURE_6_PITCHES_UM
         }
 
@@ -248,7 +253,7 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     map_ = evidence.maps[8.0]
-    count = modes(evidence.result.score(REFERENCE_TECHNOLOGY, 8.0).delta_e)
+    count = modes(evidence.sensor_maps[8.0][0])
     yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", f"{count} mode{'s' if count > 1 else ''}", count == 1)
     _, _, table = frequency_contrast_table(map_)
     row, column = np.unravel_index(table.argmax(), table.shape)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Column = Sequence[float | str]
+SENSORS_SHOWN = 8  # in mean maps
 MARKERS = ("o", "s", "^", "D")
 
 
@@ -121,7 +122,7 @@ def other_statistics(curve: Curve) -> Plate:
 
 def pictures(result: StudyResult, curve: Curve, pitch_um: float, name: str) -> Plate:
     """Ideal image, one output image, its ΔE map, and curves of equal ΔE of the mean map."""
-    scores = [result.score(curve.technology, pitch_um, repeat) for repeat in range(min(8, result.study.repeats))]
+    scores = result.scores(curve.technology, pitch_um, SENSORS_SHOWN)
     smooth = gaussian_filter(np.mean([score.delta_e for score in scores], axis=0), ISO_SMOOTHING_DOTS, mode="nearest")
     figure = new_figure(8.6, 7.6)
     (ideal, image), (map_, iso) = figure.subplots(2, 2)

@@ -73,11 +73,11 @@ class StudyResult:
             "curves": [curve.as_dict() for curve in self.curves],
         }
 
-    def score(self, technology: str, pitch_um: float, repeat: int = 0) -> Score:
-        """One picture of the study again, for showing."""
-        return bench_for(self.study, self.irradiance, self.camera, technology, pitch_um).score(
-            *stream_key(self.study, technology, pitch_um, repeat)
-        )
+    def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
+        """Pictures of the study again, for showing: the first `repeats` sensors, or all."""
+        bench = bench_for(self.study, self.irradiance, self.camera, technology, pitch_um)
+        count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
+        return [bench.score(*stream_key(self.study, technology, pitch_um, repeat)) for repeat in range(count)]
 
     def __repr__(self) -> str:
         found = "; ".join(
