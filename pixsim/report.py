@@ -15,6 +15,7 @@ from pixsim.figures import save_svg
 from pixsim.files import replacing
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import paper_plates
+from pixsim.parameters import Record
 from pixsim.plates import Plate, delta_e_against_pitch, optimum_against_technology, other_statistics, pictures
 from pixsim.sweep import Curve, StudyResult
 from pixsim.technology import load_technology
@@ -99,15 +100,17 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     return path
 
 
-def settings(result: StudyResult) -> list[tuple[str, dict[str, Any]]]:
-    """The parameters, as the report's tables show them."""
+def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str]]]]:
+    """The parameters with their meaning, as the report's tables show them; unset ones come from the technology."""
     study = result.study
+    records: dict[str, Record] = {
+        "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
+    }  # fmt: skip
     return [
-        ("camera", result.camera.model_dump()),
-        ("pixel", study.pixel.model_dump(exclude_none=True)),
-        ("exposure", study.exposure.model_dump(exclude_none=True)),
-        ("display", study.display.model_dump(exclude_none=True)),
-    ]
+        (name, [(key, value, type(record).model_fields[key].description or "")
+                for key, value in record.model_dump(exclude_none=True).items()])
+        for name, record in records.items()
+    ]  # fmt: skip
 
 
 def data_uri(kind: str, content: bytes) -> str:
