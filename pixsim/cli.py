@@ -175,8 +175,9 @@ def found_line(curve: Any) -> str:
         )
     low, high = best.within_1_percent_um
     return (
-        f"{curve.technology}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %), mean ΔE "
-        f"{best.mean_delta_e:.3f}; {low:.2f} to {high:.2f} µm are within 1 %"
+        f"{curve.technology}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %, sensors) "
+        f"± {best.fit_um:.2f} µm "
+        f"(fit), mean ΔE {best.mean_delta_e:.3f}; within 1 % of it from {low:.2f} to {high:.2f} µm"
     )
 
 
