@@ -5,7 +5,7 @@ A row that does not agree stays in, with its reason.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
@@ -14,22 +14,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from pixsim import optics
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.merit import dr_and_snr_db, growth_exponent
 from pixsim.optimum import mean_and_ci95
-from pixsim.parameters import Pixel
-from pixsim.pixel import PixelPhysics, derive, fill_factor_law
-from pixsim.sensor import electrons_per_joule
-from pixsim.spectral import Array, luminous_weight
+from pixsim.pixel import fill_factor_law
+from pixsim.spectral import Array
 from pixsim.sweep import Curve, StudyResult
 from pixsim.technology import load_technology
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.
 REFERENCE_TECHNOLOGY = "0.35um"
 FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
-FIGURE_2_INTEGRATION_S = 0.030
 FIGURE_2_RANGE_DB = (35.0, 70.0)
-FIGURE_2_WELL_FRACTION = 0.20
 FIGURE_2B_PITCHES_UM = (6.0, 8.0, 10.0, 12.0)
 FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
 OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
@@ -38,7 +34,7 @@ FILL_FACTOR_TOLERANCE = 0.05
 SENSORS = 8
 FREQUENCY_BINS, CONTRAST_BINS = 6, 8
 CONTRAST_SMOOTHING_DOTS = 4.0
-HISTOGRAM_STEP, HISTOGRAM_SMOOTHING_BINS, MODE_PROMINENCE = 0.02, 4.0, 0.02  # ΔE; bins; of the highest mode
+HISTOGRAM_BINS, MODE_PROMINENCE = 1000, 0.02  # prominence of the highest mode
 
 
 @dataclass(frozen=True)
@@ -81,6 +77,14 @@ class Evidence:
         return {pitch: threshold_contrast(each, self.result.study.iso_delta_e) for pitch, each in self.maps.items()}
 
 
+ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not tell"
+
+
+def unless(agrees: bool, remark: str = "") -> str:
+    """The reason of a row that does not agree; a remark, if any, on one that does."""
+    return remark if agrees else ASSUMED
+
+
 def by_frequency(delta_e: Array, bins: int = FREQUENCY_BINS) -> Array:
     """Means of a CSF map over bins of equal ratio in frequency, (rows, bins)."""
     return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, bins, axis=1)], axis=1)
@@ -106,57 +110,21 @@ def threshold_contrast(delta_e: Array, level: float) -> Array:
 
 
 def modes(delta_e: Array) -> int:
-    """Number of modes of a map's distribution: maxima of a smoothed histogram that stand out by 2 % of the highest."""
-    counts, _ = np.histogram(delta_e, bins=np.arange(0.0, np.percentile(delta_e, 99.9) + 1, HISTOGRAM_STEP))
-    smooth = gaussian_filter1d(np.concatenate([[0.0], counts.astype(float)]), HISTOGRAM_SMOOTHING_BINS, mode="constant")
-    return len(find_peaks(smooth, prominence=MODE_PROMINENCE * smooth.max())[0])
+    """Number of modes of a map's distribution: maxima of its density that stand out by 2 % of the highest.
 
-
-def dr_and_snr_db(pitch_um: Array, capacitance: str) -> tuple[Array, Array]:
-    """Figure 2a: eq. (1), and eq. (2) at 20 % of the well, at 30 ms, for the reference technology."""
-    pixels = [derive(Pixel.model_validate({"pitch_um": p, "capacitance": capacitance})) for p in pitch_um.tolist()]
-    dr = [pixel.dynamic_range_db(FIGURE_2_INTEGRATION_S) for pixel in pixels]
-    snr = [pixel.snr_db(FIGURE_2_WELL_FRACTION * pixel.full_well_e, FIGURE_2_INTEGRATION_S) for pixel in pixels]
-    return np.array(dr), np.array(snr)
-
-
-def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> Array:
-    """White-light diffraction times the photodiode's sinc, as the scene's light and the pixel's response weigh it."""
-    irradiance = result.irradiance
-    nm = irradiance.wavelength_nm
-    factors = irradiance.factors
-    spectrum = factors[0][0] if factors else irradiance.data.mean(axis=(0, 1), dtype=float)
-    weight = electrons_per_joule(physics, nm, irradiance.band_width_nm) * spectrum
-    lens = optics.white_otf(frequency_cy_per_mm, nm, weight, result.camera.working_f_number)
-    return lens * optics.square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
-
-
-def mtf50_cy_per_mm(result: StudyResult, physics: PixelPhysics) -> float:
-    """Frequency at which the system MTF falls to one half."""
-    frequency = np.linspace(0.0, 1e3 / physics.photodiode_side_um, 20001)
-    return float(np.interp(-0.5, -system_mtf(result, physics, frequency), frequency))
-
-
-def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = FIGURE_2_INTEGRATION_S) -> float:
-    """Minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2), in the scene's light."""
-    snr = 10 ** (30 / 20)
-    noise_e2 = physics.reset_noise_e**2 + physics.read_noise_e**2 + physics.dark_current_e_per_s * integration_s
-    signal_e = (snr**2 + np.sqrt(snr**4 + 4 * snr**2 * noise_e2)) / 2
-    return float(signal_e / (sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2))
-
-
-def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> float:
-    """Electrons per lx·s and µm² of photodiode in the scene's light."""
-    irradiance = result.irradiance
-    nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
-    spectrum = irradiance.factors[0][0] if irradiance.factors else irradiance.data.mean(axis=(0, 1), dtype=float)
-    electrons = (electrons_per_joule(physics, nm, width_nm) * spectrum).sum() * 1e-12
-    return float(electrons / (luminous_weight(nm, width_nm) * spectrum).sum())
-
-
-def growth_exponent(pitch_um: Array, level_db: Array) -> float:
-    """b in ratio ∝ pitch^b, by least squares in logarithms."""
-    return float(np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1).convert().coef[1])
+    The density is a histogram smoothed by Silverman's rule (Density Estimation, 1986, eq. 3.31), so that fewer dots are smoothed
+    more.
+    """
+    values = delta_e[delta_e <= np.percentile(delta_e, 99.9)]
+    lower, upper = np.percentile(values, (25, 75))
+    bandwidth = 0.9 * min(values.std(), (upper - lower) / 1.34) * values.size ** (-1 / 5)
+    if bandwidth == 0:
+        return 1
+    counts, _ = np.histogram(values, bins=HISTOGRAM_BINS)
+    step = np.ptp(values) / HISTOGRAM_BINS
+    padded = np.pad(counts.astype(float), HISTOGRAM_BINS // 4)
+    density = gaussian_filter1d(padded, bandwidth / step, mode="constant")
+    return len(find_peaks(density, prominence=MODE_PROMINENCE * density.max())[0])
 
 
 def findings(evidence: Evidence) -> list[Finding]:
@@ -204,21 +172,16 @@ def _pixel_rows(_: Evidence) -> Iterator[Finding]:
 def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     curve = evidence.curves[REFERENCE_TECHNOLOGY]
     best = curve.optimum
-    total_um = best.ci95_um + best.fit_um
     yield Finding(
         "Optimal pixel size at 0.35 µm",
         f"about {OPTIMUM_UM:g} µm",
         f"{best.pitch_um:.2f} µm ± {best.ci95_um:.2f} (seeds) ± {best.fit_um:.2f} (fit)",
-        best.inside and abs(best.pitch_um - OPTIMUM_UM) <= max(TOLERANCE_UM, total_um),
-        "depends on the lens, response and display, which the paper does not tell",
+        best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM,
+        ASSUMED,
     )
     fill_factor = float(np.interp(best.pitch_um, curve.pitch_um, curve.fill_factor))
-    yield Finding(
-        "Its fill factor",
-        f"{OPTIMUM_FILL_FACTOR:.0%}",
-        f"{fill_factor:.0%}",
-        abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE,
-    )
+    agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
+    yield Finding("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees, unless(agrees))
 
 
 def _bands(better: NDArray[np.bool_]) -> str:
@@ -237,7 +200,7 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
         if not (better | worse).all():
             found += "; elsewhere neither reaches the level, or both at the same contrast"
         agrees = bool(better.any() and not worse.any())
-        yield Finding(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", found, agrees)
+        yield Finding(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", found, agrees, unless(agrees))
     six, smallest = limits[6.0], limits[5.3]
     apart = np.flatnonzero(six != smallest)
     crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
@@ -246,13 +209,16 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
         "6 µm better at low, 5.3 µm at high frequencies",
         f"6 µm better at {_bands(six > smallest)}, 5.3 µm at {_bands(smallest > six)}",
         crosses,
+        unless(crosses),
     )
 
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     map_ = evidence.maps[8.0]
     count = modes(evidence.sensor_maps[8.0][0])
-    yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", f"{count} mode{'s' if count > 1 else ''}", count == 1)
+    yield Finding(
+        "Distribution of ΔE (8 µm)", "compact, unimodal", f"{count} mode{'s' if count > 1 else ''}", count == 1, unless(count == 1)
+    )
     _, _, table = frequency_contrast_table(map_)
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
@@ -262,6 +228,7 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
         "at high frequency and high contrast",
         f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}",
         corner,
+        unless(corner),
     )
 
 
@@ -275,21 +242,20 @@ def _scaling_rows(evidence: Evidence) -> Iterator[Finding]:
     def listed(values: Array, digits: int) -> str:
         return ", ".join(f"{value:.{digits}f}" for value in values) + f" at {names} µm"
 
-    yield Finding("The optimum shrinks with technology", "yes", f"{listed(size, 2)}", bool((np.diff(size) < 0).all()))
-    slower = bool(ratio[-1] > ratio[0])
+    shrinks, slower, worse = bool((np.diff(size) < 0).all()), bool(ratio[-1] > ratio[0]), bool(best[-1] > best[0])
+    yield Finding("The optimum shrinks with technology", "yes", listed(size, 2), shrinks, unless(shrinks))
     yield Finding(
-        "… but slower than the technology",
-        "optimum/F rises",
-        listed(ratio, 1),
-        slower,
-        ""
-        if (np.diff(ratio) > 0).all()
-        else "it rises over the whole range, but not at every step: the 0.25 µm junction is unusually capacitive",
+        "… but slower than the technology", "optimum/F rises", listed(ratio, 1), slower, unless(slower, steps(ratio, curves))
     )
-    yield Finding(
-        "The best mean ΔE gets worse as technology shrinks",
-        "rises",
-        listed(best, 3),
-        bool(best[-1] > best[0]),
-        "" if (np.diff(best) > 0).all() else "it does over the whole range, but not at every step: see the 0.25 µm junction",
-    )
+    statement = "The best mean ΔE gets worse as technology shrinks"
+    yield Finding(statement, "rises", listed(best, 3), worse, unless(worse, steps(best, curves)))
+
+
+def steps(values: Array, curves: Sequence[Curve]) -> str:
+    """A remark on values that rise from the first process to the last, but not at every step."""
+    falls = np.flatnonzero(np.diff(values) <= 0)
+    if not falls.size:
+        return ""
+    pairs = ", ".join(f"{curves[i].feature_size_um:g} to {curves[i + 1].feature_size_um:g} µm" for i in falls.tolist())
+    odd = "; the 0.25 µm junction is unusually capacitive" if any(curve.technology == "0.25um" for curve in curves) else ""
+    return f"over the whole range, but not from {pairs}{odd}"

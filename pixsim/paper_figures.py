@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pixsim.evaluations import pixel_of
 from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_picture, extent, new_figure
+from pixsim.merit import dr_and_snr_db, mpe30_lx_s, mtf50_cy_per_mm, system_mtf
 from pixsim.paper import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
     REFERENCE_TECHNOLOGY,
     Evidence,
-    dr_and_snr_db,
     frequency_contrast_table,
-    mpe30_lx_s,
-    mtf50_cy_per_mm,
-    system_mtf,
 )
 from pixsim.pixel import derive
 from pixsim.plates import MARKERS, Column, Plate, draw_iso, pictures
@@ -35,7 +34,7 @@ def paper_plates(evidence: Evidence) -> list[Plate]:
         figure_2a(),
         figure_2b(result),
         figure_4(result),
-        pictures(result, curve, FIGURE_5_PITCH_UM, "figure_5_pictures_8um"),
+        figure_5(result, curve),
         figure_6(evidence),
         errors_by_frequency_and_contrast(evidence),
         light_against_detail(result, curve),
@@ -96,6 +95,12 @@ def figure_4(result: StudyResult) -> Plate:
     table |= {f"illuminance_lx_row_{row}": lux[row].tolist() for row in rows.tolist()}
     caption = f"Figure 4. The scene as rendered on the sensor plane, {lux.min():.3g} to {lux.max():.3g} lx, fall-off included."
     return Plate("figure_4_scene", caption, figure, table)
+
+
+def figure_5(result: StudyResult, curve: Curve) -> Plate:
+    """Ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
+    plate = pictures(result, curve, FIGURE_5_PITCH_UM, "figure_5_pictures_8um")
+    return replace(plate, caption="Figure 5. " + plate.caption)
 
 
 def figure_6(evidence: Evidence) -> Plate:

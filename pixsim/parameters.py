@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pixsim.config import merge
 
+FASTEST_WORKING_F_NUMBER = 0.5
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(gt=0, le=1)]
@@ -55,6 +56,11 @@ class Camera(Record):
                 f"focal_length_mm = {self.focal_length_mm:g} is not shorter than object_distance_m = "
                 f"{self.object_distance_m:g} ({1e3 * self.object_distance_m:g} mm): no real image forms. "
                 "Move the object away or take a shorter lens"
+            )
+        if self.working_f_number < FASTEST_WORKING_F_NUMBER:
+            raise ValueError(
+                f"f_number = {self.f_number:g} is faster than a thin lens in air can be: the working f-number, "
+                f"N (1 + |m|) = {self.working_f_number:g}, must be at least {FASTEST_WORKING_F_NUMBER:g}"
             )
         return self
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import platform
+from dataclasses import replace
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,12 @@ from pixsim.plates import Plate, delta_e_against_pitch, optimum_against_technolo
 from pixsim.sweep import Curve, StudyResult
 from pixsim.technology import load_technology
 
+# Of the paper, for the curves that any study has.
+FIGURE_NUMBERS = {
+    "delta_e_against_pitch": "Figure 7. ",
+    "delta_e_against_pitch_all": "Figure 8. ",
+    "optimum_against_technology": "Figure 9. ",
+}
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
 
 
@@ -53,7 +60,10 @@ def study_plates(result: StudyResult) -> list[Plate]:
     plates += [
         pictures(result, curve, nearest_pitch_um(curve), f"pictures_{file_label(curve.technology)}") for curve in result.curves
     ]
-    return [*plates, other_statistics(first)]
+    plates.append(other_statistics(first))
+    if not result.study.paper:
+        return plates
+    return [replace(plate, caption=FIGURE_NUMBERS.get(plate.name, "") + plate.caption) for plate in plates]
 
 
 def write_report(result: StudyResult, folder: Path, seconds: dict[str, float]) -> Path:

@@ -16,7 +16,7 @@ from pixsim.evaluations import Progress
 from pixsim.files import output_folder
 from pixsim.parameters import Camera, PitchRange, Record, Study, content_hash
 from pixsim.spectral import SpectralImage
-from pixsim.sweep import Curve, StudyResult, load_study, refuse_bad_pitches, render_for, sweep_pitches
+from pixsim.sweep import Curve, StudyResult, load_study, refuse_bad_pitches, render_for, scene_for, sweep_pitches
 
 
 class Setting(Record):
@@ -158,6 +158,7 @@ def run_sensitivity(
     cases = list(cases_of(sensitivity))
     for each in (base, *(study for _, _, study in cases)):
         refuse_bad_pitches(each)
+        scene_for(each, variant)
     stage = progress or (lambda _: lambda _: None)
     renders: dict[str, tuple[SpectralImage, Camera]] = {}
 
@@ -171,9 +172,13 @@ def run_sensitivity(
     with output_folder(out) as folder:
         (folder / "cases").mkdir(exist_ok=True)
         first = run(base, "base")
-        done = [Case(variation, label, run(study, file_name(variation, label)).curves) for variation, label, study in cases]
+        done = [
+            Case(variation, label, run(study, file_name(number, variation, label)).curves)
+            for number, (variation, label, study) in enumerate(cases)
+        ]
     return SensitivityResult(sensitivity, first, tuple(done))
 
 
-def file_name(variation: str, label: str) -> str:
-    return re.sub(r"[^\w.\-]+", "_", f"{variation}-{label}")
+def file_name(number: int, variation: str, label: str) -> str:
+    """Numbered, since different labels may clean to the same name."""
+    return re.sub(r"[^\w.\-]+", "_", f"{number:02d}-{variation}-{label}")

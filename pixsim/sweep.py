@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from pixsim.pixel import derive
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
 from pixsim.technology import load_technology
+
+if TYPE_CHECKING:
+    from pixsim.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -137,9 +140,8 @@ def refuse_bad_pitches(study: Study) -> None:
             derive(pixel_of(study, technology, pitch_um))
 
 
-def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
-    """The study's irradiance, and the camera that it was rendered with."""
-    from pixsim.renderer import render
+def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
+    """The study's scene and camera; PixsimError for what cannot be, before any render."""
     from pixsim.scene import load_scene
 
     parameters: dict[str, Any] = dict(study.scene.parameters)
@@ -148,6 +150,14 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     largest_um = max(study_pitches_um(study, technology).max() for technology in study.technologies)
     if largest_um > 1e3 * camera.die_mm:
         raise refuse("pitch", f"{largest_um:g} µm", f"at most the die, {1e3 * camera.die_mm:g} µm")
+    return scene, camera
+
+
+def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
+    """The study's irradiance, and the camera that it was rendered with."""
+    from pixsim.renderer import render
+
+    scene, camera = scene_for(study, variant)
     return render(scene, camera, study.seed, progress=progress), camera
 
 

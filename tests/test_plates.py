@@ -1,0 +1,306 @@
+"""The figures: what is drawn is what stands in the table, and both are the same bytes each time."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.image import imread
+
+import pixsim
+from pixsim.charts import DIE_MM
+from pixsim.evaluations import pixel_of
+from pixsim.figures import label_axes, new_figure, save_svg
+from pixsim.merit import dr_and_snr_db, growth_exponent, mpe30_lx_s, mtf50_cy_per_mm, system_mtf
+from pixsim.optimum import Optimum
+from pixsim.paper import Evidence
+from pixsim.paper_figures import figure_2a, figure_2b, paper_plates
+from pixsim.plates import Plate, delta_e_against_pitch, optimum_against_technology, other_statistics, pictures
+from pixsim.spectral import SpectralImage
+from pixsim.sweep import StudyResult
+
+PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+STUDY = {
+    "name": "tiny",
+    "repeats": 2,
+    "iso_delta_e": 1.0,
+    "paper": True,
+    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
+    "pitch": {"values_um": PITCHES_UM},
+    "display": {"dots": 120, "samples_per_deg": 10.0},
+}
+OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+    return pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path_factory.mktemp("plates"), jobs=1)
+
+
+@pytest.fixture(scope="module")
+def evidence(result: StudyResult) -> Evidence:
+    return Evidence(result, {curve.technology: curve for curve in result.curves})
+
+
+def scaled(result: StudyResult) -> StudyResult:
+    """Four technologies with known optima, not in their order."""
+    curves = [
+        replace(
+            result.curves[0],
+            technology=f"{feature_um:g}um",
+            feature_size_um=feature_um,
+            optimum=Optimum(size_um, 0.02 * size_um, 0.05 * size_um, 0.5, True, (0.9, 1.1), (0.8, 1.2)),
+        )
+        for feature_um, size_um in OPTIMA_UM.items()
+    ]
+    return replace(result, curves=tuple(curves[index] for index in (1, 3, 0, 2)))
+
+
+def every_plate(evidence: Evidence) -> dict[str, Plate]:
+    result, curve = evidence.result, evidence.result.curves[0]
+    plates = [
+        *paper_plates(evidence),
+        delta_e_against_pitch(result, [curve]),
+        delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
+        other_statistics(curve),
+        pictures(result, curve, 7.0, "pictures_0.35um"),
+        optimum_against_technology(scaled(result)),
+    ]
+    return {plate.name: plate for plate in plates}
+
+
+@pytest.fixture(scope="module")
+def plates(evidence: Evidence) -> dict[str, Plate]:
+    return every_plate(evidence)
+
+
+@pytest.fixture(scope="module")
+def saved(plates: dict[str, Plate], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Name -> SVG."""
+    folder = tmp_path_factory.mktemp("svg")
+    for name, plate in plates.items():
+        save_svg(plate.figure, folder / f"{name}.svg")
+    return {name: (folder / f"{name}.svg").read_text(encoding="utf-8") for name in plates}
+
+
+def test_the_paper_s_figures_come_in_its_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
+    names = [plate.name for plate in paper_plates(evidence)]
+    numbered = [name.split("_")[1] for name in names if name.startswith("figure_")]
+    assert numbered == ["2a", "2b", "4", "5", "6"]
+    assert all(plates[name].caption.endswith(".") for name in names)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+UNITS = ("_um", "_db", "_mm", "_lx_s", "_lp_per_mm", "_delta_e", "_um2")
+# Ratios, names and counts; frequencies in a column's name are with their unit.
+WITHOUT_UNIT = re.compile(
+    r"technology|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|"
+    r"(delta_e|contrast)_at_[\d.]+_lp_per_mm|illuminance_lx_row_\d+"
+)
+
+
+def test_every_table_is_whole_and_names_its_units(plates: dict[str, Plate]) -> None:
+    for name, plate in plates.items():
+        header, *rows = csv.reader(io.StringIO(plate.csv))
+        assert header == list(plate.table)
+        assert len(set(header)) == len(header)
+        assert rows, name
+        assert {len(row) for row in rows} == {len(header)}, name
+        for column, values in zip(header, zip(*rows, strict=True), strict=True):
+            assert column.endswith(UNITS) or WITHOUT_UNIT.fullmatch(column), f"{name}: {column} has no unit"
+            if column != "technology":
+                read = [float(value) for value in values]
+                assert read == list(plate.table[column]), f"{name}: {column} is not written to its last digit"
+                assert not np.isnan(read).any()
+
+
+def test_columns_of_unequal_length_are_not_written() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        _ = Plate("odd", "", new_figure(1, 1), {"a": [1.0, 2.0], "b": [1.0]}).csv
+
+
+def column(plate: Plate, name: str) -> np.ndarray:
+    return np.array(plate.table[name])
+
+
+def lines(plate: Plate) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(x, y) of every line of the first axes."""
+    return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in plate.figure.axes[0].lines]
+
+
+def is_drawn(plate: Plate, x: np.ndarray, y: np.ndarray) -> bool:
+    return any(len(a) == len(x) and np.array_equal(a, x) and np.array_equal(b, y) for a, b in lines(plate))
+
+
+def test_figure_2a_is_equations_1_and_2() -> None:
+    plate = figure_2a()
+    pitch_um = column(plate, "pitch_um")
+    assert pitch_um[[0, -1]] == pytest.approx([5.3, 15.0])
+    for capacitance in ("paper", "mosis"):
+        for name, db in zip(("dr", "snr"), dr_and_snr_db(pitch_um, capacitance), strict=True):
+            np.testing.assert_array_equal(column(plate, f"{name}_{capacitance}_db"), db)
+            assert is_drawn(plate, pitch_um, db)
+    # With 5 to 73 % of fill factor, nearly p^1.2 by an estimate apart from pixsim.
+    assert growth_exponent(pitch_um, column(plate, "dr_paper_db")) == pytest.approx(1.2, abs=0.05)
+
+
+def test_figure_2b_is_the_system_mtf_up_to_83_lp_per_mm(result: StudyResult) -> None:
+    plate = figure_2b(result)
+    relative = column(plate, "frequency_over_6um_nyquist")
+    assert relative[[0, -1]] == pytest.approx([0, 1])
+    curves = []
+    for pitch_um in (6, 8, 10, 12):
+        physics = pixsim.derive(pixel_of(result.study, "0.35um", pitch_um))
+        mtf = column(plate, f"mtf_{pitch_um}um")
+        np.testing.assert_allclose(mtf, system_mtf(result, physics, relative * 1e3 / 12), rtol=1e-12)
+        assert is_drawn(plate, relative, mtf)
+        curves.append(mtf)
+    assert (np.diff(curves, axis=0)[:, 1:] < 0).all(), "a larger photodiode blurs more"
+
+
+def test_the_scene_is_that_of_the_irradiance(plates: dict[str, Plate], result: StudyResult) -> None:
+    plate = plates["figure_4_scene"]
+    x_mm = column(plate, "x_mm")
+    assert x_mm[[0, -1]] == pytest.approx([DIE_MM / 96 / 2, DIE_MM * (1 - 1 / 96 / 2)], rel=1e-4)  # pitch is rounded
+    lux = result.irradiance.illuminance_lx()
+    for row in (0, 95):
+        np.testing.assert_array_equal(column(plate, f"illuminance_lx_row_{row}"), lux[row])
+
+
+def test_the_table_of_figure_6_is_that_of_its_curves(plates: dict[str, Plate], evidence: Evidence) -> None:
+    plate = plates["figure_6_iso_delta_e"]
+    assert column(plate, "pitch_um").tolist() == [5.3, 6.0, 8.0, 15.0]
+    names = [name for name in plate.table if name.startswith("contrast_at_")]
+    found = np.stack([column(plate, name) for name in names], axis=1)
+    np.testing.assert_array_equal(found, [evidence.thresholds[pitch] for pitch in (5.3, 6.0, 8.0, 15.0)])
+    assert np.isfinite(found[2]).any()
+
+
+def test_figure_5_s_sensors_are_the_study_s(plates: dict[str, Plate], evidence: Evidence) -> None:
+    found = column(plates["figure_5_pictures_8um"], "mean_delta_e")
+    assert found == pytest.approx([each.mean() for each in evidence.sensor_maps[8.0]], rel=1e-12)
+    assert found.mean() == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
+
+
+def test_errors_by_cell_keep_the_mean_of_the_map(plates: dict[str, Plate], evidence: Evidence) -> None:
+    """120 dots are whole numbers of six and eight, so all cells are of one size."""
+    plate = plates["delta_e_by_frequency_and_contrast"]
+    cells = np.stack([column(plate, name) for name in plate.table if name != "contrast"])
+    assert cells.shape == (6, 8)
+    assert cells.mean() == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
+
+
+def test_light_and_detail_are_bought_with_each_other(plates: dict[str, Plate], result: StudyResult) -> None:
+    plate = plates["light_against_detail"]
+    mtf50, mpe30 = column(plate, "mtf50_lp_per_mm"), column(plate, "mpe30_lx_s")
+    assert column(plate, "pitch_um").tolist() == PITCHES_UM
+    assert (np.diff(mtf50) < 0).all()
+    assert (np.diff(mpe30) < 0).all()
+    physics = pixsim.derive(pixel_of(result.study, "0.35um", 7.0))
+    assert mtf50[2] == pytest.approx(mtf50_cy_per_mm(result, physics), rel=1e-12)
+    assert mpe30[2] == pytest.approx(mpe30_lx_s(result, physics), rel=1e-12)
+
+
+def test_the_line_is_proportional_to_technology_through_the_largest(plates: dict[str, Plate]) -> None:
+    plate = plates["optimum_against_technology"]
+    feature_um = column(plate, "feature_size_um")
+    assert feature_um.tolist() == sorted(OPTIMA_UM)
+    assert column(plate, "optimum_um").tolist() == [OPTIMA_UM[each] for each in feature_um]
+    np.testing.assert_allclose(column(plate, "proportional_um"), feature_um * 8.8 / 0.5, rtol=1e-12)
+    np.testing.assert_allclose(column(plate, "optimum_features"), column(plate, "optimum_um") / feature_um, rtol=1e-12)
+    assert is_drawn(plate, feature_um, column(plate, "proportional_um"))
+    # Both bars are drawn: seeds alone, and seeds and fit.
+    reach = [np.ptp([y for _, y in bar]) for group in plate.figure.axes[0].collections for bar in group.get_segments()]
+    sizes = np.array([OPTIMA_UM[each] for each in feature_um])
+    np.testing.assert_allclose(sorted(reach), sorted([*(2 * 0.02 * sizes), *(2 * 0.07 * sizes)]), rtol=1e-9)
+
+
+def test_the_table_of_a_curve_is_the_study_s(plates: dict[str, Plate], result: StudyResult) -> None:
+    curve = result.curves[0]
+    for plate in (plates["delta_e_against_pitch"], plates["other_statistics"]):
+        assert column(plate, "pitch_um").tolist() == PITCHES_UM
+        np.testing.assert_allclose(column(plate, "mean_delta_e"), curve.delta_e.mean(axis=1), rtol=1e-12)
+        np.testing.assert_allclose(column(plate, "p99_delta_e"), curve.statistics["p99_delta_e"].mean(axis=1), rtol=1e-12)
+        # t for two sensors is tan(0.475 π), the standard error half their distance.
+        half_width = np.tan(0.475 * np.pi) * np.ptp(curve.delta_e, axis=1) / 2
+        np.testing.assert_allclose(column(plate, "ci95_delta_e"), half_width, rtol=1e-9)
+
+
+# --- axes -------------------------------------------------------------------------------------------------------------
+
+
+def axes_for(width: int, height: int, pitch_um: float, header: dict[str, object]) -> Axes:
+    irradiance = SpectralImage([550.0], [10.0], pitch_um, data=np.ones((height, width, 1)), header=header)
+    axes = new_figure(3, 3).subplots()
+    label_axes(axes, irradiance)
+    return axes
+
+
+@pytest.mark.parametrize("die_mm", [DIE_MM, 1.0, 5.0])
+def test_frequencies_stand_where_the_chart_has_them(die_mm: float) -> None:
+    """The chart runs from f0 = 1 to f1 = 33.3 lp/mm over its own 2.7136 mm: x/width = ln(f/f0)/ln(f1/f0)."""
+    axes = axes_for(64, 64, 1e3 * die_mm / 64, {"scene": "csf.xml"})
+    lowest, highest = DIE_MM / die_mm, DIE_MM / die_mm * 100 / 3
+    told = [label.get_text() for label in axes.get_xticklabels()]
+    assert told[0] == f"{lowest:.3g}"
+    assert told[-1] == f"{highest:.3g}"
+    assert len(told) >= 5
+    expected = np.log(np.array(told, float) / lowest) / np.log(highest / lowest) * die_mm
+    assert axes.get_xticks() == pytest.approx(expected, abs=1e-3 * die_mm)  # labels have three digits
+    assert "lp/mm" in axes.get_xlabel()
+
+
+def test_contrasts_stand_where_the_chart_has_them() -> None:
+    """A hundredth of the largest contrast on top, 0.951 below, at equal ratios."""
+    axes = axes_for(64, 64, 42.4, {"scene": "csf.xml"})
+    told = np.array([label.get_text() for label in axes.get_yticklabels()], float)
+    expected = (1 + np.log(told / (975 / 1025)) / np.log(100)) * 64 * 0.0424
+    assert axes.get_yticks() == pytest.approx(expected, abs=1e-3)
+    assert told[-1] == 0.951
+    assert axes.get_ylabel() == "contrast"
+
+
+@pytest.mark.parametrize("header", [{"scene": "flat.xml"}, {"scene": "csf.xml", "parameters": {"chart": "mine.exr"}}, {}])
+def test_other_pictures_are_labelled_by_position(header: dict[str, object]) -> None:
+    axes = axes_for(32, 16, 10.0, header)
+    assert "mm" in axes.get_xlabel()
+    assert "lp/mm" not in axes.get_xlabel()
+    assert "contrast" not in axes.get_ylabel()
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def test_figures_are_the_same_bytes_each_time(evidence: Evidence, saved: dict[str, str], tmp_path: Path) -> None:
+    for name, plate in every_plate(evidence).items():
+        save_svg(plate.figure, tmp_path / "again.svg")
+        assert (tmp_path / "again.svg").read_text(encoding="utf-8") == saved[name], name
+
+
+def test_every_reference_in_a_figure_has_its_target(saved: dict[str, str]) -> None:
+    for name, svg in saved.items():
+        targets = re.findall(r'\bid="([^"]+)"', svg)
+        assert len(set(targets)) == len(targets), f"{name}: an id stands twice"
+        references = set(re.findall(r'url\(#([^)]+)\)|href="#([^"]+)"', svg))
+        assert {one or other for one, other in references} <= set(targets), name
+        assert references, name
+        # Matplotlib's own ids end in ten digits of a hash of coordinates.
+        assert not re.search(r'id="[^"]*[0-9a-f]{10}"', svg), name
+
+
+def test_numbering_leaves_the_pictures_alone(saved: dict[str, str]) -> None:
+    seen = 0
+    for name, svg in saved.items():
+        for kind, data in re.findall(r'href="data:image/(\w+);base64,\s*([^"]+)"', svg):
+            picture = imread(io.BytesIO(base64.b64decode("".join(data.split()), validate=True)), format=kind)
+            assert min(picture.shape[:2]) > 1, name
+            seen += 1
+    assert seen >= 8  # the scene, three pictures of either kind, the cells
