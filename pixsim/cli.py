@@ -29,7 +29,7 @@ from pixsim.options import (
     ExposureTable,
     PixelTable,
 )
-from pixsim.parameters import Run, Study
+from pixsim.parameters import Run
 from pixsim.progress import stages
 
 OK, UNUSABLE_INPUT, INTERRUPTED, TERMINATED = 0, 2, 130, 143
@@ -143,7 +143,7 @@ def study(
         else:
             from pixsim.report import write_report
 
-            plan = Study.model_validate(table)
+            plan = sweep.checked_study(table)
             folder = study_folder(out, plan.name, quick)
             result = sweep.study(plan, folder, progress=stage, **how)
             stage("report")

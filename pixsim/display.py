@@ -7,7 +7,8 @@ known number, never a measured maximum.
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from pixsim import optics
 from pixsim.errors import refuse
@@ -18,7 +19,7 @@ from pixsim.spectral import Array, SpectralImage, d65, luminous_weight
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
-SPLINE_ORDER = {"nearest": 0, "linear": 1, "cubic": 3}
+SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3}
 
 
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
@@ -37,11 +38,12 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
 def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
     """Photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
-    Its spectrum is the scene's one spectrum where there is one, else D65.
+    Its spectrum is that of the scene's lamps where they share one, else D65.
     """
     nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
+    lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
     single = irradiance.factors is not None and len(irradiance.factors[0]) == 1
-    spectrum = irradiance.factors[0][0] if irradiance.factors and single else d65(nm)
+    spectrum = np.asarray(lamp) if lamp else irradiance.factors[0][0] if irradiance.factors and single else d65(nm)
     factor_sr = optics.irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
     white_lx = white_cd_per_m2(irradiance, display) * float(factor_sr)
     scale = white_lx / (luminous_weight(nm, width_nm) * spectrum).sum()
@@ -69,18 +71,28 @@ def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
     return height * irradiance.pitch_um, width * irradiance.pitch_um
 
 
-def average_axis(values: Array, value_edges: Array, target_edges: Array, axis: int) -> Array:
-    """Means of a piecewise constant line over the target's intervals; beyond its ends it goes on constant."""
-    widths = np.diff(value_edges)
+def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
+    """Means, over the intervals between `edges_um`, of a line of equal cells interpolated through their centres.
+
+    The cells start at `low_um`; beyond the outermost centres the line goes on constant. Degree 0 is piecewise constant.
+    """
+    n = values.shape[axis]
+    at_um: Array
+    if degree == 0 or n < 2:
+        at_um = low_um + pitch_um * np.arange(n + 1.0)
+        zero = np.zeros_like(np.take(values, [0], axis))
+        running = make_interp_spline(at_um, np.concatenate([zero, np.cumsum(values, axis) * pitch_um], axis), k=1, axis=axis)
+    else:
+        at_um = low_um + pitch_um * (np.arange(n, dtype=float) + 0.5)
+        running = make_interp_spline(at_um, values, k=min(degree, n - 1), axis=axis).antiderivative()
+    inside = np.clip(edges_um, at_um[0], at_um[-1])
     shape = [1] * values.ndim
     shape[axis] = -1
-    running = np.cumsum(values * widths.reshape(shape), axis)
-    running = np.concatenate([np.zeros_like(np.take(running, [0], axis)), running], axis)
-    n = len(widths)
-    cell = np.clip(np.searchsorted(value_edges, target_edges, side="right") - 1, 0, n - 1)
-    inside = (target_edges - value_edges[cell]).reshape(shape)
-    at = np.take(running, cell, axis) + np.take(values, cell, axis) * inside
-    return np.diff(at, axis=axis) / np.diff(target_edges).reshape(shape)
+    first, last = np.take(values, [0], axis), np.take(values, [n - 1], axis)
+    beyond = (
+        np.minimum(edges_um - at_um[0], 0.0).reshape(shape) * first + np.maximum(edges_um - at_um[-1], 0.0).reshape(shape) * last
+    )
+    return np.diff(running(inside) + beyond, axis=axis) / np.diff(edges_um).reshape(shape)
 
 
 def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> Array:
@@ -90,15 +102,20 @@ def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
     for length_um in size_um:
         edges = dot_edges_um(length_um, size_um[1], physics.pitch_um, display)
         centres.append((edges[:-1] + edges[1:]) / 2)
-    rate = point_values(ideal_rate(irradiance, physics), irradiance.pitch_um, *centres)
-    return rate / white_rate(irradiance, camera, physics, display)
+    cells = ideal_rate(irradiance, physics)
+    rate = point_values(cells, irradiance.pitch_um, *centres)
+    # A spline rings at an edge: no point is darker or brighter than the cells around it.
+    y, x = (np.clip((um / irradiance.pitch_um).astype(int), 0, n - 1) for um, n in zip(centres, cells.shape, strict=True))
+    around = np.ix_(y, x)
+    limited = np.clip(rate, minimum_filter(cells, 3, mode="nearest")[around], maximum_filter(cells, 3, mode="nearest")[around])
+    return limited / white_rate(irradiance, camera, physics, display)
 
 
 def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, display: Display) -> Array:
     """Relative luminance of a frame on the display's dots, mapped by position on the die.
 
-    Pixels smaller than a dot are averaged over it (picking one would make noise depend on phase); larger ones are
-    interpolated at the dot centres.
+    A dot shows the mean over itself of the picture interpolated between pixel centres. (Reading the picture at the dots'
+    centres would make noise depend on how pixels and dots register: mean ΔE jumps by a quarter where the pitches agree.)
 
     Parameters
     ----------
@@ -108,15 +125,11 @@ def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, 
     picture = frame.electrons / white_e
     if display.raster == "one_to_one":
         return picture
-    pixels = [pixel_edges_um(um, n, frame.pitch_um) for um, n in zip(size_um, picture.shape, strict=True)]
-    dots = [dot_edges_um(um, size_um[1], frame.pitch_um, display) for um in size_um]
-    if frame.pitch_um < dots[1][1] - dots[1][0]:
-        for axis in (0, 1):
-            picture = average_axis(picture, pixels[axis], dots[axis], axis)
-        return picture
-    y, x = (((d[:-1] + d[1:]) / 2 - p[0]) / frame.pitch_um - 0.5 for d, p in zip(dots, pixels, strict=True))
-    grid = np.meshgrid(y, x, indexing="ij")
-    return map_coordinates(picture, grid, order=SPLINE_ORDER[display.interpolation], mode="nearest")
+    for axis, um in enumerate(size_um):
+        low_um = um / 2 - picture.shape[axis] / 2 * frame.pitch_um
+        edges_um = dot_edges_um(um, size_um[1], frame.pitch_um, display)
+        picture = average_axis(picture, frame.pitch_um, low_um, edges_um, SPLINE_DEGREE[display.interpolation], axis)
+    return picture
 
 
 def shown_luminance(relative_luminance: Array, display: Display) -> Array:

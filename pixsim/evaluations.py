@@ -7,6 +7,7 @@ file is also the state from which an interrupted study goes on.
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,8 +123,16 @@ def _read_rows(path: Path) -> dict[str, Row]:
     if not path.is_file():
         return {}
     whole, newline, _ = path.read_bytes().rpartition(b"\n")
-    table = csv.DictReader((whole + newline).decode().splitlines())
-    return {row["key"]: row for row in table if all(row.get(name) for name in COLUMNS)}
+    table = csv.DictReader((whole + newline).decode(errors="replace").splitlines())
+    return {row["key"]: row for row in table if is_whole(row)}
+
+
+def is_whole(row: Row) -> bool:
+    """Whether a row has every column, and numbers where they belong; others are made again."""
+    try:
+        return all(row[name] for name in COLUMNS[:2]) and all(math.isfinite(float(row[name])) for name in COLUMNS[2:])
+    except (KeyError, TypeError, ValueError):
+        return False
 
 
 def _write_rows(path: Path, rows: list[Row]) -> None:

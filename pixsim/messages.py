@@ -8,8 +8,6 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from pixsim import parameters, technology
-
 
 def explain(error: ValueError) -> str:
     """One line for a PixsimError, one for each problem of a ValidationError."""
@@ -29,7 +27,7 @@ def _line(title: str, problem: ErrorDetails) -> str:
     if problem["type"] == "missing":
         return f"{where}: missing; every {title} needs it."
     message = problem["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
+    message = message[0].lower() + message[1:].replace("valid tuple", "list")
     if problem["type"] == "value_error":
         return f"{where}: {message}."
     return f"{where}: got {problem['input']!r}; allowed: {message.removeprefix('input should be ')}."
@@ -37,7 +35,9 @@ def _line(title: str, problem: ErrorDetails) -> str:
 
 def _names(title: str, path: list[str]) -> list[str]:
     """Field names of the record that a dotted path leads to, from the record called `title`."""
-    record: Any = getattr(parameters, title, None) or getattr(technology, title, None)
+    from pixsim import parameters, sensitivity, technology  # where records live; only errors need them all
+
+    record: Any = next((vars(room)[title] for room in (parameters, technology, sensitivity) if title in vars(room)), None)
     for part in path:
         field = record.model_fields.get(part) if record else None
         record = field.annotation if field else None

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
 from pixsim.evaluations import pixel_of
 from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_picture, extent, new_figure
-from pixsim.merit import dr_and_snr_db, mpe30_lx_s, mtf50_cy_per_mm, system_mtf
+from pixsim.merit import dr_and_snr_db, system_mtf
 from pixsim.paper import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
@@ -18,8 +19,7 @@ from pixsim.paper import (
     frequency_contrast_table,
 )
 from pixsim.pixel import derive
-from pixsim.plates import MARKERS, Column, Plate, draw_iso, pictures
-from pixsim.spectral import Array
+from pixsim.plates import MARKERS, Column, Plate, coarse_table, draw_iso, pictures
 from pixsim.sweep import Curve, StudyResult
 
 FIGURE_5_PITCH_UM = 8.0
@@ -37,7 +37,6 @@ def paper_plates(evidence: Evidence) -> list[Plate]:
         figure_5(result, curve),
         figure_6(evidence),
         errors_by_frequency_and_contrast(evidence),
-        light_against_detail(result, curve),
     ]
 
 
@@ -89,10 +88,7 @@ def figure_4(result: StudyResult) -> Plate:
     figure = new_figure(4.6, 4.4)
     axes = figure.subplots()
     draw_picture(axes, lux / lux.max(), result.irradiance)
-    rows = np.linspace(0, lux.shape[0] - 1, 5).astype(int)
-    x_mm = (np.arange(lux.shape[1]) + 0.5) / lux.shape[1] * extent(result.irradiance)[1]
-    table: dict[str, Column] = {"x_mm": x_mm.tolist()}
-    table |= {f"illuminance_lx_row_{row}": lux[row].tolist() for row in rows.tolist()}
+    table = coarse_table(lux, "illuminance_lx")
     caption = f"Figure 4. The scene as rendered on the sensor plane, {lux.min():.3g} to {lux.max():.3g} lx, fall-off included."
     return Plate("figure_4_scene", caption, figure, table)
 
@@ -106,22 +102,27 @@ def figure_5(result: StudyResult, curve: Curve) -> Plate:
 def figure_6(evidence: Evidence) -> Plate:
     """Curves of ΔE = 3 for four pixel sizes."""
     level = evidence.result.study.iso_delta_e
+    _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
     figure = new_figure(5.4, 5.0)
     axes = figure.subplots()
+    vertices: list[tuple[float, float, float]] = []
     for pitch_um, colour in zip(FIGURE_6_PITCHES_UM, COLOURS, strict=True):
         smooth = gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
-        draw_iso(axes, evidence.result, smooth, [level], [colour], [1.6], [f"{pitch_um:g} µm"])
+        lines = draw_iso(axes, evidence.result, smooth, [level], [colour], [1.6], [f"{pitch_um:g} µm"])
+        vertices += [(pitch_um, x / width_mm, y / height_mm) for x, y in lines]
     handles = [axes.plot([], [], color=colour, label=f"{p:g} µm")[0]
                for p, colour in zip(FIGURE_6_PITCHES_UM, COLOURS, strict=True)]  # fmt: skip
     axes.legend(handles=handles, frameon=False, loc="upper left")
-    table: dict[str, Column] = {"pitch_um": list(FIGURE_6_PITCHES_UM)}
-    frequency = frequency_contrast_table(evidence.maps[FIGURE_6_PITCHES_UM[0]])[0]
-    limits: Array = np.stack([evidence.thresholds[pitch] for pitch in FIGURE_6_PITCHES_UM])
-    table |= {f"contrast_at_{f:.3g}_lp_per_mm": limits[:, index].tolist() for index, f in enumerate(frequency)}
+    pitch_um_of, x, y = np.array(vertices).T.reshape(3, -1)
+    table: dict[str, Column] = {
+        "pitch_um": pitch_um_of.tolist(),
+        "frequency_lp_per_mm": csf_frequency_lp_per_mm(x).tolist(),
+        "contrast": csf_contrast(y).tolist(),
+    }
     caption = (
         f"Figure 6. Curves of ΔE = {level:g} for four pixel sizes (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
         "dots). Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the better the pixel. "
-        "The table gives the contrast at which the mean over a frequency band reaches the level (inf: never)."
+        "The table holds the curves' points."
     )
     return Plate("figure_6_iso_delta_e", caption, figure, table)
 
@@ -142,26 +143,3 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     table: dict[str, Column] = {"contrast": contrast.tolist()}
     table |= {f"delta_e_at_{each:.3g}_lp_per_mm": values[:, index].tolist() for index, each in enumerate(frequency)}
     return Plate("delta_e_by_frequency_and_contrast", "Mean ΔE by spatial frequency and contrast, 8 µm pixels.", figure, table)
-
-
-def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
-    """MTF50 and MPE30 of each pitch: the two sides of the trade-off."""
-    pixels = [derive(pixel_of(result.study, curve.technology, pitch)) for pitch in curve.pitch_um.tolist()]
-    mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
-    mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
-    figure = new_figure(6.0, 3.8)
-    axes = figure.subplots()
-    axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0])
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    axes.set_ylim(bottom=0)
-    other = axes.twinx()
-    other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1])
-    other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
-    other.spines["right"].set_visible(True)
-    caption = (
-        f"Both sides of the trade-off ({curve.technology}): the frequency at which the system MTF is one half, and the least "
-        "exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High detail and little light are good."
-    )
-    table = {"pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "mpe30_lx_s": mpe30}
-    return Plate("light_against_detail", caption, figure, table)

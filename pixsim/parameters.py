@@ -45,7 +45,7 @@ class Camera(Record):
 
     focal_length_mm: Positive = Field(3.86, description="focal length")
     f_number: Positive = Field(4.0, description="f-number as engraved: focal length over entrance pupil diameter")
-    die_mm: Positive = Field(2.7136, description="width of the die; 512 pixels of 5.3 µm by default")
+    die_mm: Annotated[float, Field(gt=0, le=1000)] = Field(2.7136, description="width of the die; 512 pixels of 5.3 µm by default")
     object_distance_m: Positive = Field(1.0, description="from the lens to the plane in focus")
     transmittance: Fraction = Field(1.0, description="of the lens")
 
@@ -176,9 +176,13 @@ class Display(Record):
     raster: Literal["fixed_size", "one_to_one"] = Field(
         "fixed_size", description="the die fills `dots` display dots, or one pixel is one dot"
     )
-    dots: Annotated[int, Field(ge=8, le=16384)] = Field(512, description="across the die, for fixed_size")
-    samples_per_deg: Positive = Field(23.0, description="display dots per degree of visual angle; 72 dpi at 18 inch")
-    interpolation: Literal["linear", "nearest", "cubic"] = Field("linear", description="where pixels exceed dots")
+    dots: Annotated[int, Field(ge=8, le=4096)] = Field(512, description="across the die, for fixed_size")
+    samples_per_deg: Annotated[float, Field(gt=0, le=1e5)] = Field(
+        23.0, description="display dots per degree of visual angle; 72 dpi at 18 inch"
+    )
+    interpolation: Literal["linear", "nearest", "cubic"] = Field(
+        "linear", description="between pixel centres, before averaging over dots"
+    )
     gamma: Positive = Field(2.2, description="light = counts^gamma")
     bits: Annotated[int, Field(ge=1, le=16)] = Field(8, description="of the digital counts")
     white_cd_per_m2: Positive | None = Field(
@@ -222,6 +226,7 @@ class Study(Record):
     pixel: PixelOptions = PixelOptions()
     exposure: Exposure = Exposure()
     display: Display = Display()
+    sources: dict[str, str] = Field(default_factory=dict, description="dotted name -> where its value comes from")
     quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
 
     @model_validator(mode="after")

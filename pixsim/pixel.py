@@ -145,16 +145,28 @@ class PixelPhysics:
         """Full well ↔ 2^bits - 1 - black level."""
         return (2**self.pixel.bits - 1 - self.pixel.black_level_dn) / self.full_well_e
 
-    def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
-        """Electrons per photon on the photodiode, (B,), sampled at the band centres."""
-        wavelength_nm = np.asarray(wavelength_nm, float)
+    def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         if self.pixel.quantum_efficiency is not None:
             qe = np.full(wavelength_nm.shape, self.pixel.quantum_efficiency)
         elif self.technology.response_curve == "silicon":
             qe = silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
         else:
             qe = response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
-        return np.where(wavelength_nm > (self.pixel.infrared_cut_nm or np.inf), 0.0, qe)
+        return qe
+
+    def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
+        """Electrons per photon on the photodiode at a wavelength, (B,); zero beyond the infrared cut."""
+        nm = np.asarray(wavelength_nm, float)
+        return np.where(nm > self.infrared_cut_nm, 0.0, self._uncut_quantum_efficiency(nm))
+
+    @property
+    def infrared_cut_nm(self) -> float:
+        return self.pixel.infrared_cut_nm or math.inf
+
+    def band_quantum_efficiency(self, wavelength_nm: Array, band_width_nm: Array) -> Array:
+        """Electrons per photon of each band, (B,): at its centre, times the part of the band below the infrared cut."""
+        below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
+        return self._uncut_quantum_efficiency(wavelength_nm) * below
 
     def dynamic_range_db(self, integration_s: float) -> float:
         """Eq. (1) of Chen et al. (2000). PixsimError where the dark charge fills the well."""
@@ -190,6 +202,10 @@ class Well:
 def well(pixel: Pixel, technology: Technology, area_um2: float) -> Well:
     """C V_s/q from the junction or the paper's capacitance, or the given density."""
     if technology.full_well_e_per_um2 is not None:
+        if pixel.capacitance == "paper":
+            raise refuse(
+                "pixel.capacitance", f"'paper' for {technology.name}", "3T technologies: a pinned photodiode's well is given"
+            )
         return Well(technology.full_well_e_per_um2 * area_um2)
     junction = technology.junction
     assert junction is not None  # the record's validator
@@ -230,10 +246,11 @@ def derive(pixel: Pixel) -> PixelPhysics:
         pixel=pixel,
         technology=technology,
         fill_factor=fill_factor,
-        capacitance_ff=kept.mean_ff,
+        capacitance_ff=None if kept.mean_ff is None else kept.mean_ff * full_well_e / kept.full_well_e,
         full_well_e=full_well_e,
         dark_current_e_per_s=given(pixel.dark_current_e_per_s, dark_e_per_s),
-        reset_noise_e=reset_noise_e(kept.reset_ff or 0.0, pixel.temperature_k, factor),
+        # A given well is a larger or smaller capacitance with the same swing.
+        reset_noise_e=reset_noise_e((kept.reset_ff or 0.0) * full_well_e / kept.full_well_e, pixel.temperature_k, factor),
         read_noise_e=given(pixel.read_noise_e, technology.read_noise_e),
         prnu=given(pixel.prnu, technology.prnu),
         dsnu=given(pixel.dsnu, technology.dsnu),

@@ -27,27 +27,30 @@ class Plan:
 
     rank_one : the picture is one spectrum times one neutral picture, so one pass gives every band
     lamp : the spectrum that all emitters share, or None (bands are then flat and the lamps stay as they are)
+    emissive_chart : a lone flat emitter, whose texel value 1 is the scene's white
     passes : band indices of each pass; empty for rank one
     reasons : why, for people
     """
 
     rank_one: bool
     lamp: Lamp | None
+    emissive_chart: bool
     passes: tuple[tuple[int, ...], ...]
     reasons: tuple[str, ...]
 
 
 def make_plan(scene: Scene, state: Any, full: bool = False) -> Plan:
-    """Decide from the parsed tree. `full` leaves nothing out: every band is rendered, with all bounces."""
+    """Decide from the parsed tree. `full` leaves nothing out: every band is rendered, with the scene's own integrator."""
     lamp = find_lamp(state, scene.choice.variant)
     if lamp is None:
-        return Plan(False, None, band_passes(), ("several or coloured lamp spectra: flat bands, the lamps in place",))
+        return Plan(False, None, False, band_passes(), ("several or coloured lamp spectra: flat bands, the lamps in place",))
+    alone = is_single_emitter(state)
     if full:
-        return Plan(False, lamp, band_passes(), ("nothing left out",))
-    if is_single_emitter(state):
+        return Plan(False, lamp, alone, band_passes(), ("nothing left out: every band, the scene's own integrator",))
+    if alone:
         reason = "one lamp spectrum on a neutral, flat, lone emitter: one pass serves every band, no bounces"
-        return Plan(True, lamp, (), (reason,))
-    return Plan(False, lamp, band_passes(), ("one lamp spectrum on coloured objects: lamp-shaped bands",))
+        return Plan(True, lamp, True, (), (reason,))
+    return Plan(False, lamp, False, band_passes(), ("one lamp spectrum on coloured objects: lamp-shaped bands",))
 
 
 def is_single_emitter(state: Any) -> bool:

@@ -6,13 +6,17 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from pixsim.evaluations import pixel_of
 from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_delta_e, draw_picture, extent, label_axes, new_figure
+from pixsim.merit import mpe30_lx_s, mtf50_cy_per_mm
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
+from pixsim.pixel import derive
 from pixsim.spectral import Array
 from pixsim.sweep import Curve, StudyResult
 
@@ -21,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Column = Sequence[float | str]
+COARSE = 64  # samples a side of the tables of pictures
 SENSORS_SHOWN = 8  # in mean maps
 MARKERS = ("o", "s", "^", "D")
 
@@ -49,6 +54,7 @@ def draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
     best = curve.optimum
     label = f"{curve.technology}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else curve.technology
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=marker, ms=4, lw=1, capsize=2, color=colour, label=label)
+    axes.fill_between(curve.pitch_um, mean - ci95, mean + ci95, color=colour, alpha=0.15, lw=0)
     here = window(mean)
     axes.plot(*fitted_curve(curve.pitch_um[here], mean[here]), color=colour, lw=1.5)
     if best.inside:
@@ -67,7 +73,7 @@ def fill_factor_axis(axes: Axes, curve: Curve) -> None:
 def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
-    for curve, colour, marker in zip(curves, COLOURS, MARKERS, strict=False):
+    for curve, colour, marker in zip(curves, cycle(COLOURS), cycle(MARKERS), strict=False):
         draw_curve(axes, curve, colour, marker)
     axes.set_xlabel("pixel size (µm)")
     axes.set_ylabel("mean ΔE, S-CIELAB")
@@ -139,10 +145,18 @@ def pictures(result: StudyResult, curve: Curve, pitch_um: float, name: str) -> P
     draw_iso(iso, result, smooth, levels, COLOURS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.technology}): the ideal image, the picture of one sensor, its ΔE map "
-        f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} display dots; errors grow downwards."
+        f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
     )
-    table: dict[str, Column] = {"sensor": list(range(len(scores))), "mean_delta_e": [score.mean_delta_e for score in scores]}
-    return Plate(name, caption, figure, table)
+    return Plate(name, caption, figure, coarse_table(np.mean([score.delta_e for score in scores], axis=0), "delta_e"))
+
+
+def coarse_table(values: Array, name: str) -> dict[str, Column]:
+    """A picture in at most 64 × 64 means: a row for each row, a column for each column."""
+    rows, columns = (np.array_split(np.arange(n), min(COARSE, n)) for n in values.shape)
+    by_row = np.stack([values[each].mean(axis=0) for each in rows])
+    coarse = np.stack([by_row[:, each].mean(axis=1) for each in columns], axis=1)
+    table: dict[str, Column] = {"row": list(range(len(rows)))}
+    return table | {f"{name}_column_{index}": coarse[:, index].tolist() for index in range(len(columns))}
 
 
 def draw_iso(
@@ -153,8 +167,9 @@ def draw_iso(
     colours: Sequence[str],
     widths: Sequence[float],
     labels: Sequence[str],
-) -> None:
-    """Curves of equal ΔE in the axes of the picture."""
+) -> list[tuple[float, float]]:
+    """Curves of equal ΔE in the axes of the picture; returns their points, (x, y) in mm."""
+    points: list[tuple[float, float]] = []
     left, right, bottom, top = extent(result.irradiance)
     x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
     y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
@@ -169,12 +184,14 @@ def draw_iso(
             linewidths=[widths[i] for i in there],
         )
         axes.legend(lines.legend_elements()[0], [labels[i] for i in there], frameon=False, loc="upper left")
+        points = [(float(px), float(py)) for segments in lines.allsegs for segment in segments for px, py in segment]
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.set_aspect("equal")
     label_axes(axes, result.irradiance)
     for spine in axes.spines.values():
         spine.set(visible=True, color="0.8")
+    return points
 
 
 def optimum_against_technology(result: StudyResult) -> Plate:
@@ -208,3 +225,26 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     }
     caption = "Optimal pixel size against technology, and the line that the largest process scaled in proportion would follow."
     return Plate("optimum_against_technology", caption, figure, table)
+
+
+def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
+    """MTF50 and MPE30 of each pitch: the two sides of the trade-off."""
+    pixels = [derive(pixel_of(result.study, curve.technology, pitch)) for pitch in curve.pitch_um.tolist()]
+    mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
+    mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
+    figure = new_figure(6.0, 3.8)
+    axes = figure.subplots()
+    axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0])
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
+    axes.set_ylim(bottom=0)
+    other = axes.twinx()
+    other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1])
+    other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
+    other.spines["right"].set_visible(True)
+    caption = (
+        f"Both sides of the trade-off ({curve.technology}): the frequency at which the system MTF is one half, and the least "
+        "exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High detail and little light are good."
+    )
+    table = {"pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "mpe30_lx_s": mpe30}
+    return Plate("light_against_detail", caption, figure, table)

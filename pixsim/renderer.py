@@ -43,7 +43,7 @@ def render(
     scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
     camera : its numbers replace the file's; None takes what the file says
     seed : of the sampler; same seed, same bits
-    full : leave nothing out (every band, all bounces)
+    full : leave nothing out (every band, the scene's own integrator)
     progress : called with the fraction done
 
     Raises PixsimError where Mitsuba refuses the scene, or the picture is black or not finite.
@@ -87,7 +87,9 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
         "plan": list(plan.reasons),
         "pixsim": pixsim.__version__,
     }
-    if plan.lamp is not None and plan.rank_one:
+    if plan.lamp is not None:
+        header["lamp_w_per_m2_sr_nm"] = band_means(plan.lamp).tolist()
+    if plan.lamp is not None and plan.emissive_chart:
         header["luminance_cd_per_m2"] = float(f"{plan.lamp.luminance_cd_per_m2:.9g}")
     return header
 

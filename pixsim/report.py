@@ -17,7 +17,7 @@ from pixsim.files import replacing
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import paper_plates
 from pixsim.parameters import Record
-from pixsim.plates import Plate, delta_e_against_pitch, optimum_against_technology, other_statistics, pictures
+from pixsim.plates import Plate, delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics, pictures
 from pixsim.sweep import Curve, StudyResult
 from pixsim.technology import load_technology
 
@@ -60,7 +60,7 @@ def study_plates(result: StudyResult) -> list[Plate]:
     plates += [
         pictures(result, curve, nearest_pitch_um(curve), f"pictures_{file_label(curve.technology)}") for curve in result.curves
     ]
-    plates.append(other_statistics(first))
+    plates += [other_statistics(first), light_against_detail(result, first)]
     if not result.study.paper:
         return plates
     return [replace(plate, caption=FIGURE_NUMBERS.get(plate.name, "") + plate.caption) for plate in plates]
@@ -110,14 +110,14 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     return path
 
 
-def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str]]]]:
-    """The parameters with their meaning, as the report's tables show them; unset ones come from the technology."""
+def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str, str]]]]:
+    """The parameters with their meaning and source, as the report's tables show them; unset ones come from the technology."""
     study = result.study
     records: dict[str, Record] = {
         "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
     }  # fmt: skip
     return [
-        (name, [(key, value, type(record).model_fields[key].description or "")
+        (name, [(key, value, type(record).model_fields[key].description or "", study.sources.get(f"{name}.{key}", "default"))
                 for key, value in record.model_dump(exclude_none=True).items()])
         for name, record in records.items()
     ]  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 
 from pixsim import variant as variants
 from pixsim.errors import refuse
-from pixsim.lamps import find_lamp
+from pixsim.lamps import find_lamp, is_neutral
 from pixsim.mitsuba_xml import children, nodes_of, parse, plain
 from pixsim.parameters import Camera, CameraOptions, content_hash
 from pixsim.spectral import read_channels
@@ -260,9 +260,24 @@ def texture_files(state: Any, folder: Path) -> list[Path]:
 
 def check_textures(state: Any, folder: Path) -> None:
     """Refuse NaN, infinite and negative texels: Mitsuba lets them pass, and spreads them over their neighbours."""
+    raw = {
+        path
+        for _, node in nodes_of(state, "Texture")
+        if is_neutral(node) and "filename" in node.props
+        for path in (folder / str(node.props["filename"]), Path(str(node.props["filename"])))
+    }
     for path in texture_files(state, folder):
+        if path in raw and path.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp", ".tga"):
+            raise refuse(
+                f"texture '{path}'", f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes"
+            )
         if path.suffix.lower() == ".exr":
-            for name, texels in read_channels(path)[0].items():
+            channels = read_channels(path)[0]
+            if path in raw and len(channels) > 1:
+                raise refuse(
+                    f"texture '{path}'", f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture"
+                )
+            for name, texels in channels.items():
                 bad = ~(np.isfinite(texels) & (texels >= 0))
                 if bad.any():
                     row, column = np.argwhere(bad)[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,8 @@ from pixsim.pixel import PixelPhysics, derive
 from pixsim.scielab import delta_e, filtered_lab
 from pixsim.sensor import Frame, capture_rate, draw_sensor, mean_signal_rate
 from pixsim.spectral import Array, SpectralImage
+
+CLIPPED_WARNING = 0.01
 
 
 def stream(*key: object) -> np.random.Generator:
@@ -82,11 +85,6 @@ def seen_lab(shown: Array, display: Display, workers: int = 1) -> Array:
     )
 
 
-def shown_ideal(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> Array:
-    """The ideal image as the display shows it, (H, W)."""
-    return displays.shown_luminance(displays.ideal_luminance(irradiance, camera, physics, display), display)
-
-
 @dataclass(frozen=True)
 class Bench:
     """What all pictures of one pixel type share: its mean signal and the viewer's ideal image."""
@@ -112,9 +110,17 @@ class Bench:
 
 
 def make_bench(irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display) -> Bench:
-    """Everything up to the noise."""
+    """Everything up to the noise. Warns where the camera is not the render's, or the display cannot show the scene."""
+    rendered = irradiance.header.get("camera")
+    if rendered is not None and Camera.model_validate(rendered) != camera:
+        warnings.warn("the irradiance was rendered with another camera than the one it is sensed with", stacklevel=3)
     physics = derive(pixel)
-    ideal = shown_ideal(irradiance, camera, physics, display)
+    luminance = displays.ideal_luminance(irradiance, camera, physics, display)
+    if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
+        warnings.warn(
+            f"{beyond:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2", stacklevel=3
+        )
+    ideal = displays.shown_luminance(luminance, display)
     white_per_um2 = displays.white_rate(irradiance, camera, physics, display)
     return Bench(
         signal_e_per_s=mean_signal_rate(irradiance, camera, physics),

@@ -19,6 +19,7 @@ from pixsim.spectral import Array, SpectralImage, photons_per_joule
 # 1e-5 in its skewness, which is 1/√mean.
 POISSON_LIMIT_E = 1e9
 M2_PER_UM2 = 1e-12
+MOST_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
 SPLINE_DEGREE = 5  # of the running integral: 0.02 % contrast error at 60 lp/mm on a 2.65 µm grid; cubic 0.55 %
 
 
@@ -27,14 +28,14 @@ SPLINE_DEGREE = 5  # of the running integral: 0.02 % contrast error at 60 lp/mm 
 
 def electrons_per_joule(physics: PixelPhysics, wavelength_nm: Array, band_width_nm: Array) -> Array:
     """QE · λ/hc · Δλ, (B,): electrons s⁻¹ m⁻² of photodiode from W m⁻² nm⁻¹, summed over bands."""
-    return physics.quantum_efficiency(wavelength_nm) * photons_per_joule(wavelength_nm) * band_width_nm
+    return physics.band_quantum_efficiency(wavelength_nm, band_width_nm) * photons_per_joule(wavelength_nm) * band_width_nm
 
 
 def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
     """Electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, (H, W).
 
     One convolution for each spectrum of a factored image (the white-light OTF, exact), one a band otherwise.
-    Values that rang below zero are clipped; `ringing` tells how much.
+    Values that rang below zero are clipped.
     """
     nm, weight = (
         irradiance.wavelength_nm,
@@ -103,6 +104,9 @@ def integrate_pixels(rate: Array, sample_pitch_um: float, pitch_um: float, photo
     Returns (rows, columns), rows = ⌊H · sample pitch / pitch⌋. Raises PixsimError where not one pixel fits.
     """
     result = rate
+    pixels = math.prod(pixel_count(n * sample_pitch_um, pitch_um) for n in rate.shape)
+    if pixels > MOST_PIXELS:
+        raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
     for axis, n in enumerate(rate.shape):
         length_um = n * sample_pitch_um
         count = pixel_count(length_um, pitch_um)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.config import packaged, read_toml
+from pixsim.display import white_cd_per_m2
 from pixsim.errors import refuse
 from pixsim.evaluations import COLUMNS, Progress, Row, bench_for, evaluate_all, pixel_of, stream_key, study_pitches_um
 from pixsim.files import output_folder
@@ -101,7 +102,14 @@ def read_study(name: str | os.PathLike[str]) -> dict[str, Any]:
 
 def load_study(name: str | os.PathLike[str]) -> Study:
     """A packaged study by name, or a TOML file."""
-    return Study.model_validate(read_study(name))
+    return checked_study(read_study(name))
+
+
+def checked_study(table: dict[str, Any]) -> Study:
+    """A study's table as a record; its `quick` table is checked too, whether or not it will be used."""
+    study = Study.model_validate(table)
+    Study.model_validate(study.quickened)
+    return study
 
 
 def curve_of(technology: str, rows: list[Row]) -> Curve:
@@ -165,6 +173,7 @@ def sweep_pitches(
     study: Study, irradiance: SpectralImage, camera: Camera, results: Path, jobs: int, progress: Callable[[], Progress | None]
 ) -> StudyResult:
     """Evaluate what is missing in results.csv, add sensors until the target interval is met, and fit the optima."""
+    white_cd_per_m2(irradiance, study.display)  # refuse an unknown white before any file is made
     while True:
         rows = evaluate_all(study, camera, irradiance, results, jobs, progress())
         curves = tuple(curve_of(technology, rows) for technology in study.technologies)
