@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,6 +162,8 @@ def evaluate_all(
     keys = _row_keys(study, camera, irradiance)
     known = _read_rows(results)
     done = {key: known[key] for key in keys.values() if key in known}
+    if results.is_file() and (len(done) < len(known) or (not known and results.stat().st_size > len(",".join(COLUMNS)) + 2)):
+        shutil.copyfile(results, results.with_name(results.name + ".old"))  # rows of another study, or no rows at all
     _write_rows(results, list(done.values()))
     tasks = _missing_tasks(study, camera, keys, done)
     missing = total = sum(len(task.keys) for task in tasks)

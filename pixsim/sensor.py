@@ -162,16 +162,18 @@ def draw_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Ge
     return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
-def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0) -> Sensor:
-    """An individual sensor that fills the camera's (square) die, its fixed pattern drawn from the seed.
+def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 1.0) -> Sensor:
+    """An individual sensor that fills the camera's die, its fixed pattern drawn from the seed.
+
+    `aspect` is width over height: 1 for the square die of the packaged scenes, else that of the film.
 
     Raises PixsimError for a pitch that is too small for the technology or larger than the die.
     """
     physics, die_um = derive(pixel), 1e3 * camera.die_mm
-    side = pixel_count(die_um, pixel.pitch_um)
-    if side < 1:
+    shape = pixel_count(die_um / aspect, pixel.pitch_um), pixel_count(die_um, pixel.pitch_um)
+    if min(shape) < 1:
         raise refuse("pixel.pitch_um", f"{pixel.pitch_um:g}", f"at most the die, {die_um:g} µm")
-    return draw_sensor(physics, (side, side), np.random.default_rng(seed))
+    return draw_sensor(physics, shape, np.random.default_rng(seed))
 
 
 # --- noise, in the order of the charge --------------------------------------------------------------------------------
@@ -264,7 +266,7 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
             "sensor",
             f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}",
             "the same shape",
-            "Make the sensor with the camera that the irradiance was rendered with.",
+            "Make the sensor with the camera and the film's aspect that the irradiance was rendered with.",
         )
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
     mean_e = signal_e_per_s * time_s
