@@ -7,7 +7,7 @@ import numpy as np
 from pixsim import optics
 from pixsim.parameters import Pixel
 from pixsim.pixel import PixelPhysics, derive
-from pixsim.sensor import electrons_per_joule
+from pixsim.sensor import M2_PER_UM2, electrons_per_joule
 from pixsim.spectral import Array, luminous_weight
 from pixsim.sweep import StudyResult
 
@@ -56,7 +56,7 @@ def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> fl
     irradiance = result.irradiance
     nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
     spectrum = irradiance.factors[0][0] if irradiance.factors else irradiance.data.mean(axis=(0, 1), dtype=float)
-    electrons = (electrons_per_joule(physics, nm, width_nm) * spectrum).sum() * 1e-12
+    electrons = (electrons_per_joule(physics, nm, width_nm) * spectrum).sum() * M2_PER_UM2
     return float(electrons / (luminous_weight(nm, width_nm) * spectrum).sum())
 
 

@@ -187,7 +187,7 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
         best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM,
         ASSUMED,
     )
-    fill_factor = float(np.interp(best.pitch_um, curve.pitch_um, curve.fill_factor))
+    fill_factor = curve.optimum_fill_factor
     agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
     yield Finding("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees, unless(agrees))
 
@@ -234,10 +234,9 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
         why = f"the steps of the display ({bits} bits) show in it" if fine == 1 else ASSUMED
         found += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
     yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", found, count == 1, why)
-    _, _, table = frequency_contrast_table(map_)
+    frequency, contrast, table = frequency_contrast_table(map_)
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
-    frequency, contrast, _ = frequency_contrast_table(map_)
     yield Finding(
         "Largest errors (8 µm)",
         "at high frequency and high contrast",

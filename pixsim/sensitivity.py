@@ -86,15 +86,11 @@ class Case:
                 {
                     "technology": curve.technology,
                     "optimum": curve.optimum.as_dict(),
-                    "optimum_fill_factor": optimum_fill_factor(curve),
+                    "optimum_fill_factor": curve.optimum_fill_factor,
                 }
                 for curve in self.curves
             ],
         }
-
-
-def optimum_fill_factor(curve: Curve) -> float:
-    return float(np.interp(curve.optimum.pitch_um, curve.pitch_um, curve.fill_factor))
 
 
 @dataclass(frozen=True)

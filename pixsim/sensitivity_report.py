@@ -8,7 +8,7 @@ from typing import Any
 from pixsim.figures import COLOURS, new_figure, save_svg
 from pixsim.plates import Column, Plate
 from pixsim.report import data_uri, versions, write_json, write_page
-from pixsim.sensitivity import Case, SensitivityResult, optimum_fill_factor
+from pixsim.sensitivity import Case, SensitivityResult
 
 
 def tornado(result: SensitivityResult) -> Plate:
@@ -54,7 +54,7 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
         "optimum_um": [curve.optimum.pitch_um for _, curve in rows],
         "ci95_um": [curve.optimum.ci95_um for _, curve in rows],
         "fit_um": [curve.optimum.fit_um for _, curve in rows],
-        "optimum_fill_factor": [optimum_fill_factor(curve) for _, curve in rows],
+        "optimum_fill_factor": [curve.optimum_fill_factor for _, curve in rows],
         "mean_delta_e": [curve.optimum.mean_delta_e for _, curve in rows],
         "inside": [str(curve.optimum.inside) for _, curve in rows],
     }
@@ -84,7 +84,7 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
         "plate": plate,
         "image": data_uri("image/svg+xml", (figures / "tornado.svg").read_bytes()),
         "data": data_uri("text/csv", plate.csv.encode()),
-        "cases": [(case, meets(case), [optimum_fill_factor(c) for c in case.curves]) for case in (result.base_case, *result.cases)],
+        "cases": [(case, meets(case), [c.optimum_fill_factor for c in case.curves]) for case in (result.base_case, *result.cases)],
         "header": result.base.irradiance.header,
         "provenance": provenance,
     }

@@ -46,12 +46,16 @@ class Curve:
         """Mean ΔE, (pitches, repeats)."""
         return self.statistics["mean_delta_e"]
 
+    @property
+    def optimum_fill_factor(self) -> float:
+        return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
+
     def as_dict(self) -> dict[str, Any]:
         mean, ci95 = mean_and_ci95(self.delta_e)
         return {
             "technology": self.technology,
             "optimum": self.optimum.as_dict(),
-            "optimum_fill_factor": float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor)),
+            "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum.pitch_um / self.feature_size_um,
             "pitch_um": self.pitch_um.tolist(),
             "fill_factor": self.fill_factor.tolist(),
