@@ -9,12 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pixsim.errors import refuse
 from pixsim.figures import save_delta_e_png, save_png
 from pixsim.files import output_folder
 from pixsim.parameters import Run
 from pixsim.report import versions, write_json
 from pixsim.score import Score, describe, evaluate
+from pixsim.sensor import pixels_along
 from pixsim.spectral import SpectralImage, write_channels, write_exr
 
 Stage = Callable[[str], Callable[[float], None]]
@@ -41,8 +41,7 @@ def run_and_write(
     derive(settings.pixel)
     scene = load_scene(scene_file, variant=variant, sensor=sensor, **settings.scene)
     camera = scene.camera(settings.camera)
-    if settings.pixel.pitch_um > 1e3 * camera.die_mm:
-        raise refuse("pixel.pitch_um", f"{settings.pixel.pitch_um:g}", f"at most the die, {1e3 * camera.die_mm:g} µm")
+    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)  # refuse too large a pitch before the render
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 

@@ -74,14 +74,13 @@ def delta_e_statistics(delta_e_map: Array) -> dict[str, float]:
     }
 
 
-def seen_lab(shown: Array, display: Display, workers: int = 1) -> Array:
+def seen_lab(shown: Array, display: Display) -> Array:
     """CIELAB of a shown grey image as the viewer's eye blurs it, (H, W, 3)."""
     return filtered_lab(
         displays.to_xyz(shown),
         white_xyz=displays.WHITE_XYZ,
         samples_per_deg=display.samples_per_deg,
         filters=display.filters,
-        workers=workers,
     )
 
 

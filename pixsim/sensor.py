@@ -68,6 +68,14 @@ def pixel_count(length_um: float, pitch_um: float) -> int:
     return math.floor(length_um / pitch_um * (1 + 1e-9))
 
 
+def pixels_along(length_um: float, pitch_um: float) -> int:
+    """`pixel_count`; PixsimError where not one pixel fits."""
+    count = pixel_count(length_um, pitch_um)
+    if count < 1:
+        raise refuse("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm")
+    return count
+
+
 def running_integral(samples: Array, axis: int) -> BSpline:
     """Quintic spline through the running sum of a line of cell means, which is exact at cell borders."""
     n = samples.shape[axis]
@@ -109,9 +117,7 @@ def integrate_pixels(rate: Array, sample_pitch_um: float, pitch_um: float, photo
         raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
     for axis, n in enumerate(rate.shape):
         length_um = n * sample_pitch_um
-        count = pixel_count(length_um, pitch_um)
-        if count < 1:
-            raise refuse("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm")
+        count = pixels_along(length_um, pitch_um)
         centre_um = length_um / 2 + (np.arange(count) - (count - 1) / 2) * pitch_um
         half = photodiode_side_um / 2
         result = integrate_axis(result, sample_pitch_um, centre_um - half, centre_um + half, axis)
@@ -170,9 +176,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 
     Raises PixsimError for a pitch that is too small for the technology or larger than the die.
     """
     physics, die_um = derive(pixel), 1e3 * camera.die_mm
-    shape = pixel_count(die_um / aspect, pixel.pitch_um), pixel_count(die_um, pixel.pitch_um)
-    if min(shape) < 1:
-        raise refuse("pixel.pitch_um", f"{pixel.pitch_um:g}", f"at most the die, {die_um:g} µm")
+    shape = pixels_along(die_um / aspect, pixel.pitch_um), pixels_along(die_um, pixel.pitch_um)
     return draw_sensor(physics, shape, np.random.default_rng(seed))
 
 

@@ -23,6 +23,7 @@ from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
 from pixsim.parameters import Camera, Study
 from pixsim.pixel import derive
 from pixsim.score import Score
+from pixsim.sensor import pixels_along
 from pixsim.spectral import Array, SpectralImage
 from pixsim.technology import load_technology
 
@@ -112,7 +113,7 @@ def load_study(name: str | os.PathLike[str]) -> Study:
 def checked_study(table: dict[str, Any]) -> Study:
     """A study's table as a record; its `quick` table is checked too, whether or not it will be used."""
     study = Study.model_validate(table)
-    Study.model_validate(study.quickened)
+    _ = study.quickened
     return study
 
 
@@ -160,8 +161,7 @@ def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
     scene = load_scene(study.scene.file, variant=variant, **parameters)
     camera = scene.camera(study.camera)
     largest_um = max(study_pitches_um(study, technology).max() for technology in study.technologies)
-    if largest_um > 1e3 * camera.die_mm:
-        raise refuse("pitch", f"{largest_um:g} µm", f"at most the die, {1e3 * camera.die_mm:g} µm")
+    pixels_along(1e3 * camera.die_mm, float(largest_um))
     return scene, camera
 
 
