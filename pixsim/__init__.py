@@ -15,12 +15,15 @@ if TYPE_CHECKING:
     from pixsim.charts import make_chart as make_chart
     from pixsim.charts import write_chart as write_chart
     from pixsim.errors import PixsimError as PixsimError
+    from pixsim.exchange import read_irradiance as read_irradiance
+    from pixsim.exchange import write_npz as write_npz
     from pixsim.parameters import Camera as Camera
     from pixsim.parameters import Display as Display
     from pixsim.parameters import Exposure as Exposure
     from pixsim.parameters import Pixel as Pixel
     from pixsim.parameters import Study as Study
     from pixsim.pixel import derive as derive
+    from pixsim.plan import Plan as Plan
     from pixsim.renderer import render as render
     from pixsim.scene import load_scene as load_scene
     from pixsim.scielab import delta_e_map as delta_e_map
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from pixsim.sensor import Frame as Frame
     from pixsim.sensor import capture as capture
     from pixsim.sensor import make_sensor as make_sensor
+    from pixsim.sensor_plan import make_plan as make_plan
     from pixsim.spectral import SpectralImage as SpectralImage
     from pixsim.spectral import read_exr as read_exr
     from pixsim.spectral import write_exr as write_exr
@@ -47,10 +51,14 @@ _HOME = {
     "SpectralImage": "spectral",
     "read_exr": "spectral",
     "write_exr": "spectral",
+    "read_irradiance": "exchange",
+    "write_npz": "exchange",
     "make_chart": "charts",
     "write_chart": "charts",
     "load_scene": "scene",
     "render": "renderer",
+    "Plan": "plan",
+    "make_plan": "sensor_plan",
     "derive": "pixel",
     "Frame": "sensor",
     "capture": "sensor",

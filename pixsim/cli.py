@@ -31,9 +31,11 @@ from pixsim.options import (
 )
 from pixsim.parameters import Run
 from pixsim.progress import stages
+from pixsim.wording import found_line, plan_table, sensitivity_lines
 
 OK, UNUSABLE_INPUT, INTERRUPTED, TERMINATED = 0, 2, 130, 143
 DEFAULT_OUT = Path("pixsim-out")
+FILE_WIDTH = 160  # columns of a table that does not go to a terminal
 
 app = App(
     name="pixsim",
@@ -44,6 +46,16 @@ app = App(
 )
 
 
+def described(name: str) -> str:
+    """A field of the run's settings, in help's words."""
+    field = Run.model_fields[name]
+    return f"{field.description} [default: {field.default:g}]"
+
+
+Config = Annotated[list[Path] | None, Parameter(help="TOML with tables [camera], [pixel], …; later files win.")]
+Tolerance = Annotated[str | None, Parameter(help=described("tolerance_e"))]
+Full = Annotated[bool, Parameter(help="Leave nothing out.")]
+SensorId = Annotated[str | None, Parameter(help="Id of the sensor, where the scene has several.")]
 Define = Annotated[list[str], Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)]
 Seed = Annotated[str | None, Parameter(help="Of the render, the sensor and its noise [default: 0].")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
@@ -55,49 +67,100 @@ Variant = Annotated[str | None, Parameter(help="Mitsuba variant; by default the 
 def run(
     scene: str,
     *,
-    config: Annotated[list[Path] | None, Parameter(help="TOML with tables [camera], [pixel], …; later files win.")] = None,
+    config: Config = None,
     define: Define | None = None,
     camera: CameraTable = NO_CAMERA,
     pixel: PixelTable = NO_PIXEL,
     exposure: ExposureTable = NO_EXPOSURE,
     display: DisplayTable = NO_DISPLAY,
     seed: Seed = None,
-    full: Annotated[bool, Parameter(help="Leave nothing out of the render.")] = False,
-    sensor: Annotated[str | None, Parameter(help="Id of the sensor, where the scene has several.")] = None,
+    tolerance_e: Tolerance = None,
+    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
+    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    full: Full = False,
+    sensor: SensorId = None,
     variant: Variant = None,
+    units: Annotated[str | None, Parameter(help="Of a picture whose file does not tell them, as W.m^-2.nm^-1.")] = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
     """Render a scene, take its picture with one sensor and score it.
 
-    Example: pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
+    Examples:
+    pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
+    pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
     Writes irradiance.exr, raw.exr, ideal.png, image.png, delta_e.exr, delta_e.png, score.json.
 
     Parameters
     ----------
     scene
-        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge.
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
+        Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry.
     """
     from pixsim.outputs import run_and_write
 
-    layers = [read_toml(path) for path in config or []]
-    options = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
-    layers.append({name: own for name, table in options.items() if (own := given(table))})
-    layers.append({"scene": definitions(define or [])} | ({} if seed is None else {"seed": seed}))
-    settings: dict[str, Any] = {}
-    for layer in layers:
-        settings = merge(settings, layer)
-    chosen = Run.model_validate(settings)
+    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
+    values = {"seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise, "max_seconds": max_seconds}
+    chosen = settings_of(config, tables, define, values)
     folder = out or DEFAULT_OUT / Path(scene).stem
     with stages() as stage:
-        result = run_and_write(scene, chosen, folder, full=full, sensor=sensor, variant=variant, progress=stage)
+        result = run_and_write(scene, chosen, folder, full=full, sensor=sensor, variant=variant, units=units, progress=stage)
+    noise = result.get("render_noise")
     show(
         result,
         json,
         f"mean ΔE {result['mean_delta_e']:.3f} with {result['pitch_um']:g} µm pixels, "
-        f"{1e3 * result['integration_s']:.3g} ms; pictures in {folder}",
+        f"{1e3 * result['integration_s']:.3g} ms"
+        + (f"; noise of the render {noise['fraction']:.2g} of the sensor's" if noise else "")
+        + f"; pictures in {folder}",
     )
+
+
+@app.command
+def plan(
+    scene: str,
+    *,
+    config: Config = None,
+    define: Define | None = None,
+    camera: CameraTable = NO_CAMERA,
+    pixel: PixelTable = NO_PIXEL,
+    tolerance_e: Tolerance = None,
+    full: Full = False,
+    sensor: SensorId = None,
+    variant: Variant = None,
+    json: Json = False,
+) -> None:
+    """What a scene needs, what is left out, why, and what leaving it out can cost at most; nothing is rendered.
+
+    Example: pixsim plan macbeth --tolerance-e 1e-4
+
+    Parameters
+    ----------
+    scene
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
+    """
+    from pixsim.scene import load_scene
+    from pixsim.sensor_plan import make_plan
+
+    chosen = settings_of(config, {"camera": camera, "pixel": pixel}, define, {"tolerance_e": tolerance_e})
+    loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
+    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, tolerance_e=chosen.tolerance_e, full=full)
+    if json:
+        show(made.as_dict(), True, "")
+    else:
+        print(plan_table(made, None if sys.stdout.isatty() else FILE_WIDTH))
+
+
+def settings_of(config: list[Path] | None, tables: dict[str, Any], define: list[str] | None, values: dict[str, str | None]) -> Run:
+    """Defaults ← files ← options, checked once."""
+    layers = [read_toml(path) for path in config or []]
+    layers.append({name: own for name, table in tables.items() if (own := given(table))})
+    layers.append({"scene": definitions(define or [])} | {name: value for name, value in values.items() if value is not None})
+    settings: dict[str, Any] = {}
+    for layer in layers:
+        settings = merge(settings, layer)
+    return Run.model_validate(settings)
 
 
 @app.command
@@ -154,31 +217,6 @@ def study(
 
 def study_folder(out: Path | None, name: str, quick: bool) -> Path:
     return out or DEFAULT_OUT / (name + ("-quick" if quick else ""))
-
-
-def sensitivity_lines(outcome: Any) -> list[str]:
-    """The base, then each assumption with the range that it gives, widest first."""
-    lines = ["base: " + found_line(outcome.base.curves[0])]
-    for name, cases in outcome.by_variation().items():
-        sizes = sorted(case.first.optimum.pitch_um for case in (*cases, outcome.base_case))
-        best = sorted(case.first.optimum.mean_delta_e for case in (*cases, outcome.base_case))
-        lines.append(f"{name}: {sizes[0]:.2f} to {sizes[-1]:.2f} µm, best mean ΔE {best[0]:.3f} to {best[-1]:.3f}")
-    return lines
-
-
-def found_line(curve: Any) -> str:
-    best = curve.optimum
-    if not best.inside:
-        return (
-            f"{curve.technology}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
-            f"the error is least at {best.pitch_um:.2f} µm, the end of the range"
-        )
-    low, high = best.within_1_percent_um
-    return (
-        f"{curve.technology}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %, sensors) "
-        f"± {best.fit_um:.2f} µm "
-        f"(fit), mean ΔE {best.mean_delta_e:.3f}; within 1 % of it from {low:.2f} to {high:.2f} µm"
-    )
 
 
 @app.command
@@ -242,6 +280,9 @@ def main() -> None:
     except CycloptsError as error:
         print(f"pixsim: {error}\nTry 'pixsim --help'.", file=sys.stderr)
         sys.exit(UNUSABLE_INPUT)
+    except BrokenPipeError:  # the reader, as head, has seen enough
+        sys.stderr.close()
+        sys.exit(OK)
     except OSError as error:
         print(f"pixsim: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
         sys.exit(UNUSABLE_INPUT)

@@ -15,7 +15,7 @@ from pixsim.errors import refuse
 from pixsim.parameters import Camera, Display
 from pixsim.pixel import PixelPhysics
 from pixsim.sensor import M2_PER_UM2, Frame, electrons_per_joule, ideal_rate, pixel_count, point_values
-from pixsim.spectral import Array, SpectralImage, d65, luminous_weight
+from pixsim.spectral import Array, SpectralImage, d65
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
@@ -35,19 +35,26 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     return float(white)
 
 
+def white_spectrum(irradiance: SpectralImage) -> Array | None:
+    """Spectrum of the scene's white in the image's bands, any unit: that of its lamps where they share one, else None."""
+    lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
+    if lamp:
+        return np.asarray(lamp, float)
+    return irradiance.factors[0][0] if irradiance.factors and len(irradiance.factors[0]) == 1 else None
+
+
 def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
     """Photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
     Its spectrum is that of the scene's lamps where they share one, else D65.
     """
-    nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
-    lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
-    single = irradiance.factors is not None and len(irradiance.factors[0]) == 1
-    spectrum = np.asarray(lamp) if lamp else irradiance.factors[0][0] if irradiance.factors and single else d65(nm)
     factor_sr = optics.irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
     white_lx = white_cd_per_m2(irradiance, display) * float(factor_sr)
-    scale = white_lx / (luminous_weight(nm, width_nm) * spectrum).sum()
-    return float((electrons_per_joule(physics, nm, width_nm) * spectrum).sum() * scale * M2_PER_UM2)
+    spectrum = white_spectrum(irradiance)
+    if spectrum is None:
+        spectrum = irradiance.band_mean(d65)
+    electrons, lux = electrons_per_joule(physics, irradiance) * spectrum, irradiance.luminous_weight() * spectrum
+    return float(electrons.sum() / lux.sum() * white_lx * M2_PER_UM2)
 
 
 def dot_edges_um(length_um: float, die_um: float, pitch_um: float, display: Display) -> Array:

@@ -41,7 +41,7 @@ COLUMNS = (
     "max_delta_e",
 )
 Row = dict[str, str]
-Progress = Callable[[float], None]
+Progress = Callable[..., None]  # (fraction done, what to say beside it)
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:

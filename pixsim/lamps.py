@@ -1,15 +1,17 @@
-"""What lights a scene: the one spectrum behind its emitters, where there is one."""
+"""What lights a scene: the spectra behind its emitters, and which emitters share one."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pixsim.mitsuba_xml import children, nodes_of, plain, speaking_mitsuba
-from pixsim.spectral import Array, luminous_weight
+from pixsim.evaluation import evaluate_emitter, evaluate_spectrum
+from pixsim.mitsuba_xml import children, nodes_of, plain
+from pixsim.spectral import LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W
+from pixsim.spectral import photopic_efficiency
+from pixsim.spectrum import Spectrum, grid_nm, tabulated
 
 # What the stock emitters call their spectrum.
 EMISSION = {
@@ -18,82 +20,115 @@ EMISSION = {
     "point": "intensity",
     "spot": "intensity",
     "directional": "irradiance",
+    "directionalarea": "radiance",
 }
-LAMP_GRID_NM = np.arange(360.0, 831.0)
+LUMINANCE_STEP_NM = 1 / 8
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """The one spectrum that all emitters share, and what each emitter is without it.
+    """Emitters that share one spectrum, and what each is without it; or emitters whose colours stay in place.
 
-    radiance : (471,) W m⁻² sr⁻¹ nm⁻¹ at 360 … 830 nm, of texel value 1 (or of the first emitter)
-    pictures : emitter node -> (property, node of its neutral picture, or its power relative to `radiance`)
+    spectrum : of texel value 1 (or of the first emitter), W m⁻² sr⁻¹ nm⁻¹; None where colour and picture are not apart
+    pictures : emitter node -> (property, node of its neutral picture, or its power relative to `spectrum`)
     """
 
-    radiance: Array = field(repr=False)
+    spectrum: Spectrum | None
     pictures: dict[int, tuple[str, int | float]]
 
     @property
     def luminance_cd_per_m2(self) -> float:
-        return float((self.radiance * luminous_weight(LAMP_GRID_NM, 1.0)).sum())
-
-
-def find_lamp(state: Any, variant: str) -> Lamp | None:
-    """The one spectrum behind all emitters, where there is one and what multiplies it is neutral; else None."""
-    emitters = nodes_of(state, "Emitter")
-    parts = [_emission(state, node) for _, node in emitters]
-    if not parts or any(part is None for part in parts):
-        return None
-    known = [part for part in parts if part is not None]
-    if len({part.spectrum for part in known}) > 1 or (
-        len({part.scale for part in known}) > 1 and any(part.picture is not None for part in known)
-    ):
-        return None
-    first = known[0].scale
-    radiance = first * evaluate_spectrum(dict(known[0].spectrum), variant)
-    pictures: dict[int, tuple[str, int | float]] = {
-        index: (part.name, part.picture if part.picture is not None else (part.scale / first if first else 1.0))
-        for (index, _), part in zip(emitters, known, strict=True)
-    }
-    return Lamp(radiance, pictures)
+        """Of texel value 1: 683.002 ∫ ȳ L dλ."""
+        if self.spectrum is None:
+            return 0.0
+        edges = grid_nm(LUMINANCE_STEP_NM)
+        at = (edges[:-1] + edges[1:]) / 2
+        return float(LM_PER_W * LUMINANCE_STEP_NM * (self.spectrum.cell_means(edges) * photopic_efficiency(at)).sum())
 
 
 @dataclass(frozen=True)
 class _Emission:
-    """An emitter's spectrum (plugin and its values, hashable) × scale × neutral picture (a texture node)."""
+    """An emitter's spectrum (a hashable key) × scale × neutral picture (a texture node)."""
 
     name: str
-    spectrum: tuple[tuple[str, Any], ...]
+    key: tuple[Any, ...]
     scale: float
     picture: int | None
 
 
+def find_lamps(state: Any, variant: str) -> list[Lamp]:
+    """Emitters by spectrum, in the order of the scene; those whose colour varies over them come last, together."""
+    groups: dict[tuple[Any, ...], list[tuple[int, _Emission]]] = {}
+    coloured: dict[int, tuple[str, int | float]] = {}
+    for index, node in nodes_of(state, "Emitter"):
+        part = _emission(state, node)
+        if part is None:
+            coloured[index] = (EMISSION.get(node.props.plugin_name(), ""), 1.0)
+        else:
+            # Pictures cannot be scaled in place: emitters with one share a group only at the same power.
+            groups.setdefault((part.key, part.scale if part.picture is not None else None), []).append((index, part))
+    for key, scale in list(groups):
+        if scale is None and (host := next((each for each in groups if each[0] == key and each[1] is not None), None)):
+            groups[host] += groups.pop((key, None))  # those without a picture can have any power
+    lamps = []
+    for (key, scale), parts in groups.items():
+        first = max(part.scale for _, part in parts) if scale is None else scale
+        spectrum = evaluate(key, variant) * first
+        pictures: dict[int, tuple[str, int | float]] = {
+            index: (part.name, part.picture if part.picture is not None else (part.scale / first if first else 1.0))
+            for index, part in parts
+        }
+        lamps.append(Lamp(spectrum, pictures))
+    return [*lamps, Lamp(None, coloured)] if coloured else lamps
+
+
+def find_lamp(state: Any, variant: str) -> Lamp | None:
+    """The one spectrum behind all emitters, where there is one and what multiplies it is neutral; else None."""
+    lamps = find_lamps(state, variant)
+    return lamps[0] if len(lamps) == 1 and lamps[0].spectrum is not None else None
+
+
 def _emission(state: Any, emitter: Any) -> _Emission | None:
     name = EMISSION.get(emitter.props.plugin_name())
-    if name is None or name not in emitter.props:
+    if name is None:
         return None
+    if name not in emitter.props:  # Mitsuba's default: a d65 of scale 1
+        return _Emission(name, ("d65",), 1.0, None)
+    beside = [index for key, index in children(emitter, state).items() if key != name]
+    if any(not is_neutral(state.nodes[index]) for index in beside if state.nodes[index].type.name == "Texture"):
+        return None  # the slide of a spot
     kind = emitter.props.type(name).name
+    if kind == "Float":  # a plain number is a d65 of that scale
+        return _Emission(name, ("d65",), float(emitter.props[name]), None)
+    if kind == "Color":
+        return _Emission(name, ("rgb", emitter.props.as_string(name)), 1.0, None)
     if kind == "Spectrum":
         value = emitter.props[name]
         if value.is_uniform():
-            return _Emission(name, (("type", "uniform"), ("value", 1.0)), float(value.values[0]), None)
-        pairs = [",".join(map(repr, each)) for each in (value.wavelengths, value.values)]
-        return _Emission(name, (("type", "irregular"), ("wavelengths", pairs[0]), ("values", pairs[1])), 1.0, None)
+            return _Emission(name, ("uniform",), float(value.values[0]), None)
+        return _Emission(name, ("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
     if kind not in ("ResolvedReference", "Reference"):
         return None
     index = children(emitter, state)[name]
     node = state.nodes[index]
     plugin = node.props.plugin_name()
     if plugin == "bitmap" and is_neutral(node):
-        return _Emission(name, (("type", "uniform"), ("value", 1.0)), 1.0, index)
-    if plugin not in ("d65", "uniform", "regular", "irregular", "blackbody"):
-        return None
+        return _Emission(name, ("uniform",), 1.0, index)
     nested = list(children(node, state).values())
     if len(nested) > 1 or (nested and not is_neutral(state.nodes[nested[0]])):
         return None
+    picture = nested[0] if nested else None
     values = {key: value for key, value in plain(node) if isinstance(value, (int, float, str))}
-    scale = float(values.pop("scale", 1.0)) if plugin == "d65" else 1.0
-    return _Emission(name, (("type", plugin), *sorted(values.items())), scale, nested[0] if nested else None)
+    if plugin == "uniform":
+        return _Emission(name, ("uniform",), float(values.get("value", 1.0)), picture)
+    if plugin == "d65":
+        return _Emission(name, ("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
+    table = table_of(node)
+    if table is not None:
+        return _Emission(name, ("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
+    if plugin == "blackbody":
+        return _Emission(name, (plugin, *sorted(values.items())), 1.0, picture)
+    return None
 
 
 def is_neutral(texture: Any) -> bool:
@@ -101,23 +136,35 @@ def is_neutral(texture: Any) -> bool:
     return texture.props.plugin_name() == "bitmap" and bool(texture.props.get("raw", False))
 
 
-def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
-    """A spectrum plugin at 360 … 830 nm in steps of 1 nm, as Mitsuba returns it."""
-    with speaking_mitsuba(variant, Path()) as mi:
-        import drjit as dr
+def table_of(node: Any) -> Spectrum | None:
+    """The table of a `regular` or `irregular` spectrum that is written out."""
+    props, plugin = node.props, node.props.plugin_name()
 
-        texture = mi.load_dict(description)
-        rows = np.resize(LAMP_GRID_NM, (-(-LAMP_GRID_NM.size // 4), 4))  # Mitsuba carries four wavelengths a ray
-        if variant.startswith("scalar"):
-            values = [_evaluate_four(mi, dr, texture, row.tolist()) for row in rows]
-        else:
-            interaction = dr.zeros(mi.SurfaceInteraction3f, len(rows))
-            interaction.wavelengths = mi.Spectrum(np.ascontiguousarray(rows.T, np.float32))
-            values = [np.asarray(texture.eval(interaction), float).T.ravel()]
-        return np.concatenate(values)[: LAMP_GRID_NM.size]
+    def numbers(name: str) -> list[float]:
+        return [float(each) for each in str(props[name]).replace(",", " ").split()]
+
+    try:
+        if plugin == "irregular":
+            return Spectrum(np.array(numbers("wavelengths")), np.array(numbers("values")))
+        if plugin == "regular":
+            values = np.array(numbers("values"))
+            if "wavelength_min" in props:
+                low, high = float(props["wavelength_min"]), float(props["wavelength_max"])
+            else:
+                low, high = (float(each) for each in str(props["range"]).replace(",", " ").split())
+            return Spectrum(np.linspace(low, high, values.size), values)
+    except (KeyError, ValueError):
+        return None
+    return None
 
 
-def _evaluate_four(mi: Any, dr: Any, texture: Any, wavelengths_nm: list[float]) -> Array:
-    interaction = dr.zeros(mi.SurfaceInteraction3f)
-    interaction.wavelengths = wavelengths_nm
-    return np.asarray(texture.eval(interaction), float).ravel()
+def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
+    """The spectrum behind an emission's key."""
+    if key[0] == "table":
+        return Spectrum(np.array(key[1]), np.array(key[2]))
+    if key[0] == "uniform":
+        return tabulated(np.ones(grid_nm().size))
+    if key[0] == "rgb":
+        value = [float(each) for each in str(key[1]).strip("[]").replace(",", " ").split()]
+        return tabulated(evaluate_emitter({"type": "rgb", "value": value}, variant))
+    return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))

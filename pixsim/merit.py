@@ -8,7 +8,7 @@ from pixsim import optics
 from pixsim.parameters import Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.sensor import M2_PER_UM2, electrons_per_joule
-from pixsim.spectral import Array, luminous_weight
+from pixsim.spectral import Array
 from pixsim.sweep import StudyResult
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
@@ -27,11 +27,9 @@ def dr_and_snr_db(pitch_um: Array, capacitance: str) -> tuple[Array, Array]:
 def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> Array:
     """White-light diffraction times the photodiode's sinc, as the scene's light and the pixel's response weigh it."""
     irradiance = result.irradiance
-    nm = irradiance.wavelength_nm
-    factors = irradiance.factors
-    spectrum = factors[0][0] if factors else irradiance.data.mean(axis=(0, 1), dtype=float)
-    weight = electrons_per_joule(physics, nm, irradiance.band_width_nm) * spectrum
-    lens = optics.white_otf(frequency_cy_per_mm, nm, weight, result.camera.working_f_number)
+    weight = electrons_per_joule(physics, irradiance) * irradiance.mean_spectrum()
+    share = weight / weight.sum()
+    lens = optics.white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, result.camera.working_f_number)
     return lens * optics.square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
 
 
@@ -54,10 +52,9 @@ def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float 
 def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> float:
     """Electrons per lx·s and µm² of photodiode in the scene's light."""
     irradiance = result.irradiance
-    nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
-    spectrum = irradiance.factors[0][0] if irradiance.factors else irradiance.data.mean(axis=(0, 1), dtype=float)
-    electrons = (electrons_per_joule(physics, nm, width_nm) * spectrum).sum() * M2_PER_UM2
-    return float(electrons / (luminous_weight(nm, width_nm) * spectrum).sum())
+    spectrum = irradiance.mean_spectrum()
+    electrons = (electrons_per_joule(physics, irradiance) * spectrum).sum() * M2_PER_UM2
+    return float(electrons / (irradiance.luminous_weight() * spectrum).sum())
 
 
 def growth_exponent(pitch_um: Array, level_db: Array) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import dctn, idctn
@@ -65,27 +67,45 @@ def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_
 
 
 def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
-    """Mean of the OTFs of all wavelengths, weighted by what each contributes to the signal."""
+    """Σ weight · OTF over wavelengths; the white-light OTF where the weights add up to 1."""
     otf = np.zeros_like(frequency_cy_per_mm)
-    for nm, share in zip(wavelength_nm, weight / weight.sum(), strict=True):
+    for nm, share in zip(wavelength_nm, weight, strict=True):
         if share:
             otf += share * diffraction_otf(frequency_cy_per_mm, nm, f_number)
     return otf
 
 
-def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:
-    """Convolve a picture (H, W) with the white-light diffraction PSF, reflecting it at its borders.
+def diffract_sum(
+    pictures: Iterable[tuple[ArrayLike, Array]],
+    shape: tuple[int, int],
+    pitch_um: float,
+    wavelength_nm: Array,
+    f_number: float,
+    workers: int = 1,
+) -> Array:
+    """Σ over pictures (H, W), each convolved with Σ_λ weight · PSF of its weights (B,), reflected at the borders.
 
     In the DCT-II basis a symmetric kernel is diagonal and half-sample reflection is exact: no padding, no dark border.
     The mean is kept. Where the grid is too coarse for the light (OTF not small at its Nyquist frequency) isolated
-    points ring; the caller clips what falls below zero.
+    points ring, also below zero. One forward transform a picture, one back for all.
     """
-    fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in picture.shape)
-    highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
+    fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
+    radius = np.hypot(fx[None, :], fy[:, None])
+    highest = min(radius[-1, -1], cutoff_cy_per_mm(wavelength_nm.min(), f_number))
     table = np.linspace(0.0, max(highest, np.finfo(float).tiny), OTF_TABLE_SIZE)
-    otf = np.interp(np.hypot(fx[None, :], fy[:, None]), table, white_otf(table, wavelength_nm, weight, f_number))
-    spectrum = dctn(picture, type=2, workers=workers)
-    return idctn(spectrum * otf, type=2, workers=workers)
+    total: Array | None = None
+    for picture, weight in pictures:
+        if np.any(weight):
+            spectrum = dctn(np.asarray(picture, float), type=2, workers=workers)
+            spectrum *= np.interp(radius, table, white_otf(table, wavelength_nm, weight, f_number))
+            total = spectrum if total is None else total + spectrum
+    return np.zeros(shape) if total is None else np.asarray(idctn(total, type=2, workers=workers))
+
+
+def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:
+    """Convolve a picture (H, W) with the white-light diffraction PSF of light in the shares `weight`; see `diffract_sum`."""
+    share = weight / weight.sum()
+    return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number, workers)
 
 
 def square_aperture_mtf(frequency_cy_per_mm: ArrayLike, side_um: float) -> Array:

@@ -5,43 +5,49 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
+import warnings
 from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from pixsim import optics
+from pixsim.errors import refuse
 from pixsim.figures import save_delta_e_png, save_png
 from pixsim.files import output_folder
-from pixsim.parameters import Run
+from pixsim.parameters import Camera, Run
 from pixsim.report import versions, write_json
 from pixsim.score import Score, describe, evaluate
 from pixsim.sensor import pixels_along
 from pixsim.spectral import SpectralImage, write_channels, write_exr
 
-Stage = Callable[[str], Callable[[float], None]]
+Stage = Callable[[str], Callable[..., None]]
+PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
+WHITE_PERCENTILE = 99.0
+WHITE_DIGITS = 2  # so that the noise of a render does not move the white
 
 
 def run_and_write(
-    scene_file: str,
+    source: str,
     settings: Run,
     out: Path,
     *,
     full: bool,
     sensor: str | None,
     variant: str | None,
+    units: str | None = None,
     progress: Stage,
 ) -> dict[str, Any]:
-    """Render, sense, score and write; returns what stands in score.json.
+    """Render a scene (or read a spectral picture), sense, score and write; returns what stands in score.json.
 
     Raises PixsimError for unusable input; the folder then holds what it held before.
     """
     from pixsim.pixel import derive
-    from pixsim.renderer import render
-    from pixsim.scene import load_scene
 
     derive(settings.pixel)
-    scene = load_scene(scene_file, variant=variant, sensor=sensor, **settings.scene)
-    camera = scene.camera(settings.camera)
-    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)  # refuse too large a pitch before the render
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -49,22 +55,94 @@ def run_and_write(
         nonlocal clock
         seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
 
+    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
+        if settings.scene or sensor or variant:
+            raise refuse("-D, --sensor, --variant", f"'{source}', a picture", "a Mitsuba scene for these options")
+        prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]] = partial(_read, source, settings, units)
+    else:
+        if units:
+            raise refuse("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr): a render's units are known")
+        prepared = _prepare(source, settings, full, sensor, variant, progress)
     with output_folder(out) as folder:
-        irradiance = render(scene, camera, settings.seed, full=full, progress=progress("render"))
-        lap("render")
+        irradiance, camera, more = prepared()
+        lap("read" if not more else "render")
         progress("sense and score")
-        score = evaluate(irradiance, camera, settings.pixel, settings.exposure, settings.display, seed=settings.seed)
+        if not settings.display.white_cd_per_m2 and "luminance_cd_per_m2" not in irradiance.header:
+            irradiance.header |= measured_white(irradiance, camera)
+        score = evaluate(irradiance, camera, settings.pixel, settings.exposure, settings.display, seed=settings.seed, full=full)
         lap("sense and score")
         progress("write")
         summary = describe(score, irradiance) | {
+            "camera": camera.model_dump(),
             "exposure": settings.exposure.model_dump(),
             "display": settings.display.model_dump(),
             "seed": settings.seed,
+            **more,
         }
         write_all(folder, irradiance, score, summary)
         lap("write")
         write_json(folder / "provenance.json", {"versions": versions(), "seconds": seconds})
     return summary
+
+
+def _prepare(
+    source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
+) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
+    """Everything that can be refused before a render, and the render."""
+    from pixsim.convergence import render_until
+    from pixsim.scene import load_scene
+    from pixsim.sensor_plan import make_plan
+
+    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
+    camera = scene.camera(settings.camera)
+    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    plan = make_plan(scene, camera, settings.pixel, tolerance_e=settings.tolerance_e, full=full)
+    for note in plan.warnings:
+        warnings.warn(note, stacklevel=2)
+    if plan.resolution:
+        scene = scene.with_parameters(resolution=plan.resolution)
+
+    def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
+        image, noise = render_until(
+            scene,
+            camera,
+            plan,
+            [settings.pixel],
+            settings.exposure,
+            settings.seed,
+            render_noise=settings.render_noise,
+            max_seconds=settings.max_seconds,
+            progress=progress("render"),
+        )
+        return image, camera, {"render_noise": asdict(noise), "plan": plan.as_dict()}
+
+    return render
+
+
+def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage, Camera, dict[str, Any]]:
+    """A picture made elsewhere, and the camera that it is taken with."""
+    from pixsim.exchange import read_with_camera
+
+    image, camera = read_with_camera(source, settings.camera, units)
+    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    return image, camera, {}
+
+
+def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
+    """A white for a scene that tells none: the 99th percentile of its luminance, to two digits; with a warning."""
+    factor = optics.field_factor(
+        irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
+    )
+    luminance = irradiance.illuminance_lx() / (factor * camera.transmittance)
+    white = float(f"{np.percentile(luminance, WHITE_PERCENTILE):.{WHITE_DIGITS}g}")
+    if not white > 0:
+        raise refuse("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
+    warnings.warn(
+        f"the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
+        f"set --display.white-cd-per-m2 {white:g} to keep it",
+        stacklevel=2,
+    )
+    return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
 def write_all(folder: Path, irradiance: SpectralImage, score: Score, summary: dict[str, Any]) -> None:

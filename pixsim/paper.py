@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
 from pixsim.merit import dr_and_snr_db, growth_exponent
@@ -132,6 +131,8 @@ def modes(delta_e: Array) -> int:
     step = np.ptp(values) / HISTOGRAM_BINS
     padded = np.pad(counts.astype(float), HISTOGRAM_BINS // 4)
     density = gaussian_filter1d(padded, bandwidth / step, mode="constant")
+    from scipy.signal import find_peaks  # half a second to import
+
     return len(find_peaks(density, prominence=MODE_PROMINENCE * density.max())[0])
 
 

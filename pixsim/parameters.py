@@ -192,6 +192,16 @@ class Display(Record):
     delta_e: Literal["1976", "1994", "2000"] = Field("1976", description="colour difference formula")
 
 
+class Effort(Record):
+    """How much work a result may cost, and how wrong it may be for that."""
+
+    tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
+        1e-3, description="relative error of the mean electrons that all that is left out may cost together"
+    )
+    render_noise: Positive = Field(0.2, description="noise of the render, as a fraction of the sensor's temporal noise")
+    max_seconds: Positive = Field(120.0, description="of rendering; if they end it, a warning says so, and what noise was reached")
+
+
 class PitchRange(Record):
     """Pitches at equal ratios, from the pitch with `min_fill_factor` to `max_um`; or the list `values_um`."""
 
@@ -206,7 +216,7 @@ class StudyScene(Record):
     parameters: dict[str, float | int | str] = Field(default_factory=dict, description="set <default> parameters")
 
 
-class Study(Record):
+class Study(Effort):
     """Mean ΔE for many pitches, technologies and individual sensors."""
 
     name: Annotated[str, Field(pattern=r"^[\w.\-]+$")]
@@ -241,7 +251,7 @@ class Study(Record):
         return Study.model_validate(merge(self.model_dump(exclude={"quick"}, mode="json"), self.quick))
 
 
-class Run(Record):
+class Run(Effort):
     """The options of `pixsim run`, as tables."""
 
     seed: Annotated[int, Field(ge=0)] = 0

@@ -164,7 +164,7 @@ class PixelPhysics:
         return self.pixel.infrared_cut_nm or math.inf
 
     def band_quantum_efficiency(self, wavelength_nm: Array, band_width_nm: Array) -> Array:
-        """Electrons per photon of each band, (B,): at its centre, times the part of the band below the infrared cut."""
+        """Electrons per photon of bands: at their centres, times the part of each below the infrared cut."""
         below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
         return self._uncut_quantum_efficiency(wavelength_nm) * below
 

@@ -1,89 +1,288 @@
-"""From what a scene contains to the work that it needs: which lamp, which bands, how deep the light paths."""
+"""From what a scene contains to the least work that serves it; each thing left out with its reason and what it can cost.
+
+The spectral part is in `pixsim.bands`; what a lone chart needs in `pixsim.needs`; the sensor's and the viewer's part in
+`pixsim.sensor_plan`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.lamps import LAMP_GRID_NM, Lamp, find_lamp
+from pixsim import bands as spectral_bands
+from pixsim.bands import Bands, Fit, Pulse, Witness
+from pixsim.errors import refuse
+from pixsim.geometry import find_bodies
+from pixsim.lamps import Lamp, find_lamps
 from pixsim.mitsuba_xml import nodes_of
-from pixsim.scene import Scene
-from pixsim.spectral import Array
+from pixsim.needs import Chart
+from pixsim.parameters import Camera, Pixel
+from pixsim.pixel import derive
+from pixsim.rules import (
+    TOLERANCE_E,
+    Decision,
+    decide_bounces,
+    decide_diffraction,
+    decide_lens,
+    decide_samples,
+    decide_tables,
+    lone_chart,
+)
+from pixsim.scene import Scene, film_size, sample_count, sensor_node
+from pixsim.spectral import Array, photons_per_joule, photopic_efficiency
+from pixsim.surfaces import Surfaces, find_surfaces
 
-# 10 nm bands integrate a smooth lamp's luminance to 0.03 %. The outer edges keep half a nanometre of flank inside the
-# 360-830 nm that Mitsuba samples: a clipped pulse would spoil the stratification of the others.
-BAND_WIDTH_NM = 10.0
-BAND_CENTRE_NM = np.arange(370.0, 821.0, BAND_WIDTH_NM)
-FLANK_NM = 0.5
-FLAT_SHAPES = ("rectangle", "disk")
-BANDS_PER_PASS = 4  # Mitsuba carries four wavelengths a ray, one for each of 1, 2 or 4 disjoint pulses of equal area
+# Of the tolerance: bands alone, and bands and pulses together. The rest is for blur and diffraction (rules.py).
+BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
+LUMINANCE_SLACK = 5.0  # the luminance of strongly coloured surfaces may be this much worse than their electrons
+RESPONSES = ("0.35um", "4t-bsi")  # technologies with the packaged response curves, for a render without a pixel
+
+
+@dataclass(frozen=True)
+class Light:
+    """Lamps of one spectrum, and the pulses that measure what they send to the lens."""
+
+    lamp: Lamp
+    pulses: tuple[Pulse, ...] = field(repr=False)
+    spectra: Array = field(repr=False)  # (pulses, B) W m⁻² sr⁻¹ nm⁻¹ for each unit of a pulse's picture
+    passes: tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What will be rendered.
+    """What will be rendered, and why.
 
-    rank_one : the picture is one spectrum times one neutral picture, so one pass gives every band
-    lamp : the spectrum that all emitters share, or None (bands are then flat and the lamps stay as they are)
-    emissive_chart : a lone flat emitter, whose texel value 1 is the scene's white
-    passes : band indices of each pass; empty for rank one
-    reasons : why, for people
+    lights : one for each lamp spectrum
+    bands : of the result
+    white : luminance of an emissive chart's texel value 1, cd/m², or None
+    lens : "thinlens", or "perspective" where the aperture needs no sampling
+    integrator : plugin and its values, or None for the scene's own
+    spp : samples of each film cell in each pass
+    diffraction : whether the picture changes by it
+    regular_tables : whether tables at equal steps are read by index
+    decisions : for people; `bound_e` adds them up
     """
 
-    rank_one: bool
-    lamp: Lamp | None
-    emissive_chart: bool
-    passes: tuple[tuple[int, ...], ...]
-    reasons: tuple[str, ...]
+    lights: tuple[Light, ...]
+    bands: Bands
+    white_cd_per_m2: float | None
+    lens: Literal["thinlens", "perspective"]
+    integrator: dict[str, Any] | None
+    spp: int
+    diffraction: bool
+    regular_tables: bool
+    decisions: tuple[Decision, ...]
+    full_passes: int
+    full_spp: int
+    chart: Chart | None = field(default=None, repr=False)
+    tolerance_e: float = TOLERANCE_E
+    warnings: tuple[str, ...] = ()
+    resolution: int | None = None  # a coarser film that is enough, where the scene leaves it open
+
+    @property
+    def passes(self) -> int:
+        return sum(len(light.passes) for light in self.lights)
+
+    @property
+    def bound_e(self) -> float:
+        return sum(each.bound_e for each in self.decisions)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether `bound_e` covers everything."""
+        return all(each.bounded for each in self.decisions)
+
+    @property
+    def factored(self) -> bool:
+        """Fewer pictures than bands."""
+        return sum(len(light.pulses) for light in self.lights) < self.bands.width_nm.size
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "decisions": [asdict(each) for each in self.decisions],
+            "tolerance_e": self.tolerance_e,
+            "bound_e": self.bound_e,
+            "bounded": self.bounded,
+            "lamp_spectra": len(self.lights),
+            "passes": self.passes,
+            "passes_full": self.full_passes,
+            "spp": self.spp,
+            "spp_full": self.full_spp,
+            "resolution": self.resolution,
+            "diffraction": self.diffraction,
+            "warnings": list(self.warnings),
+            "lens": self.lens,
+            "integrator": self.integrator,
+            "wavelength_nm": self.bands.wavelength_nm.tolist(),
+            "band_width_nm": self.bands.width_nm.tolist(),
+        }
+
+    def __repr__(self) -> str:
+        return (
+            f"<Plan {self.passes} of {self.full_passes} passes, {self.spp} of {self.full_spp} samples, {self.lens}, "
+            f"mean electrons to {self.bound_e:.1e}>"
+        )
 
 
-def make_plan(scene: Scene, state: Any, full: bool = False) -> Plan:
-    """Decide from the parsed tree. `full` leaves nothing out: every band is rendered, with the scene's own integrator."""
-    lamp = find_lamp(state, scene.choice.variant)
-    if lamp is None:
-        return Plan(False, None, False, band_passes(), ("several or coloured lamp spectra: flat bands, the lamps in place",))
-    alone = is_single_emitter(state)
-    if full:
-        return Plan(False, lamp, alone, band_passes(), ("nothing left out: every band, the scene's own integrator",))
-    if alone:
-        reason = "one lamp spectrum on a neutral, flat, lone emitter: one pass serves every band, no bounces"
-        return Plan(True, lamp, True, (), (reason,))
-    return Plan(False, lamp, False, band_passes(), ("one lamp spectrum on coloured objects: lamp-shaped bands",))
+def make_render_plan(
+    scene: Scene,
+    camera: Camera | None = None,
+    pixel: Pixel | None = None,
+    *,
+    tolerance_e: float = TOLERANCE_E,
+    full: bool = False,
+    state: Any = None,
+) -> Plan:
+    """Decide what to render from the parsed tree.
 
+    Parameters
+    ----------
+    pixel : whose electrons must be right; None takes the packaged response curves
+    tolerance_e : relative error of the mean electrons that all decisions may cost together
+    full : leave nothing out: every band of every lamp, the scene's own integrator, a sampled lens
 
-def is_single_emitter(state: Any) -> bool:
-    """One flat area light and nothing else: nothing that its light could bounce off before it reaches the lens."""
-    shapes, emitters = nodes_of(state, "Shape"), nodes_of(state, "Emitter")
-    return (
-        len(shapes) == 1
-        and len(emitters) == 1
-        and emitters[0][1].props.plugin_name() == "area"
-        and shapes[0][1].props.plugin_name() in FLAT_SHAPES
-        and not nodes_of(state, "Medium")
+    Raises PixsimError for emitters that are negative or not finite, and for a tolerance that is not positive.
+    """
+    if not 0 < tolerance_e < 1:
+        raise refuse("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1: a relative error of mean electrons")
+    camera = camera or scene.camera()
+    state = scene.for_camera(camera) if state is None else state
+    sensor = sensor_node(state, scene.sensor_id)[1]
+    height, width = (max(1, each) for each in film_size(state, sensor))  # the renderer refuses the others
+    bodies = find_bodies(state, sensor)
+    lamps = checked_lamps(find_lamps(state, scene.choice.variant))
+    surfaces = find_surfaces(state, scene.choice.variant)
+    if not lamps:
+        raise refuse("scene", "no emitter that shines", "a lamp, a chart or a sky with light", "Is its scale above 0?")
+    integrator, met, bounces = decide_bounces(state, bodies, full)
+    lights, bands, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full)
+    by_index, tables = decide_tables(state, full)
+    lens, focus = decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
+    # Out of focus a chart is not the picture, and the lens takes samples of its own.
+    chart = lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
+    most = sample_count(state, sensor)
+    spp, samples = decide_samples(
+        chart, most, sum(len(light.passes) for light in lights), tolerance_e, full, explicit="spp" in scene.parameters
+    )
+    diffraction = decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
+    emitters = nodes_of(state, "Emitter")
+    bound_e = sum(each.bound_e for each in (*spectral, focus, diffraction))
+    alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
+    return Plan(
+        lights=tuple(lights),
+        bands=bands,
+        white_cd_per_m2=lamps[0].luminance_cd_per_m2 if alone and lamps[0].spectrum else None,
+        lens=lens,
+        integrator=integrator,
+        spp=spp,
+        diffraction=diffraction.kept,
+        regular_tables=by_index,
+        decisions=(*spectral, tables, bounces, focus, samples, diffraction),
+        full_passes=sum(len(spectral_bands.every_band(lamp.spectrum, bands)[1]) for lamp in lamps),
+        full_spp=most,
+        chart=chart,
+        tolerance_e=tolerance_e,
+        warnings=_warnings(surfaces, bound_e, tolerance_e),
     )
 
 
-def band_passes(bands: int = BAND_CENTRE_NM.size) -> tuple[tuple[int, ...], ...]:
-    """Bands of each pass: four that do not touch. A last, incomplete pass is filled up with repeats, not with fewer."""
-    stride = -(-bands // BANDS_PER_PASS)
-    return tuple(tuple((start + stride * k) % bands for k in range(BANDS_PER_PASS)) for start in range(stride))
+def _warnings(surfaces: Surfaces, bound_e: float, tolerance_e: float) -> tuple[str, ...]:
+    told = []
+    if surfaces.short:
+        ranges = ", ".join(surfaces.short)
+        told.append(f"reflectance tables of {ranges}: Mitsuba takes 0 outside; extend them to 360-830 nm")
+    if bound_e > tolerance_e:
+        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MOST_BANDS} of them, are the finest"
+        told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
+    return tuple(told)
 
 
-def band_pulse(lamp: Lamp | None, centre_nm: float) -> tuple[Array, Array, float]:
-    """A band as a pulse shaped like the lamp: nodes in nm, values of unit area, and the lamp's own integral over it.
-
-    The flanks are 1 nm wide and centred on the band's borders, so that neighbouring bands add up to the lamp.
-    """
-    half = BAND_WIDTH_NM / 2 + FLANK_NM
-    nodes = np.linspace(centre_nm - half, centre_nm + half, round(2 * half) + 1)
-    shape = np.ones_like(nodes) if lamp is None else np.interp(nodes, LAMP_GRID_NM, lamp.radiance)
-    shape[[0, -1]] = 0.0
-    area = float(np.trapezoid(shape, nodes))
-    return nodes, shape / area if area else shape, area
+def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
+    """Lamps that shine; PixsimError for one that is negative or not finite."""
+    for lamp in lamps:
+        values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
+        if not np.isfinite(values).all() or values.min() < 0:
+            raise refuse("emitter", f"radiance {values.min():g}", "finite and not negative")
+    return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
 
 
-def band_means(lamp: Lamp) -> Array:
-    """Mean radiance of the lamp over each band, (B,) W m⁻² sr⁻¹ nm⁻¹."""
-    return np.array([band_pulse(lamp, centre)[2] for centre in BAND_CENTRE_NM]) / BAND_WIDTH_NM
+def _witnesses(pixel: Pixel | None) -> list[Witness]:
+    """Responses in electrons per joule, and the eye's."""
+    pixels = [pixel] if pixel else [Pixel(technology=name, pitch_um=10.0) for name in RESPONSES]
+
+    def response(physics: Any) -> spectral_bands.Response:
+        return lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm)
+
+    return [*(Witness(response(derive(each))) for each in pixels), Witness(photopic_efficiency, LUMINANCE_SLACK)]
+
+
+def _lights(
+    lamps: list[Lamp], surfaces: Surfaces, bounces: int, witnesses: list[Witness], tolerance_e: float, full: bool
+) -> tuple[list[Light], Bands, list[Decision]]:
+    spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
+    met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
+    bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE)
+    lights, error, reasons = [], 0.0, []
+    for lamp in lamps:
+        known = lamp.spectrum if surfaces.spectra is not None or bounces == 0 else None
+        found: Fit | None = None
+        if known and not full:
+            found = spectral_bands.fit(known, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE)
+        if found:
+            lights.append(Light(lamp, found.pulses, found.spectra, _tuples(spectral_bands.passes(len(found.pulses)))))
+            error = max(error, found.error)
+            reasons.append(f"{len(found.pulses)} pulse{'s' * (len(found.pulses) > 1)}")
+        else:
+            every, passes = spectral_bands.every_band(lamp.spectrum, bands)
+            lights.append(Light(lamp, every.pulses, every.spectra, _tuples(passes)))
+            reasons.append(f"{len(every.pulses)} bands")
+    widths = bands.width_nm
+    alone = max((_band_error(bands, lamp, met, witnesses) for lamp in lamps), default=0.0)
+    uniform = bool(np.all(np.isin(widths, (5.0, 10.0)))) and widths.size == spectral_bands.BAND_EDGES_NM.size - 1
+    placing = Decision(
+        "wavelength bands",
+        True,
+        f"{widths.size} bands, "
+        + ("uniform, 10 nm" if uniform else f"{widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change")
+        + ", lamp-shaped: no line is missed",
+        bound_e=alone,
+    )
+    fewest, most = (
+        sum(len(light.passes) for light in lights),
+        sum(len(spectral_bands.every_band(each.spectrum, bands)[1]) for each in lamps),
+    )
+    rank = Decision(
+        "spectral rank",
+        fewest >= most,
+        _rank_reason(lamps, surfaces, met, reasons, full),
+        f"{fewest} of {most} passes" if fewest < most else "",
+        max(0.0, error - alone),  # the fit's error includes that of its bands
+        bounded=all(lamp.spectrum is not None for lamp in lamps) and (surfaces.spectra is not None or bounces == 0),
+    )
+    return lights, bands, [placing, rank]
+
+
+def _band_error(bands: Bands, lamp: Lamp, met: Array, witnesses: list[Witness]) -> float:
+    if lamp.spectrum is None:
+        return 0.0
+    return float(np.abs(spectral_bands.band_errors(bands, lamp.spectrum, met, witnesses).sum(axis=2)).max())
+
+
+def _tuples(passes: list[list[int]]) -> tuple[tuple[int, ...], ...]:
+    return tuple(tuple(each) for each in passes)
+
+
+def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list[str], full: bool) -> str:
+    each = " and ".join(counts) or "no light"
+    lit = f"{len(lamps)} lamp spectr{'um' if len(lamps) == 1 else 'a'}"
+    if full:
+        return f"nothing left out: {lit}, {each}"
+    if any(lamp.spectrum is None for lamp in lamps):
+        return f"{lit}, one with colours that vary over it and stay in place: {each}"
+    if surfaces.spectra is None:
+        return f"{lit}; all bands, for {surfaces.unknown}: {each}"
+    if not len(met):
+        return f"{lit} on neutral surfaces or none: {each} for all bands"
+    return f"{lit} × {len(surfaces.spectra)} surface spectra ({len(met)} with what meets several): {each} tell all bands"

@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-Stage = Callable[[str], Callable[[float], None]]
+Told = Callable[..., None]  # (fraction done, what to say after the stage's name)
+Stage = Callable[[str], Told]
 
 
 @contextmanager
@@ -33,11 +34,11 @@ def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
                 name, start = current.pop()
                 clock[name] = time.perf_counter() - start
 
-        def stage(name: str) -> Callable[[float], None]:
+        def stage(name: str) -> Told:
             close()
             current.append((name, time.perf_counter()))
             task = bars.add_task(name, total=1.0)
-            return lambda done: bars.update(task, completed=done)
+            return lambda done, note="": bars.update(task, completed=done, description=name + note)
 
         yield stage
         close()

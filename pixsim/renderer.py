@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,17 @@ from numpy.typing import NDArray
 
 import pixsim
 from pixsim import optics
+from pixsim.bands import Pulse
 from pixsim.errors import refuse
-from pixsim.mitsuba_xml import nodes_of, plain, speaking_mitsuba
+from pixsim.mitsuba_xml import children, nodes_of, plain, speaking_mitsuba
 from pixsim.parameters import Camera
-from pixsim.plan import BAND_CENTRE_NM, BAND_WIDTH_NM, Plan, band_means, band_pulse, make_plan
-from pixsim.scene import Scene, film_size, sample_count, sensor_node
+from pixsim.plan import Light, Plan, make_render_plan
+from pixsim.rules import irregular_tables
+from pixsim.scene import Scene, film_size, sensor_node
 from pixsim.spectral import Array, SpectralImage
 
 Progress = Callable[[float], None]
+Picture = NDArray[np.float32] | Array
 
 # A kernel of so many samples runs about 1.5 s on two cores; between kernels Ctrl-C is heard and progress is told.
 SAMPLES_PER_KERNEL = 1 << 25
@@ -26,6 +30,11 @@ SCALAR_BLOCK = 32  # fixed: left to itself Mitsuba makes blocks, and with them s
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; longer averages are ours, in float64
 ALLOWED_SPP = (1, 1 << 20)
 ALLOWED_RESOLUTION = (1, 16384)
+# Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by the number of samples of
+# a strip, modulo 2³². Consecutive runs take consecutive seeds.
+SEED_STRIDE = 2654435761
+LEVEL_STRIDE = 1000003
+LEVEL_FACTOR = 4  # keeps sample counts such that the bits are the same on any number of threads
 
 
 def render(
@@ -34,6 +43,7 @@ def render(
     seed: int = 0,
     *,
     full: bool = False,
+    plan: Plan | None = None,
     progress: Progress | None = None,
 ) -> SpectralImage:
     """Spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over each sample and band.
@@ -43,35 +53,152 @@ def render(
     scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
     camera : its numbers replace the file's; None takes what the file says
     seed : of the sampler; same seed, same bits
-    full : leave nothing out (every band, the scene's own integrator)
+    full : leave nothing out (every band, the scene's own integrator, a sampled lens)
+    plan : from `make_plan`, in place of the default one
     progress : called with the fraction done
 
     Raises PixsimError where Mitsuba refuses the scene, or the picture is black or not finite.
     """
     camera = camera or scene.camera()
-    state = scene.for_camera(camera)
-    plan = make_plan(scene, state, full)
-    if plan.lamp is not None and not (np.isfinite(plan.lamp.radiance).all() and plan.lamp.radiance.min() >= 0):
-        raise refuse("emitter", f"radiance {plan.lamp.radiance.min():g}", "finite and not negative")
-    sensor = sensor_node(state, scene.sensor_id)[1]
-    height, width = film_size(state, sensor)
-    spp = sample_count(state, sensor)
-    for name, value, (low, high) in (("resolution", max(height, width), ALLOWED_RESOLUTION), ("spp", spp, ALLOWED_SPP)):
-        if not low <= value <= high:
-            raise refuse(name, value, f"{low} to {high}")
-    pitch_um = 1e3 * camera.die_mm / width
-    with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
-        job = _Job(mi, scene, state, plan, camera, (height, width), spp, seed, progress)
-        radiance = job.render([neutral_pulse()]) if plan.rank_one else _render_bands(job, plan)
+    job = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)
+    return job.image(*job.run(0, progress))
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What one pass over a scene renders; its seeds start where those of the pass before end."""
+
+    scene: Any
+    integrator: Any
+    responses: list[dict[str, Any]]
+    spp: int
+    renders: int
+    first_seed: int
+    number: int
+
+
+def _part(progress: Progress | None, number: int, of: int) -> Progress | None:
+    return (lambda done: progress((number + done) / of)) if progress else None
+
+
+class Renderer:
+    """One scene, loaded once for each lamp spectrum; every run is an independent picture of it."""
+
+    def __init__(self, scene: Scene, camera: Camera, plan: Plan, seed: int) -> None:
+        self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
+        state = scene.for_camera(camera)
+        node = sensor_node(state, scene.sensor_id)[1]
+        self.size = film_size(state, node)
+        for name, value, (low, high) in (
+            ("resolution", max(self.size), ALLOWED_RESOLUTION),
+            ("resolution", min(self.size), ALLOWED_RESOLUTION),
+            ("spp", plan.spp, ALLOWED_SPP),
+        ):
+            if not low <= value <= high:
+                raise refuse(name, value, f"{low} to {high}")
+        self.pitch_um = 1e3 * camera.die_mm / self.size[1]
+        self.scalar = scene.choice.variant.startswith("scalar")
+        with self._mitsuba() as mi:
+            self.sensor = self._sensor(node)
+            self.scenes = [
+                _load(mi, scene, scene.for_camera(camera), light, self.scalar, plan.regular_tables) for light in plan.lights
+            ]
+            self.integrators = [self._integrator(mi, each) for each in self.scenes]
+
+    def _integrator(self, mi: Any, scene: Any) -> Any:
+        own = None if self.plan.integrator else scene.integrator()
+        return own or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.plan.integrator or {}))
+
+    def _mitsuba(self) -> Any:
+        return speaking_mitsuba(self.source.choice.variant, self.source.path.parent)
+
+    def _sensor(self, node: Any) -> dict[str, Any]:
+        left_out = ["focal_length", "fov_axis"]
+        lens: dict[str, Any] = {"type": self.plan.lens, "fov": self.camera.fov_deg}
+        if self.plan.lens == "thinlens":
+            lens |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
+        else:
+            left_out += ["aperture_radius", "focus_distance"]
+        kept = {key: value for key, value in plain(node) if key not in left_out}
+        return kept | lens
+
+    def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[list[NDArray[np.float32]], int]:
+        """Picture of each pulse of each light, (H, W, pulses) relative to its lamp, and the samples of a film cell.
+
+        Runs of another index or level are independent; each level has four times the samples of the one before.
+        """
+        pictures, number = [], 0
+        with self._mitsuba() as mi:
+            # Long renders are averages of shorter ones; multijitter rounds their samples up to what it can stratify.
+            asked = self.plan.spp * LEVEL_FACTOR**level
+            renders = -(-asked // SPP_PER_RENDER)
+            spp = mi.load_dict({"type": "multijitter", "sample_count": -(-asked // renders)}).sample_count()
+            for light, scene, integrator in zip(self.plan.lights, self.scenes, self.integrators, strict=True):
+                planes = np.zeros((*self.size, len(light.pulses)), np.float32)
+                for each in light.passes:
+                    films = [film_response(light.pulses[pulse]) for pulse in each]
+                    first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE
+                    job = _Pass(scene, integrator, films, spp, renders, first, index * self.plan.passes + number)
+                    told = _part(progress, number, self.plan.passes)
+                    planes[:, :, list(each)] = self._pass(mi, job, told)
+                    number += 1
+                pictures.append(planes)
+        return pictures, renders * spp
+
+    def _pass(self, mi: Any, job: _Pass, progress: Progress | None) -> Array:
+        """Radiance through each response, (H, W, channels) float64: strips of rows, averages of renders."""
+        height, width = self.size
+        strips = SCALAR_STRIPS if self.scalar else -(-height * width * job.spp // SAMPLES_PER_KERNEL)
+        rows = np.linspace(0, height, min(strips, height) + 1).astype(int)
+        total = np.zeros((height, width, len(job.responses)))
+        count = job.renders * (len(rows) - 1)
+        sampler = {"sampler": {"type": "multijitter", "sample_count": job.spp}}
+        for index in range(count):
+            top, bottom = rows[index // job.renders], rows[index // job.renders + 1]
+            sensor = mi.load_dict(self.sensor | sampler | {"film": film(job.responses, self.size, top, bottom)})
+            seed = (job.first_seed + job.number * count + index) % 2**32
+            strip = mi.render(job.scene, sensor=sensor, integrator=job.integrator, spp=job.spp, seed=seed)
+            values = np.asarray(strip, float)
+            if values.shape[2] != len(job.responses):
+                raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
+            total[top:bottom] += values / job.renders
+            if progress:
+                progress((index + 1) / count)
+        return total
+
+    def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
+        """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
+        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | more
+        return assemble(self.plan, pictures, self.camera, self.pitch_um, header, checked)
+
+
+def assemble(
+    plan: Plan,
+    pictures: Sequence[Picture],
+    camera: Camera,
+    pitch_um: float,
+    header: dict[str, Any],
+    check: Callable[[Array], NDArray[np.float32]] | None = None,
+) -> SpectralImage:
+    """Radiance of pulses → irradiance in bands. Without `check`, pictures may be differences of renders."""
+    height, width = pictures[0].shape[:2] if pictures else (1, 1)
+    finish = check or (lambda values: values.astype(np.float32))
     factor = optics.field_factor((height, width), pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-    header = provenance(scene, camera, plan, seed, job.runs * job.spp)
-    bands = BAND_CENTRE_NM, BAND_WIDTH_NM, pitch_um
-    if plan.rank_one:
-        assert plan.lamp is not None
-        on_axis = float(optics.irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
-        relative = checked(radiance[:, :, 0] * (factor * camera.transmittance / on_axis))
-        return SpectralImage(*bands, factors=([band_means(plan.lamp) * on_axis], relative[None]), header=header)
-    return SpectralImage(*bands, data=checked(radiance * (camera.transmittance * factor[:, :, None])), header=header)
+    on_axis = float(optics.irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
+    relative = factor * (camera.transmittance / on_axis)
+    bands = plan.bands
+    where: dict[str, Any] = {"within": (bands.nodes_nm, bands.shares), "header": header}
+    sampling = bands.wavelength_nm, bands.width_nm, pitch_um
+    if plan.factored:
+        spectra = np.vstack([light.spectra for light in plan.lights] or [np.zeros((1, bands.width_nm.size))])
+        planes = np.concatenate([np.moveaxis(each, 2, 0) for each in pictures] or [np.zeros((1, height, width))])
+        return SpectralImage(*sampling, factors=(spectra * on_axis, finish(planes * relative)), **where)
+    data = np.zeros((height, width, bands.width_nm.size))
+    for light, planes in zip(plan.lights, pictures, strict=True):
+        for pulse, spectrum in enumerate(light.spectra):
+            for band in np.flatnonzero(spectrum):
+                data[:, :, band] += spectrum[band] * planes[:, :, pulse]
+    return SpectralImage(*sampling, data=finish(data * (on_axis * relative)[:, :, None]), **where)
 
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
@@ -84,13 +211,16 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
         "seed": seed,
         "spp": spp,
         "variant": scene.choice.variant,
-        "plan": list(plan.reasons),
+        "plan": [f"{each.subject}: {'kept' if each.kept else 'left out'}, {each.reason}" for each in plan.decisions],
+        "bound_e": plan.bound_e if plan.bounded else None,
+        "diffraction": plan.diffraction,
         "pixsim": pixsim.__version__,
     }
-    if plan.lamp is not None:
-        header["lamp_w_per_m2_sr_nm"] = band_means(plan.lamp).tolist()
-    if plan.lamp is not None and plan.emissive_chart:
-        header["luminance_cd_per_m2"] = float(f"{plan.lamp.luminance_cd_per_m2:.9g}")
+    spectra = [light.lamp.spectrum for light in plan.lights]
+    if len(spectra) == 1 and spectra[0] is not None:
+        header["lamp_w_per_m2_sr_nm"] = spectra[0].cell_means(plan.bands.edges_nm).tolist()
+    if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
+        header["luminance_cd_per_m2"] = float(f"{white:.9g}")
     return header
 
 
@@ -114,129 +244,53 @@ def checked(values: Array) -> NDArray[np.float32]:
     return values.astype(np.float32)
 
 
-def neutral_pulse() -> dict[str, Any]:
-    """One flat pulse: what a neutral picture needs."""
-    return {"type": "regular", "wavelength_min": 540.0, "wavelength_max": 560.0, "values": "1, 1", "area": 20.0}
-
-
-def _render_bands(job: _Job, plan: Plan) -> Array:
-    radiance = np.zeros((*job.size, BAND_CENTRE_NM.size))
-    for number, bands in enumerate(plan.passes):
-        pulses = [band_pulse(plan.lamp, BAND_CENTRE_NM[band]) for band in bands]
-        lit = [area > 0 for _, _, area in pulses]
-        if all(lit):
-            picture = job.render([_srf(nodes, values) for nodes, values, _ in pulses], number, len(plan.passes))
-            for channel, (band, (_, _, area)) in enumerate(zip(bands, pulses, strict=True)):
-                radiance[:, :, band] = picture[:, :, channel] * (area / BAND_WIDTH_NM)
-        else:  # a lamp without light in some bands: the others one by one, since 3 pulses do not stratify
-            for band, (nodes, values, area) in zip(bands, pulses, strict=True):
-                if area > 0:
-                    picture = job.render([_srf(nodes, values)], number, len(plan.passes))
-                    radiance[:, :, band] = picture[:, :, 0] * (area / BAND_WIDTH_NM)
-    return radiance
-
-
-def _srf(nodes_nm: Array, values: Array) -> dict[str, Any]:
-    text = ", ".join(repr(float(value)) for value in values)
+def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
+    """A specfilm for some rows: float32 and a box, so that a cell holds its mean and runs repeat."""
+    height, width = size
     return {
-        "type": "regular",
-        "wavelength_min": float(nodes_nm[0]),
-        "wavelength_max": float(nodes_nm[-1]),
-        "values": text,
-        "area": 1.0,
+        "type": "specfilm",
+        "width": width,
+        "height": height,
+        "component_format": "float32",
+        "rfilter": {"type": "box"},
+        "crop_offset_x": 0,
+        "crop_offset_y": int(top),
+        "crop_width": width,
+        "crop_height": int(bottom - top),
+        **{f"band{channel}": response for channel, response in enumerate(responses)},
     }
 
 
-class _Job:
-    """One instantiated scene and what every pass over it shares."""
-
-    def __init__(
-        self,
-        mi: Any,
-        scene: Scene,
-        state: Any,
-        plan: Plan,
-        camera: Camera,
-        size: tuple[int, int],
-        spp: int,
-        seed: int,
-        progress: Progress | None,
-    ) -> None:
-        self.mi, self.size, self.seed, self.progress = mi, size, seed, progress
-        # Long renders are averages of shorter ones; multijitter rounds their samples up to what it can stratify.
-        self.runs = -(-spp // SPP_PER_RENDER)
-        self.spp = mi.load_dict({"type": "multijitter", "sample_count": -(-spp // self.runs)}).sample_count()
-        self.scalar = scene.choice.variant.startswith("scalar")
-        sensor = sensor_node(state, scene.sensor_id)[1]
-        self.sensor = {key: value for key, value in plain(sensor) if key not in ("focal_length", "fov_axis")}
-        self.sensor |= {
-            "type": "thinlens",
-            "fov": camera.fov_deg,
-            "aperture_radius": camera.aperture_radius_m,
-            "focus_distance": camera.object_distance_m,
-            "sampler": {"type": "multijitter", "sample_count": self.spp},
-        }
-        if plan.lamp is not None:
-            _take_out_lamp(mi, state, plan)
-        for _, node in nodes_of(state, "Integrator"):
-            if self.scalar and "block_size" not in node.props:
-                node.props["block_size"] = SCALAR_BLOCK
-        config = mi.parser.ParserConfig(scene.choice.variant)
-        mi.parser.transform_all(config, state)
-        built = mi.parser.instantiate(config, state)
-        self.scene = next(each for each in built if isinstance(each, mi.Scene)) if isinstance(built, list) else built
-        own = self.scene.integrator()
-        # An emitter alone is seen at depth 1; a scene without an integrator gets unlimited paths.
-        self.integrator = mi.load_dict({"type": "path", "max_depth": 1, "block_size": SCALAR_BLOCK}) if plan.rank_one else own
-        if self.integrator is None:
-            self.integrator = mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK})
-
-    def render(self, responses: list[dict[str, Any]], number: int = 0, of: int = 1) -> Array:
-        """Radiance through each response over its area, (H, W, channels) float64: strips of rows, runs of samples."""
-        height, width = self.size
-        strips = SCALAR_STRIPS if self.scalar else -(-height * width * self.spp // SAMPLES_PER_KERNEL)
-        rows = np.linspace(0, height, min(strips, height) + 1).astype(int)
-        total = np.zeros((height, width, len(responses)))
-        areas = np.array([response["area"] for response in responses])
-        count = self.runs * (len(rows) - 1)
-        for index in range(count):
-            top, bottom = rows[index // self.runs], rows[index // self.runs + 1]
-            sensor = self.mi.load_dict(self.sensor | self._film(responses, top, bottom))
-            # Small consecutive seeds: the scalar variants multiply them by the number of pixels, modulo 2³².
-            seed = (self.seed * of + number) * count + index
-            strip = self.mi.render(self.scene, sensor=sensor, integrator=self.integrator, spp=self.spp, seed=seed % 2**32)
-            values = np.asarray(strip, float)
-            if values.shape[2] != len(responses):
-                raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
-            total[top:bottom] += values / self.runs
-            if self.progress:
-                self.progress((number + (index + 1) / count) / of)
-        return total / areas
-
-    def _film(self, responses: list[dict[str, Any]], top: int, bottom: int) -> dict[str, Any]:
-        height, width = self.size
-        film = {
-            "type": "specfilm",
-            "width": width,
-            "height": height,
-            "component_format": "float32",
-            "rfilter": {"type": "box"},
-            "crop_offset_x": 0,
-            "crop_offset_y": int(top),
-            "crop_width": width,
-            "crop_height": int(bottom - top),
-        }
-        for channel, response in enumerate(responses):
-            film[f"band{channel}"] = {key: value for key, value in response.items() if key != "area"}
-        return {"film": film}
+def film_response(pulse: Pulse) -> dict[str, Any]:
+    return _regular(pulse.low_nm, pulse.high_nm, pulse.values)
 
 
-def _take_out_lamp(mi: Any, state: Any, plan: Plan) -> None:
-    """Leave each emitter its neutral picture or relative power; the spectrum is in the bands."""
-    assert plan.lamp is not None
-    for index, (name, picture) in plan.lamp.pictures.items():
-        props = state.nodes[index].props
-        if isinstance(picture, int):
-            props[name] = mi.Properties.ResolvedReference(picture)
-        else:
-            props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
+def _regular(low_nm: float, high_nm: float, values: Array) -> dict[str, Any]:
+    text = ", ".join(repr(float(value)) for value in values)
+    return {"type": "regular", "wavelength_min": low_nm, "wavelength_max": high_nm, "values": text}
+
+
+def _load(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, regular_tables: bool) -> Any:
+    """The scene with the emitters of one light only, each as its neutral picture or relative power: the spectrum is in the
+    pulses. Emitters whose colours vary stay as they are, and the pulses are flat."""
+    for index, node in nodes_of(state, "Emitter"):
+        if index not in light.lamp.pictures:
+            for parent in state.nodes:
+                for name, child in children(parent, state).items():
+                    if child == index:
+                        del parent.props[name]
+        elif light.lamp.spectrum is not None:
+            name, picture = light.lamp.pictures[index]
+            if isinstance(picture, int):
+                node.props[name] = mi.Properties.ResolvedReference(picture)
+            else:
+                node.props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
+    for _, node in nodes_of(state, "Integrator"):
+        if scalar and "block_size" not in node.props:
+            node.props["block_size"] = SCALAR_BLOCK
+    for (index, name), (table, values) in irregular_tables(state).items() if regular_tables else ():
+        state.nodes[index].props[name] = mi.load_dict(_regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
+    config = mi.parser.ParserConfig(scene.choice.variant)
+    mi.parser.transform_all(config, state)
+    built = mi.parser.instantiate(config, state)
+    return next(each for each in built if isinstance(each, mi.Scene)) if isinstance(built, list) else built

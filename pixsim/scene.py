@@ -11,18 +11,21 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from pydantic import ValidationError
 
 from pixsim import variant as variants
-from pixsim.errors import refuse
-from pixsim.lamps import find_lamp, is_neutral
+from pixsim.errors import PixsimError, refuse
+from pixsim.lamps import find_lamp
 from pixsim.mitsuba_xml import children, nodes_of, parse, plain
 from pixsim.parameters import Camera, CameraOptions, content_hash
-from pixsim.spectral import read_channels
+from pixsim.textures import check_textures, texture_files
 
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
+WHITE = "white_cd_per_m2"  # a <default> that Mitsuba does not use: what the viewer's display shows as white
 EMITTER_SCALE = "emitter_scale"
+INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
+MOST_INCLUDES = 64
 FILM_35_MM = (36.0, 24.0)  # what Mitsuba's `focal_length` refers to
 
 
@@ -35,6 +38,7 @@ class Scene:
     names: frozenset[str]  # of the parameters that the XML has
     sensor_id: str | None
     choice: variants.Choice
+    white_cd_per_m2: float | None = None  # what the file says that a display shows as white
 
     def parse(self, **more: object) -> Any:
         """Mitsuba's parser state, with `more` parameters where the user gave none."""
@@ -63,6 +67,10 @@ class Scene:
             "chart_half_width": camera.chart_half_width_m,
         }
         return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
+
+    def with_parameters(self, **more: object) -> Scene:
+        """The same scene with other values of its parameters."""
+        return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
 
     @property
     def content_hash(self) -> str:
@@ -116,13 +124,20 @@ def load_scene(
     if not path.is_file():
         raise refuse("scene", f"'{scene}'", f"an XML file, or one of {', '.join(packaged_scenes())}")
     choice = variants.choose(variant)
-    luminance = parameters.pop(LUMINANCE, None)
+    luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     given = {name: str(value) for name, value in parameters.items()}
     names = parameter_names(path)
     _check_names(given, names | {LUMINANCE})
-    loaded = Scene(path.resolve(), given, names, sensor, choice)
+    own_white = _default_of(path, WHITE)
+    if white is not None and own_white is None:
+        raise refuse(
+            WHITE, f"'{white}', but '{path.name}' has no such <default>", "scenes that have", "Set display.white_cd_per_m2."
+        )
+    shown = own_white if white is None else white
+    loaded = Scene(path.resolve(), given, names, sensor, choice, None if shown is None else _positive(WHITE, shown))
     state = loaded.parse()
     read_camera(sensor_node(state, sensor)[1], Camera().die_mm)
+    check_supported(state)
     check_textures(state, loaded.path.parent)
     if luminance is not None:
         loaded = _with_luminance(loaded, luminance)
@@ -155,13 +170,25 @@ def _positive(name: str, value: object) -> float:
     return number
 
 
-def parameter_names(path: Path) -> frozenset[str]:
-    """Names after `$` in an XML, comments left out."""
+def parameter_names(path: Path, depth: int = 4) -> frozenset[str]:
+    """Names after `$` in an XML and in those that it includes, comments left out."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise refuse("scene", f"'{path}' ({error})", "a readable XML file in UTF-8") from None
-    return frozenset(re.findall(r"\$\{?(\w+)", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)))
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    names = frozenset(re.findall(r"\$\{?(\w+)", text))
+    for name in re.findall(r'<include\b[^>]*\bfilename="([^"$]+)"', text)[:MOST_INCLUDES] if depth else []:
+        if (path.parent / name).is_file():
+            names |= parameter_names(path.parent / name, depth - 1)
+    return names
+
+
+def _default_of(path: Path, name: str) -> str | None:
+    """Value of a <default>, comments left out; Mitsuba's own parser forgets those that nothing uses."""
+    text = re.sub(r"<!--.*?-->", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    found = re.search(rf'<default\s+name="{name}"\s+value="([^"]*)"', text)
+    return found[1] if found else None
 
 
 def _check_names(given: dict[str, str], allowed: frozenset[str]) -> None:
@@ -169,6 +196,34 @@ def _check_names(given: dict[str, str], allowed: frozenset[str]) -> None:
         if name not in allowed:
             near = difflib.get_close_matches(name, allowed, 1)
             raise refuse("scene parameter", f"'{name}'", ", ".join(sorted(allowed)), f"Did you mean '{near[0]}'?" if near else "")
+
+
+def check_supported(state: Any) -> None:
+    """Refuse what the renderer would leave out or fake: media without volumetric paths, dispersion, polarisation."""
+    integrators = [node.props.plugin_name() for _, node in nodes_of(state, "Integrator")]
+    for name in integrators:
+        if name not in INTEGRATORS:
+            mend = 'Write <integrator type="path"/>; polarisation, depth and AOVs are no light on a sensor.'
+            raise refuse("integrator", f"'{name}'", ", ".join(INTEGRATORS), mend)
+    for _, node in nodes_of(state, "Sensor"):
+        if any(state.nodes[index].type.name == "Medium" for index in children(node, state).values()):
+            raise refuse("sensor", "a camera in a medium", "one in air", "Let the medium begin in front of the lens.")
+    for _, node in nodes_of(state, "Film"):
+        cropped = [name for name in node.props.keys() if name.startswith("crop_")]  # noqa: SIM118
+        if cropped:
+            raise refuse("film", ", ".join(cropped), "a whole film", "Leave the crop out: the die is what the film shows.")
+    if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
+        got = f"a participating medium with {integrators or 'no integrator'}"
+        raise refuse("scene", got, "volpath or volpathmis with media", 'Write <integrator type="volpath"/>.')
+    for _, node in nodes_of(state, "BSDF"):
+        for name in ("int_ior", "ext_ior"):
+            if name in node.props and node.props.type(name).name not in ("Float", "Integer", "String"):
+                raise refuse(
+                    f"{node.props.plugin_name()}.{name}",
+                    "a spectrum: dispersive glass",
+                    "one index for all wavelengths, as Mitsuba's dielectrics have",
+                    "Give the index at 589 nm.",
+                )
 
 
 def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
@@ -235,54 +290,10 @@ def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
 
 def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
     """The camera behind a thinlens node; f and N to six digits, since XMLs round their fields of view."""
-    exact = Camera.from_lens_geometry(
-        fov_x_deg(sensor, aspect),
-        _positive("aperture_radius", sensor.props["aperture_radius"]),
-        _positive("focus_distance", sensor.props["focus_distance"]),
-        die_mm,
-    )
+    aperture, focus = (_positive(name, sensor.props[name]) for name in ("aperture_radius", "focus_distance"))
+    try:
+        exact = Camera.from_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
+    except ValidationError as error:
+        raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error.errors()[0]['msg']}") from None
     rounded = {name: float(f"{getattr(exact, name):.6g}") for name in ("focal_length_mm", "f_number")}
     return exact.model_copy(update=rounded)
-
-
-def texture_files(state: Any, folder: Path) -> list[Path]:
-    """Files that bitmap nodes name; PixsimError for one that is missing."""
-    files = []
-    for node in state.nodes:
-        if "filename" in node.props:
-            name = str(node.props["filename"])
-            found = next((path for path in (folder / name, Path(name)) if path.is_file()), None)
-            if found is None:
-                raise refuse("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
-            files.append(found)
-    return files
-
-
-def check_textures(state: Any, folder: Path) -> None:
-    """Refuse NaN, infinite and negative texels: Mitsuba lets them pass, and spreads them over their neighbours."""
-    raw = {
-        path
-        for _, node in nodes_of(state, "Texture")
-        if is_neutral(node) and "filename" in node.props
-        for path in (folder / str(node.props["filename"]), Path(str(node.props["filename"])))
-    }
-    for path in texture_files(state, folder):
-        if path in raw and path.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp", ".tga"):
-            raise refuse(
-                f"texture '{path}'", f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes"
-            )
-        if path.suffix.lower() == ".exr":
-            channels = read_channels(path)[0]
-            if path in raw and len(channels) > 1:
-                raise refuse(
-                    f"texture '{path}'", f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture"
-                )
-            for name, texels in channels.items():
-                bad = ~(np.isfinite(texels) & (texels >= 0))
-                if bad.any():
-                    row, column = np.argwhere(bad)[0]
-                    raise refuse(
-                        f"texture '{path}'",
-                        f"{texels[row, column]} at row {row}, column {column} of channel {name}",
-                        "finite texels of 0 or more",
-                    )

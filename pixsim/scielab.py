@@ -91,14 +91,46 @@ def filtered_lab(
     XYZ below zero (noise, the filters' negative lobe) follows CIELAB's linear branch on, so L* may be negative.
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
+    white = _checked_view(filters, white_xyz, samples_per_deg)
+    planes = np.ascontiguousarray(np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0))
+    spectrum = scipy.fft.dctn(_combine(OPPONENT_FROM_XYZ, planes), axes=(1, 2), overwrite_x=True, workers=workers)
+    return _seen(spectrum, white, filters, float(samples_per_deg), workers)
+
+
+def filtered_grey_lab(
+    luminance: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    workers: int = 1,
+) -> Floats:
+    """`filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white.
+
+    Its opponent channels are multiples of one picture, so that one transform serves all three on the way in; each is
+    blurred in its own way, so grey gains chroma and all three are needed on the way out.
+    """
+    white = _checked_view(filters, white_xyz, samples_per_deg)
+    grey = np.asarray(luminance, np.float64)
+    if grey.ndim != 2 or grey.size == 0 or not np.isfinite(grey).all():
+        raise refuse("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
+    opponent = _combine(OPPONENT_FROM_XYZ, white[:, np.newaxis, np.newaxis])
+    spectrum = opponent * scipy.fft.dctn(grey, workers=workers)
+    return _seen(spectrum, white, filters, float(samples_per_deg), workers)
+
+
+def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: float) -> Floats:
     _check_choice("filters", filters, get_args(Filters))
     white = _checked_white(white_xyz)
     if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
         mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
         raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
-    planes = np.ascontiguousarray(np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0))
-    spectrum = scipy.fft.dctn(_combine(OPPONENT_FROM_XYZ, planes), axes=(1, 2), overwrite_x=True, workers=workers)
-    spectrum *= _transfer(filters, *planes.shape[1:], float(samples_per_deg))
+    return white
+
+
+def _seen(spectrum: Floats, white: Floats, filters: Filters, samples_per_deg: float, workers: int) -> Floats:
+    """CIELAB (H, W, 3) from the DCT-II of the opponent channels (3, H, W), which is overwritten."""
+    spectrum *= _transfer(filters, *spectrum.shape[1:], samples_per_deg)
     blurred = scipy.fft.idctn(spectrum, axes=(1, 2), overwrite_x=True, workers=workers)
     relative = _combine(XYZ_FROM_OPPONENT / white[:, np.newaxis], blurred)
     return _lab(relative, *(CIE_LAB if filters == "published" else ZHANG1996_LAB))

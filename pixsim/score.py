@@ -13,7 +13,7 @@ import numpy as np
 from pixsim import display as displays
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
-from pixsim.scielab import delta_e, filtered_lab
+from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab
 from pixsim.sensor import Frame, capture_rate, draw_sensor, mean_signal_rate
 from pixsim.spectral import Array, SpectralImage
 
@@ -74,14 +74,14 @@ def delta_e_statistics(delta_e_map: Array) -> dict[str, float]:
     }
 
 
-def seen_lab(shown: Array, display: Display) -> Array:
-    """CIELAB of a shown grey image as the viewer's eye blurs it, (H, W, 3)."""
-    return filtered_lab(
-        displays.to_xyz(shown),
-        white_xyz=displays.WHITE_XYZ,
-        samples_per_deg=display.samples_per_deg,
-        filters=display.filters,
-    )
+def seen_lab(shown: Array, display: Display, full: bool = False) -> Array:
+    """CIELAB of a shown grey image as the viewer's eye blurs it, (H, W, 3). `full` takes it for a coloured one."""
+    view: dict[str, Any] = {
+        "white_xyz": displays.WHITE_XYZ,
+        "samples_per_deg": display.samples_per_deg,
+        "filters": display.filters,
+    }
+    return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,7 @@ class Bench:
     white_e_per_s: float
     ideal: Array
     ideal_lab: Array
+    full: bool = False  # leave out no transform
 
     def score(self, *key: object) -> Score:
         """Another sensor and another frame for each key."""
@@ -104,11 +105,13 @@ class Bench:
         white_e = self.white_e_per_s * frame.integration_s
         luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display)
         image = displays.shown_luminance(luminance, self.display)
-        map_ = delta_e(self.ideal_lab, seen_lab(image, self.display), self.display.delta_e)
+        map_ = delta_e(self.ideal_lab, seen_lab(image, self.display, self.full), self.display.delta_e)
         return Score(map_, self.ideal, image, frame, self.physics)
 
 
-def make_bench(irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display) -> Bench:
+def make_bench(
+    irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display, full: bool = False
+) -> Bench:
     """Everything up to the noise. Warns where the camera is not the render's, or the display cannot show the scene."""
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
@@ -129,7 +132,8 @@ def make_bench(irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure
         size_um=displays.picture_size_um(irradiance),
         white_e_per_s=white_per_um2 * physics.photodiode_area_um2,
         ideal=ideal,
-        ideal_lab=seen_lab(ideal, display),
+        ideal_lab=seen_lab(ideal, display, full),
+        full=full,
     )
 
 
@@ -141,6 +145,7 @@ def evaluate(
     display: Display | None = None,
     *,
     seed: int = 0,
+    full: bool = False,
 ) -> Score:
     """Sense an irradiance with one individual sensor, show it, and compare it with the ideal image by S-CIELAB.
 
@@ -148,13 +153,20 @@ def evaluate(
     ----------
     camera : the one that the irradiance was rendered with
     seed : of the individual sensor and of its temporal noise
+    full : leave out no transform (the result differs by rounding only)
 
     Raises PixsimError for a pitch that is too small or larger than the die, or an unknown scene white.
     """
-    bench = make_bench(irradiance, camera, pixel, exposure or Exposure(), display or Display())
+    bench = make_bench(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
     return bench.score("evaluate", seed)
 
 
 def describe(score: Score, irradiance: SpectralImage) -> dict[str, Any]:
     """score.json: numbers, then what made them."""
-    return {**score.statistics(), "pixel": score.physics.pixel.model_dump(), "irradiance": irradiance.header}
+    white = "the lamps' own" if displays.white_spectrum(irradiance) is not None else "D65: the lamps share no spectrum"
+    return {
+        **score.statistics(),
+        "pixel": score.physics.pixel.model_dump(),
+        "white_spectrum": white,
+        "irradiance": irradiance.header,
+    }

@@ -155,7 +155,7 @@ def run_sensitivity(
     for each in (base, *(study for _, _, study in cases)):
         refuse_bad_pitches(each)
         scene_for(each, variant)
-    stage = progress or (lambda _: lambda _: None)
+    stage = progress or (lambda _: lambda *_: None)
     renders: dict[str, tuple[SpectralImage, Camera]] = {}
 
     def run(study: Study, name: str) -> StudyResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,41 +27,34 @@ SPLINE_DEGREE = 5  # of the running integral: 0.02 % contrast error at 60 lp/mm 
 # --- light to mean electrons ------------------------------------------------------------------------------------------
 
 
-def electrons_per_joule(physics: PixelPhysics, wavelength_nm: Array, band_width_nm: Array) -> Array:
-    """QE · λ/hc · Δλ, (B,): electrons s⁻¹ m⁻² of photodiode from W m⁻² nm⁻¹, summed over bands."""
-    return physics.band_quantum_efficiency(wavelength_nm, band_width_nm) * photons_per_joule(wavelength_nm) * band_width_nm
+def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
+    """QE · λ/hc · Δλ, (B,): electrons s⁻¹ m⁻² of photodiode from an image's W m⁻² nm⁻¹, to be summed over bands."""
+    part_nm = image.band_width_nm[:, None] / image.within[0].shape[1]
+    return image.band_mean(lambda nm: physics.band_quantum_efficiency(nm, part_nm) * photons_per_joule(nm)) * image.band_width_nm
 
 
 def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
     """Electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, (H, W).
 
-    One convolution for each spectrum of a factored image (the white-light OTF, exact), one a band otherwise.
-    Values that rang below zero are clipped.
+    One convolution for each spectrum of a factored image (with the white-light OTF, exact), one a band otherwise; none where
+    the plan found that it changes nothing. Values that rang below zero stay: `mean_signal_rate` clips what is left of them.
     """
-    nm, weight = (
-        irradiance.wavelength_nm,
-        electrons_per_joule(physics, irradiance.wavelength_nm, irradiance.band_width_nm),
-    )
-    rate = np.zeros(irradiance.shape)
-    if not weight.any():
-        return rate
-    n_w = camera.working_f_number
+    if irradiance.header.get("diffraction") is False:
+        return ideal_rate(irradiance, physics)
+    nm, weight = irradiance.wavelength_nm, electrons_per_joule(physics, irradiance)
+    pictures: Iterable[tuple[NDArray[np.float32], Array]]
     if irradiance.factors:
-        for spectrum, picture in zip(*irradiance.factors, strict=True):
-            share = weight * spectrum
-            if share.sum() > 0:
-                rate += share.sum() * optics.diffract(picture.astype(float), irradiance.pitch_um, nm, share, n_w, workers)
+        pictures = ((picture, weight * spectrum) for spectrum, picture in zip(*irradiance.factors, strict=True))
     else:
-        for band in np.flatnonzero(weight).tolist():
-            plane, here = irradiance.band(band).astype(float), slice(band, band + 1)
-            rate += weight[band] * optics.diffract(plane, irradiance.pitch_um, nm[here], weight[here], n_w, workers)
-    return np.maximum(rate, 0.0) * M2_PER_UM2
+        one = np.eye(nm.size)
+        pictures = ((irradiance.band(band), weight * one[band]) for band in np.flatnonzero(weight).tolist())
+    rate = optics.diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, camera.working_f_number, workers)
+    return rate * M2_PER_UM2
 
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
     """Electrons s⁻¹ µm⁻² of photodiode behind a lens without diffraction, (H, W)."""
-    weight = electrons_per_joule(physics, irradiance.wavelength_nm, irradiance.band_width_nm)
-    return irradiance.weighted(weight) * M2_PER_UM2
+    return irradiance.weighted(electrons_per_joule(physics, irradiance)) * M2_PER_UM2
 
 
 def pixel_count(length_um: float, pitch_um: float) -> int:
@@ -121,13 +115,13 @@ def integrate_pixels(rate: Array, sample_pitch_um: float, pitch_um: float, photo
         centre_um = length_um / 2 + (np.arange(count) - (count - 1) / 2) * pitch_um
         half = photodiode_side_um / 2
         result = integrate_axis(result, sample_pitch_um, centre_um - half, centre_um + half, axis)
-    return np.maximum(result, 0.0)
+    return result
 
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
     """Mean photo-electrons a second of every pixel, (rows, columns), before any non-uniformity."""
     rate = diffracted_rate(irradiance, camera, physics, workers)
-    return integrate_pixels(rate, irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um)
+    return np.maximum(integrate_pixels(rate, irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um), 0.0)
 
 
 def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: float) -> float:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
@@ -23,6 +25,8 @@ Array = NDArray[np.float64]
 
 PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
+PARTS_OF_A_BAND = 10
+CHANNEL_WIDTH_NM = 10.0  # of a file's channels, where finer bands are in its header
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
@@ -63,6 +67,7 @@ class SpectralImage:
     data : (H, W, B) float32, W m⁻² nm⁻¹; or
     factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.
         With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
+    within : where in each band its light is, (nodes in nm (B, n), shares of the light (B, n)); None takes it at the centre
     header : what made it (camera, scene hash, seed, samples, versions); JSON, travels in the file
     """
 
@@ -74,6 +79,7 @@ class SpectralImage:
         *,
         data: ArrayLike | None = None,
         factors: tuple[ArrayLike, ArrayLike] | None = None,
+        within: tuple[ArrayLike, ArrayLike] | None = None,
         header: dict[str, Any] | None = None,
     ) -> None:
         self.wavelength_nm = np.asarray(wavelength_nm, float)
@@ -94,6 +100,11 @@ class SpectralImage:
                 raise refuse("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
         if not (self.pitch_um > 0 and self.wavelength_nm.size and np.all(self.band_width_nm > 0)):
             raise refuse("sampling", f"pitch {pitch_um} µm, bands {self.band_width_nm} nm", "positive pitch and band widths")
+        if within is None:
+            within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
+        self.within = np.asarray(within[0], float), np.asarray(within[1], float)
+        if not self.within[0].shape == self.within[1].shape == (self.wavelength_nm.size, self.within[0].shape[-1]):
+            raise refuse("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, (B, n) each")
 
     @cached_property
     def data(self) -> NDArray[np.float32]:
@@ -126,17 +137,41 @@ class SpectralImage:
                 total += weight[band] * self.data[:, :, band]
         return total
 
+    def mean_spectrum(self) -> Array:
+        """Mean over the picture, (B,) W m⁻² nm⁻¹."""
+        if not self.factors:
+            return self.data.mean(axis=(0, 1), dtype=float)
+        spectra, pictures = self.factors
+        return (spectra * pictures.mean(axis=(1, 2), dtype=float)[:, None]).sum(axis=0)
+
+    def band_mean(self, response: Callable[[Array], Array]) -> Array:
+        """Mean of a function of the wavelength over each band, weighted by the light in it, (B,)."""
+        nodes_nm, shares = self.within
+        return (shares * response(nodes_nm)).sum(axis=1)
+
+    def luminous_weight(self) -> Array:
+        """What turns band values into lx, (B,); cd/m² where they are radiances."""
+        return LUMINOUS_EFFICACY_LM_PER_W * self.band_mean(photopic_efficiency) * self.band_width_nm
+
     def illuminance_lx(self) -> Array:
-        """(H, W) lx. Bands of 10 nm or less integrate a smooth lamp to 0.03 %; four broad bands give no lux."""
-        return self.weighted(luminous_weight(self.wavelength_nm, self.band_width_nm))
+        """(H, W) lx: 683.002 ∫ ȳ E dλ."""
+        return self.weighted(self.luminous_weight())
 
     def __repr__(self) -> str:
         height, width = self.shape
-        kind = f"{len(self.factors[0])} spectrum × picture" if self.factors else "general"
+        count = len(self.factors[0]) if self.factors else 0
+        kind = f"{count} {'spectrum × picture' if count == 1 else 'spectra × pictures'}" if count else "general"
         return (
             f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm, {self.wavelength_nm.size} bands "
             f"{self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g} nm, {kind}, W m^-2 nm^-1>"
         )
+
+
+def even_light(wavelength_nm: Array, band_width_nm: Array) -> tuple[Array, Array]:
+    """`within` of bands whose light is even over them, in ten parts."""
+    offsets = (np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5
+    nodes = wavelength_nm[:, None] + band_width_nm[:, None] * offsets
+    return nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
 
 
 def _band_channel(wavelength_nm: float) -> str:
@@ -157,30 +192,48 @@ def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], heade
         raise refuse("output file", f"'{path}' ({error})", "a path that can be written") from None
 
 
-def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """Name -> (H, W) float32 and the header of an EXR; PixsimError where it is missing or not an EXR."""
+@contextmanager
+def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
+    """An OpenEXR file; PixsimError where it is missing or not an EXR."""
     import OpenEXR
 
     if not Path(path).is_file():
         raise refuse("EXR file", f"'{path}', which does not exist", "a readable OpenEXR file")
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
-            return planes, dict(file.header())
+        with OpenEXR.File(str(path), separate_channels=True, **options) as file:
+            yield file
     except (OSError, RuntimeError, ValueError) as error:
         raise refuse("EXR file", f"'{path}' ({error})", "a readable OpenEXR file") from None
+
+
+def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The header of an EXR, `channels` their names, no pixels read; PixsimError where it is missing or not an EXR."""
+    with _opened(path, header_only=True) as file:
+        header = dict(file.header())
+        return header | {"channels": [channel.name for channel in header["channels"]]}
+
+
+def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Name -> (H, W) float32 and the header of an EXR; PixsimError where it is missing or not an EXR."""
+    with _opened(path) as file:
+        planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
+        return planes, dict(file.header())
 
 
 def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
     """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the same bits back.
 
-    Channels `S0.550,000000nm` in W m⁻² nm⁻¹ for any reader, and `factor.N` pictures where the image has factors.
+    Channels `S0.550,000000nm` in W m⁻² nm⁻¹ for any reader, and `factor.N` pictures where the image has factors; then bands
+    finer than 10 nm stand in the header, and the channels hold their means over 10 nm.
     """
-    channels: dict[str, Any] = {_band_channel(nm): image.band(band) for band, nm in enumerate(image.wavelength_nm)}
+    shown = _merged(image) if image.factors else image
+    channels: dict[str, Any] = {_band_channel(nm): shown.band(band) for band, nm in enumerate(shown.wavelength_nm)}
     own: dict[str, Any] = {
         "wavelength_nm": image.wavelength_nm.tolist(),
         "band_width_nm": image.band_width_nm.tolist(),
         "pitch_um": image.pitch_um,
+        "within_nm": image.within[0].tolist(),
+        "within_shares": image.within[1].tolist(),
         "header": image.header,
     }
     if image.factors:
@@ -194,6 +247,24 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
     write_channels(path, channels, header)
 
 
+def _merged(image: SpectralImage) -> SpectralImage:
+    """A factored image with neighbouring bands taken together up to 10 nm; those wider stay."""
+    assert image.factors
+    groups: list[list[int]] = []
+    width = 0.0
+    for band, own in enumerate(image.band_width_nm):
+        if groups and width + own <= CHANNEL_WIDTH_NM:
+            groups[-1].append(band)
+            width += own
+        else:
+            groups.append([band])
+            width = own
+    widths = np.array([image.band_width_nm[group].sum() for group in groups])
+    mean = np.array([(image.band_width_nm[group] * image.wavelength_nm[group]).sum() for group in groups]) / widths
+    spectra = np.array([(image.factors[0][:, group] * image.band_width_nm[group]).sum(axis=1) for group in groups]).T / widths
+    return SpectralImage(mean, widths, image.pitch_um, factors=(spectra, image.factors[1]))
+
+
 def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     """Read what `write_exr` wrote. PixsimError for a file that is damaged or was not written by pixsim."""
     channels, header = read_channels(path)
@@ -202,11 +273,12 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     try:
         own = json.loads(header["pixsim"])
         bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
+        more = {"header": own["header"], "within": (own["within_nm"], own["within_shares"]) if "within_nm" in own else None}
         if "spectra_w_per_m2_nm" in own:
             spectra = np.array(own["spectra_w_per_m2_nm"])
             pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])
-            return SpectralImage(*bands, factors=(spectra, pictures), header=own["header"])
+            return SpectralImage(*bands, factors=(spectra, pictures), **more)
         data = np.stack([channels[_band_channel(nm)] for nm in own["wavelength_nm"]], axis=2)
-        return SpectralImage(*bands, data=data, header=own["header"])
+        return SpectralImage(*bands, data=data, **more)
     except (KeyError, TypeError, ValueError) as error:
         raise refuse("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None

@@ -166,11 +166,29 @@ def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
 
 
 def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
-    """The study's irradiance, and the camera that it was rendered with."""
-    from pixsim.renderer import render
+    """The study's irradiance, and the camera that it was rendered with.
+
+    Its noise is right for the largest pixel that the study allows, the least noisy one, whatever pitches are asked for: a
+    row does not depend on the others.
+    """
+    from pixsim.convergence import render_until
+    from pixsim.plan import make_render_plan
 
     scene, camera = scene_for(study, variant)
-    return render(scene, camera, study.seed, progress=progress), camera
+    largest = [pixel_of(study, study.technologies[0], study.pitch.max_um)]
+    plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
+    image, _ = render_until(
+        scene,
+        camera,
+        plan,
+        largest,
+        study.exposure,
+        study.seed,
+        render_noise=study.render_noise,
+        max_seconds=study.max_seconds,
+        progress=progress,
+    )
+    return image, camera
 
 
 def sweep_pitches(
@@ -211,7 +229,7 @@ def study(
     chosen = plan if isinstance(plan, Study) else load_study(plan)
     chosen = chosen.quickened if quick else chosen
     refuse_bad_pitches(chosen)
-    stage = progress or (lambda _: lambda _: None)
+    stage = progress or (lambda _: lambda *_: None)
     with output_folder(out) as folder:
         irradiance, camera = render_for(chosen, variant, stage("render"))
         workers = jobs or os.cpu_count() or 1

@@ -228,3 +228,34 @@ def test_wavelengths_without_weight_do_not_count():
     both = optics.diffract(picture, 1.0, np.array([450.0, 700.0]), np.array([0.0, 2.0]), 8.0)
     # The table reaches further here, hence not the same bits.
     np.testing.assert_allclose(both, optics.diffract(picture, 1.0, np.array([700.0]), ONE, 8.0), atol=1e-7)
+
+
+@pytest.mark.parametrize("shape", [(24, 40), (1, 33)])
+def test_several_pictures_are_diffracted_as_each_alone(shape):
+    rng = np.random.default_rng(3)
+    nm = np.array([450.0, 550.0, 620.0, 700.0])
+    pictures = rng.uniform(0, 1, (4, *shape))
+    weights = rng.normal(0, 1, (4, 4))  # of both signs, as the spectra of a fit
+    weights[3] = 0.0
+    together = optics.diffract_sum(zip(pictures, weights, strict=True), shape, 1.0, nm, 8.0)
+    alone = sum(
+        weight.sum() * optics.diffract(each, 1.0, nm, weight, 8.0) for each, weight in zip(pictures[:3], weights, strict=False)
+    )
+    # The same sums in another order: a few roundings of values up to 3.
+    assert np.abs(together - alone).max() < 1e-12
+    # And a wavelength at a time, with a table of its own: linear interpolation errs by 3e-8.
+    apart = sum(
+        w * optics.diffract(each, 1.0, nm[k : k + 1], ONE, 8.0)
+        for each, row in zip(pictures, weights, strict=True)
+        for k, w in enumerate(row)
+    )
+    assert np.abs(together - apart).max() < 1e-6
+    assert np.abs(together - np.tensordot(weights.sum(axis=1), pictures, 1)).max() > 0.1  # it does blur
+
+
+def test_weights_are_not_scaled():
+    picture = np.random.default_rng(4).uniform(0, 1, (8, 8))
+    found = optics.diffract_sum([(picture, np.array([-3.0]))], (8, 8), 1.0, NM, 8.0)
+    assert found.mean() == pytest.approx(-3 * picture.mean(), rel=1e-13)
+    np.testing.assert_array_equal(optics.diffract_sum([(picture, np.zeros(1))], (8, 8), 1.0, NM, 8.0), np.zeros((8, 8)))
+    np.testing.assert_array_equal(optics.diffract_sum([], (8, 8), 1.0, NM, 8.0), np.zeros((8, 8)))

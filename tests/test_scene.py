@@ -11,12 +11,14 @@ import pytest
 import pixsim
 from pixsim import charts, optics, spectral
 from pixsim.errors import PixsimError
-from pixsim.lamps import LAMP_GRID_NM, Lamp, find_lamp
+from pixsim.lamps import Lamp, find_lamp, find_lamps
 from pixsim.mitsuba_xml import import_mitsuba
 from pixsim.parameters import CameraOptions
 from pixsim.scene import packaged_scenes
+from pixsim.spectrum import grid_nm
 
-SHIPPED = ["csf", "flat", "siemens_star", "slanted_edge"]
+CHARTS = ["csf", "flat", "siemens_star", "slanted_edge"]
+SHIPPED = sorted([*CHARTS, "line_lamp", "macbeth", "still_life"])
 LENS = '<float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="0.8"/>'
 FOV = '<float name="fov" value="40"/>'
 RAW = '<boolean name="raw" value="true"/>'
@@ -49,12 +51,12 @@ def test_shipped_scenes_load_by_name_and_by_path(name):
     assert load(str(by_path.path)).path == by_name.path
 
 
-def test_shipped_scenes_differ_in_their_chart_only():
+def test_shipped_charts_differ_in_their_chart_only():
     assert sorted(packaged_scenes()) == SHIPPED
-    lines = {name: packaged_scenes()[name].read_text().splitlines() for name in SHIPPED}
+    lines = {name: packaged_scenes()[name].read_text().splitlines() for name in CHARTS}
     chart = [index for index, line in enumerate(lines["csf"]) if '<default name="chart"' in line]
     assert len(chart) == 1
-    for name in SHIPPED:
+    for name in CHARTS:
         assert lines[name].pop(chart[0]).strip() == f'<default name="chart" value="charts/{name}.exr"/>'
         assert lines[name] == lines["csf"]
 
@@ -119,7 +121,7 @@ def test_a_missing_file_is_refused_with_what_there_is(missing):
 # --- The camera ---
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", [*CHARTS, "line_lamp", "macbeth"])
 def test_shipped_scenes_hold_the_default_camera(name):
     assert load(name).camera() == pixsim.Camera()
 
@@ -314,14 +316,14 @@ def test_one_lamp_is_known(tmp_path, emitters, radiance):
     lamp = lamp_of(tmp_path, *emitters)
     assert lamp is not None
     # float32 spectra, and five digits of D65's scale.
-    np.testing.assert_allclose(lamp.radiance, radiance(LAMP_GRID_NM), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(lamp.spectrum.at(grid_nm()), radiance(grid_nm()), rtol=1e-4, atol=1e-4)
 
 
 def test_lamps_of_one_spectrum_are_one_lamp(tmp_path):
     lamp = lamp_of(tmp_path, area(d65_xml(0.5)), area(d65_xml(1.5)))
     assert lamp is not None
-    assert lamp.luminance_cd_per_m2 == pytest.approx(0.5 * D65_LUMINANCE, rel=1e-4)  # that of the first
-    assert [power for _, power in lamp.pictures.values()] == pytest.approx([1, 3])
+    assert lamp.luminance_cd_per_m2 == pytest.approx(1.5 * D65_LUMINANCE, rel=1e-4)  # that of the brightest
+    assert [power for _, power in lamp.pictures.values()] == pytest.approx([1 / 3, 1])
 
 
 @pytest.mark.parametrize(
@@ -332,9 +334,8 @@ def test_lamps_of_one_spectrum_are_one_lamp(tmp_path):
         [area(line(0, 1)), area(line(1, 0))],
         [area(d65_xml(1, bitmap("texture", "")))],
         [area(bitmap("radiance", ""))],
-        [area(RGB)],
         [area(d65_xml()), area(RGB)],
-        [area(d65_xml(1, bitmap("texture"))), area(d65_xml(2))],
+        [area(d65_xml(1, bitmap("texture"))), area(d65_xml(2, bitmap("texture")))],
         ['<emitter type="envmap"><string name="filename" value="grey.exr"/></emitter>'],
     ],
     ids=[
@@ -343,14 +344,33 @@ def test_lamps_of_one_spectrum_are_one_lamp(tmp_path):
         "two lines",
         "coloured texture on d65",
         "coloured texture",
-        "rgb",
         "d65 and rgb",
-        "a texture and another scale",
+        "two textures at two scales",
         "environment",
     ],
 )
 def test_other_lights_are_no_single_lamp(tmp_path, emitters):
     assert lamp_of(tmp_path, *emitters) is None
+
+
+def test_a_textured_lamp_and_a_plain_one_of_the_same_spectrum(tmp_path):
+    lamp = lamp_of(tmp_path, area(d65_xml(3)), area(d65_xml(0.5, bitmap("texture"))))
+    assert lamp is not None
+    assert lamp.luminance_cd_per_m2 == pytest.approx(0.5 * D65_LUMINANCE, rel=1e-4)  # that of texel value 1
+    powers = [value for _, value in lamp.pictures.values() if isinstance(value, float)]
+    assert powers == pytest.approx([6])
+
+
+def test_lamps_by_spectrum(tmp_path):
+    pixsim.write_chart(tmp_path / "grey.exr", np.full((2, 2), 0.5, np.float32))
+    emitters = [area(d65_xml(2)), area(REGULAR), area(RGB), area(d65_xml(1)), area(bitmap("radiance", ""))]
+    scene = load(write_scene(tmp_path, sensor_xml(), *emitters))
+    lamps = find_lamps(scene.parse(), scene.choice.variant)
+    assert [len(lamp.pictures) for lamp in lamps] == [2, 1, 1, 1]
+    assert [lamp.spectrum is None for lamp in lamps] == [False, False, False, True]
+    # Mitsuba's srgb model of white is flat, and an emitter's colour is times d65.
+    white = lamp_of(tmp_path, area('<rgb name="radiance" value="2, 2, 2"/>'))
+    assert white.luminance_cd_per_m2 == pytest.approx(2 * D65_LUMINANCE, rel=1e-3)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 250.0])

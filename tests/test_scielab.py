@@ -102,6 +102,35 @@ def test_published_and_1996_filters_tell_nearly_the_same(name):
         assert np.corrcoef(found.ravel(), expected.ravel())[0, 1] > (0.99 if coarse else 0.998)
 
 
+# --- Grey images ---
+
+
+@pytest.mark.parametrize("filters", FILTERS)
+@pytest.mark.parametrize(("shape", "samples_per_deg"), [((48, 64), 23.0), ((5, 9), 30.0), ((1, 1), 60.0)])
+@pytest.mark.parametrize("white", [D65, D65 * 3.2, np.array([110.0, 100.0, 35.0])])
+def test_a_grey_image_is_an_image_of_greys(filters, shape, samples_per_deg, white):
+    grey = np.random.default_rng(2).uniform(-0.02, 1.3, shape)
+    grey.flat[0] = 0.0
+    view = {"white_xyz": white, "samples_per_deg": samples_per_deg, "filters": filters}
+    found = scielab.filtered_grey_lab(grey, **view)
+    whole = scielab.filtered_lab(grey[..., None] * white, **view)
+    assert found.shape == (*shape, 3)
+    # The same transform, once instead of three times: roundings of Lab's 100, amplified by the slope at black (903).
+    np.testing.assert_allclose(found, whole, rtol=0, atol=1e-10)
+
+
+def test_a_flat_grey_is_the_luminance_it_has():
+    lab = scielab.filtered_grey_lab(np.full((6, 7), 0.184187), white_xyz=D65, samples_per_deg=23)
+    # L* 50 is Y/Yn = ((50 + 16)/116)³ = .184187.
+    np.testing.assert_allclose(lab, np.broadcast_to([50, 0, 0], (6, 7, 3)), atol=1e-4)
+
+
+@pytest.mark.parametrize("luminance", [np.ones(3), np.ones((2, 2, 3)), np.ones((0, 4)), np.array([[1.0, np.nan]])])
+def test_what_is_no_grey_image_is_refused(luminance):
+    with pytest.raises(PixsimError, match=r"luminance: got shape .*; allowed: \(H, W\), finite, not empty"):
+        scielab.filtered_grey_lab(luminance, white_xyz=D65, samples_per_deg=23)
+
+
 # --- The published filter: closed forms, limits, conservation ---
 
 

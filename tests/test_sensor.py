@@ -14,7 +14,7 @@ from pixsim import sensor as sensors
 from pixsim.errors import PixsimError
 from pixsim.parameters import Camera, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
-from pixsim.spectral import SpectralImage
+from pixsim.spectral import SpectralImage, photons_per_joule
 
 SHAPE = (4, 250_000)
 SIGMAS = 5.0
@@ -370,6 +370,67 @@ def test_general_and_factored_images_give_the_same_electrons():
     one, other = (sensors.mean_signal_rate(image, Camera(), physics) for image in (factored, general))
     # Two convolutions with white-light OTFs against three with one band each; float32 and the OTF's table.
     np.testing.assert_allclose(one, other, rtol=1e-6)
+
+
+@pytest.mark.parametrize("diffraction", [True, False])
+def test_negative_lobes_of_a_factored_image_cancel(diffraction):
+    rng = seeded(9)
+    # Spectra as a fit of few pulses gives them: large, of both signs, while the light that they add up to is positive.
+    pictures = np.cumsum(rng.uniform(0.2, 1, (4, 48, 48)), axis=0) / 4
+    spectra = np.linalg.inv(np.tril(np.ones((4, 4)))).T @ rng.uniform(1e-3, 4e-3, (4, 3))
+    assert spectra.min() < -1e-3
+    header = {"diffraction": diffraction}
+    factored = SpectralImage(NM, WIDTH_NM, 4.0, factors=(spectra, pictures), header=header)
+    assert factored.data.min() > 0
+    general = SpectralImage(NM, WIDTH_NM, 4.0, data=factored.data, header=header)
+    physics = derive(Pixel(pitch_um=8.0))
+    one, other = (sensors.mean_signal_rate(image, Camera(), physics) for image in (factored, general))
+    assert one.min() > 0
+    # float32 of terms that cancel to a quarter, and the OTF's table.
+    np.testing.assert_allclose(one, other, rtol=1e-5)
+    unblurred = SpectralImage(NM, WIDTH_NM, 4.0, factors=(spectra, pictures), header={"diffraction": not diffraction})
+    assert np.abs(sensors.mean_signal_rate(unblurred, Camera(), physics) / one - 1).max() > 1e-3  # so diffraction does count
+
+
+def per_joule(options: dict, nm: float, within: tuple | None = None) -> float:
+    """Electrons s⁻¹ m⁻² of 1 W m⁻² in a band of 10 nm."""
+    image = SpectralImage([nm], 10.0, 1.0, data=np.ones((1, 1, 1)), within=within)
+    return float(sensors.electrons_per_joule(derive(Pixel(pitch_um=8.0, **options)), image)[0]) / 10
+
+
+@pytest.mark.parametrize("laser_nm", [526.0, 532.0, 534.5])
+@pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
+def test_a_laser_off_the_centre_of_its_band(technology, laser_nm):
+    physics = derive(Pixel(pitch_um=8.0, technology=technology))
+    options = {"technology": technology}
+    exact = float(physics.quantum_efficiency(laser_nm)) * laser_nm * 1e-9 / (planck * light_speed)
+    assert per_joule(options, 530.0, ([[laser_nm]], [[1.0]])) == pytest.approx(exact, rel=1e-6)
+    # Without being told it is taken at the band's centre: 0.2 % and more off.
+    centre = float(physics.quantum_efficiency(530.0)) * float(photons_per_joule(530.0))
+    assert per_joule(options, 530.0) == pytest.approx(centre, rel=1e-6)
+    assert abs(centre / exact - 1) > 2e-3
+
+
+@pytest.mark.parametrize(("cut_nm", "share"), [(640, 0.0), (645, 0.0), (646, 0.1), (650, 0.5), (653, 0.8), (655, 1.0), (700, 1.0)])
+def test_an_infrared_cut_through_a_band(cut_nm, share):
+    options = {"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}
+    # Light that is even over the band: at its centre, times the part below the cut.
+    assert per_joule(options, 650.0) == pytest.approx(0.5 * share * 650e-9 / (planck * light_speed), rel=1e-12)
+    # The same in ten parts: the photons of a joule at each.
+    nodes = 645.5 + np.arange(10)
+    expected = 0.5 * nodes[nodes < cut_nm].sum() / 10 * 1e-9 / (planck * light_speed)
+    assert per_joule(options, 650.0, ([nodes], [np.full(10, 0.1)])) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("cut_nm", "below"), [(651.0, 1.0), (649.0, 0.0)])
+def test_an_infrared_cut_beside_a_line(cut_nm, below):
+    # A line at 650.0 in parts of 1 nm: a cut a nanometre beside it takes all of it or nothing.
+    nodes = 645.5 + np.arange(10)
+    nodes[5] = 650.0
+    shares = np.eye(10)[5]
+    options = {"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}
+    seen = per_joule(options, 650.0, ([nodes], [shares]))
+    assert seen == pytest.approx(below * 0.5 * 650e-9 / (planck * light_speed), rel=1e-12)
 
 
 def test_a_seed_is_an_individual():

@@ -11,6 +11,7 @@ import pytest
 
 import pixsim
 from pixsim import spectral, variant
+from pixsim.bands import BAND_EDGES_NM
 from pixsim.errors import PixsimError
 from pixsim.mitsuba_xml import import_mitsuba
 from pixsim.spectral import SpectralImage
@@ -63,6 +64,69 @@ def test_a_factored_image_comes_back_bit_for_bit(tmp_path):
     assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
     assert np.array_equal(bits(back.data), bits(image.data))
     assert back.pitch_um == image.pitch_um
+
+
+def fine_bands(seed: int) -> SpectralImage:
+    """10 nm bands halved at random up to three times, as lines ask for it; spectra of both signs."""
+    rng = np.random.default_rng(seed)
+    edges = BAND_EDGES_NM
+    for _ in range(3):
+        halved = np.flatnonzero(rng.random(edges.size - 1) < rng.uniform(0.1, 0.6))
+        edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
+    width_nm = np.diff(edges)
+    nodes_nm = edges[:-1, None] + width_nm[:, None] * np.sort(rng.random((width_nm.size, 10)), axis=1)
+    shares = rng.dirichlet(np.ones(10), width_nm.size)
+    factors = rng.normal(0.3, 1, (8, width_nm.size)), rng.uniform(0, 1, (8, 3, 5))
+    return SpectralImage((shares * nodes_nm).sum(axis=1), width_nm, 2.65, factors=factors, within=(nodes_nm, shares))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_factored_image_with_fine_bands_comes_back_bit_for_bit(seed, tmp_path):
+    image = fine_bands(seed)
+    assert image.band_width_nm.min() < 5
+    assert image.band_width_nm.size > 60
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    back = pixsim.read_exr(tmp_path / "image.exr")
+    assert np.array_equal(back.factors[0], image.factors[0])  # float64
+    assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
+    for name in ("wavelength_nm", "band_width_nm"):
+        assert np.array_equal(getattr(back, name), getattr(image, name))
+    assert np.array_equal(back.within[0], image.within[0])
+    assert np.array_equal(back.within[1], image.within[1])
+    # For other readers: at most one channel for each of the 48 bands of 10 nm and less.
+    channels, _ = spectral.read_channels(tmp_path / "image.exr")
+    shown = {float(name[3:-2].replace(",", ".")): plane for name, plane in channels.items() if name.startswith("S0.")}
+    assert len(shown) <= 48
+    assert len(channels) == len(shown) + 8
+    # Every band is in one channel: energies add up to those of all bands, and so do first moments (float32 of 8 terms).
+    merged = spectral._merged(image)
+    assert sorted(shown) == pytest.approx(merged.wavelength_nm.tolist(), abs=1e-6)
+    assert merged.band_width_nm.max() <= 10
+    assert merged.band_width_nm.sum() == pytest.approx(470, rel=1e-13)
+    energy = sum(width * shown[nm].astype(float) for nm, width in zip(sorted(shown), merged.band_width_nm, strict=True))
+    np.testing.assert_allclose(energy, image.weighted(image.band_width_nm), atol=1e-5 * np.abs(energy).max())
+
+
+def test_merged_bands_are_means_of_neighbours():
+    width_nm = np.array([5, 5, 2.5, 2.5, 1.25, 1.25, 2.5, 10, 15, 5, 5])
+    nm = np.cumsum(width_nm) - width_nm / 2
+    image = SpectralImage(nm, width_nm, 1.0, factors=(np.arange(11.0), np.ones((1, 1, 1))))
+    merged = spectral._merged(image)
+    np.testing.assert_array_equal(merged.band_width_nm, [10, 10, 10, 15, 10])
+    np.testing.assert_allclose(merged.wavelength_nm, [5, 15, 25, 37.5, 50], rtol=1e-14)
+    middle = (2 * 2.5 + 3 * 2.5 + 4 * 1.25 + 5 * 1.25 + 6 * 2.5) / 10
+    np.testing.assert_allclose(merged.factors[0][0], [0.5, middle, 7, 8, 9.5], rtol=1e-14)
+
+
+@pytest.mark.parametrize("make", [general, factored])
+def test_where_the_light_is_comes_back(make, tmp_path):
+    image = make()
+    rng = np.random.default_rng(3)
+    image.within = (image.wavelength_nm[:, None] + rng.uniform(-5, 5, (46, 3)), rng.dirichlet(np.ones(3), 46))
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    back = pixsim.read_exr(tmp_path / "image.exr")
+    assert np.array_equal(back.within[0], image.within[0])
+    assert np.array_equal(back.within[1], image.within[1])
 
 
 @pytest.mark.parametrize("make", [general, factored])
@@ -225,6 +289,25 @@ def test_illuminance_of_a_laser():
     np.testing.assert_allclose(image.illuminance_lx(), np.full((2, 3), 2 * 683), rtol=1e-5)
 
 
+def test_light_is_taken_at_the_centre_unless_told_where_it_is():
+    centred = SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)))
+    np.testing.assert_array_equal(centred.band_mean(lambda nm: nm**2), [550.0**2, 600.0**2])
+    np.testing.assert_array_equal(centred.luminous_weight(), spectral.luminous_weight([550.0, 600.0], 10.0))
+    # Two lines of one to three in the first band, three in the second.
+    nodes_nm, shares = [[546.0, 553.0, 550.0], [596.0, 600.0, 604.0]], [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]]
+    image = SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)), within=(nodes_nm, shares))
+    np.testing.assert_allclose(image.band_mean(lambda nm: nm), [551.25, 600], rtol=1e-15)
+    np.testing.assert_allclose(image.band_mean(lambda nm: nm**2) - [551.25**2, 600**2], [49 * 3 / 16, 8], rtol=1e-9)
+
+
+def test_illuminance_of_a_laser_off_the_centre_of_its_band():
+    # 2 W/m² in a band of 10 nm. CIE tabulates ȳ = .8849624 at 532 nm and .8620 at 530 nm.
+    data = np.full((1, 1, 1), 0.2)
+    image = SpectralImage([530.0], 10.0, 1.0, data=data, within=([[532.0]], [[1.0]]))
+    assert image.illuminance_lx()[0, 0] == pytest.approx(2 * 683.002 * 0.8849624, rel=1e-6)
+    assert SpectralImage([530.0], 10.0, 1.0, data=data).illuminance_lx()[0, 0] == pytest.approx(2 * 683.002 * 0.862, rel=1e-6)
+
+
 def test_photons_of_a_joule():
     import scipy.constants as si
 
@@ -245,6 +328,8 @@ def test_factors_are_the_data_they_stand_for():
     np.testing.assert_allclose(image.weighted(weight), expected @ weight, rtol=1e-6)
     whole = SpectralImage(BANDS_NM, 10.0, 1.0, data=expected)
     np.testing.assert_allclose(image.illuminance_lx(), whole.illuminance_lx(), rtol=1e-6)
+    for each in (image, whole):
+        np.testing.assert_allclose(each.mean_spectrum(), expected.mean(axis=(0, 1)), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -257,6 +342,11 @@ def test_factors_are_the_data_they_stand_for():
         ({"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))}, r"factors: got \(2, 1\) and \(1, 2, 2\)"),
         ({"data": np.ones((2, 2, 1)), "pitch_um": 0.0}, "positive pitch"),
         ({"data": np.ones((2, 2, 1)), "band_width_nm": -1.0}, "positive pitch and band widths"),
+        (
+            {"data": np.ones((2, 2, 1)), "within": ([[550.0]], [[0.5, 0.5]])},
+            r"within: got \(1, 1\) and \(1, 2\); allowed: .*\(B, n\)",
+        ),
+        ({"data": np.ones((2, 2, 1)), "within": ([[550.0], [560.0]], [[0.5], [0.5]])}, r"within: got \(2, 1\) and \(2, 1\)"),
     ],
 )
 def test_shapes_that_do_not_fit_are_refused(arguments, message):

@@ -1,0 +1,146 @@
+"""Render until the render's own noise no longer matters beside the sensor's, and say how much of it is left."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from pixsim.parameters import Camera, Exposure, Pixel
+from pixsim.pixel import derive
+from pixsim.plan import Plan
+from pixsim.renderer import LEVEL_FACTOR, Renderer, assemble
+from pixsim.scene import Scene
+from pixsim.sensor import frame_variance_dn2, ideal_rate, integrate_pixels, integration_time_s
+from pixsim.spectral import Array, SpectralImage
+
+Told = Callable[[float, str], None]  # fraction done, and the present error in words
+
+RENDER_NOISE = 0.2  # of the sensor noise: adds 2 % to its standard deviation
+MAX_SECONDS = 120.0
+MOST_RUNS = 1 << 12
+MOST_SPP = 1024  # of one render
+PAIRS_A_LEVEL = 2
+
+
+@dataclass(frozen=True)
+class RenderNoise:
+    """What two sets of independent renders of a scene say about their mean.
+
+    fraction : RMS over pixels of the standard error of the mean electrons over the temporal noise of the sensor
+    relative : RMS of the standard error over the RMS of the mean electrons
+    runs : renders, each with a seed of its own
+    ended_by : what ended it
+    """
+
+    fraction: float
+    relative: float
+    target: float
+    runs: int
+    ended_by: Literal["target", "max_seconds", "runs"]
+
+
+def render_until(
+    scene: Scene,
+    camera: Camera,
+    plan: Plan,
+    pixels: Sequence[Pixel],
+    exposure: Exposure,
+    seed: int = 0,
+    *,
+    render_noise: float = RENDER_NOISE,
+    max_seconds: float = MAX_SECONDS,
+    progress: Told | None = None,
+) -> tuple[SpectralImage, RenderNoise]:
+    """The mean of as many independent renders as the noise of the sensors allows, at least two.
+
+    Parameters
+    ----------
+    pixels : the noise is compared with each, and the worst counts
+    render_noise : as a fraction of the sensor's temporal noise, RMS over pixels
+    max_seconds : of rendering; a warning says so where they end it
+    progress : called with the fraction done and the present error
+
+    Two halves, of independent renders each, give the mean of both, and half of their difference has its variance, pixel by
+    pixel. Samples are added in pairs of renders, weighted by their samples; where much is missing, every second pair has
+    four times the samples of the one before, so that they stay stratified. Memory does not grow with them. What is added
+    depends on the noise only, never on the clock: a picture that the time limit ended comes again, bit for bit, with the
+    noise that it reached as its target.
+
+    Returns the irradiance, with the noise in its header, and the noise.
+    """
+    job, start = Renderer(scene, camera, plan, seed), time.perf_counter()
+    halves: list[list[Array]] = [[], []]
+    runs, level, at_level, weight, samples = 0, 0, 0, 0.0, 0
+    found = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
+    ended: Literal["target", "max_seconds", "runs"] | None = None
+    while ended is None:
+        began = time.perf_counter()
+        for number, half in enumerate(halves):
+            pictures, spp = job.run(runs, _told(progress, number, found), level)
+            half = half or [np.zeros(picture.shape) for picture in pictures]
+            for sum_, picture in zip(half, pictures, strict=True):
+                sum_ += spp * picture
+            halves[number] = half
+            runs, samples = runs + 1, samples + spp
+        weight, at_level = weight + spp, at_level + 1
+        mean = [(even + odd) / (2 * weight) for even, odd in zip(*halves, strict=True)]
+        difference = [(even - odd) / (2 * weight) for even, odd in zip(*halves, strict=True)]
+        fraction, relative = _noise(job, mean, difference, pixels, exposure)
+        much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
+        up = much and at_level >= PAIRS_A_LEVEL and spp < MOST_SPP
+        level, at_level = (level + 1, 0) if up else (level, at_level)
+        now = time.perf_counter()
+        if fraction <= render_noise:
+            ended = "target"
+        elif now - start + (now - began) * (LEVEL_FACTOR if up else 1) > max_seconds:
+            ended = "max_seconds"
+        elif runs >= MOST_RUNS:
+            ended = "runs"
+        found = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
+    if ended != "target":
+        why = f"its limit of {max_seconds:g} s" if ended == "max_seconds" else f"its limit of {runs} renders"
+        warnings.warn(
+            f"{why} ended the render with a noise of {fraction:.2g} of the sensor's; asked for {render_noise:g}. "
+            "Raise --max-seconds, or allow more with --render-noise",
+            stacklevel=2,
+        )
+    return job.image(mean, samples, render_noise=_header(found)), found
+
+
+def _told(progress: Told | None, number: int, found: RenderNoise) -> Callable[[float], None] | None:
+    """A pair of renders is one bar; beside it the error so far."""
+    note = f", noise {found.fraction:.2g} of the sensor's" if found.runs else ""
+    return (lambda done: progress((number + done) / 2, note)) if progress else None
+
+
+def _header(noise: RenderNoise) -> dict[str, Any]:
+    return {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
+
+
+def _noise(
+    job: Renderer, mean: list[Array], difference: list[Array], pixels: Sequence[Pixel], exposure: Exposure
+) -> tuple[float, float]:
+    """(fraction of sensor noise, relative), the greatest over the pixels.
+
+    Diffraction is left out: it would average over a little more than a pixel, and so lower the noise a little.
+    """
+    images = [assemble(job.plan, pictures, job.camera, job.pitch_um, {}) for pictures in (mean, difference)]
+    worst = worst_relative = 0.0
+    for pixel in pixels:
+        physics = derive(pixel)
+        side = physics.pitch_um, physics.photodiode_side_um
+        rate, error_rate = (integrate_pixels(ideal_rate(image, physics), image.pitch_um, *side) for image in images)
+        rate = np.maximum(rate, 0.0)
+        time_s = integration_time_s(exposure, physics, float(rate.max()))
+        variance_e2 = frame_variance_dn2(rate * time_s, time_s, physics, fixed_pattern=False) / physics.dn_per_e**2
+        error_e = error_rate * time_s
+        worst = max(worst, math.sqrt(float(np.mean(error_e**2 / variance_e2))))
+        power = float(np.mean((rate * time_s) ** 2))
+        worst_relative = max(worst_relative, math.sqrt(float(np.mean(error_e**2)) / power) if power else 0.0)
+    return worst, worst_relative

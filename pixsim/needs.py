@@ -1,0 +1,116 @@
+"""What a lone, flat chart asks of the renderer and the lens, from its texels: samples and diffraction.
+
+Such a chart is the picture, so what leaving something out costs can be tried on it before anything is rendered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pixsim import optics
+from pixsim.spectral import Array
+
+# Samples whose pictures have the same bits on any number of threads.
+SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
+TRIED_CELLS = 1024
+REFERENCE_SAMPLES = 16  # along each side of a cell
+DARKEST = 0.01  # of the brightest cell: errors of darker ones are told relative to it
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart that fills the film.
+
+    texels : (rows, columns), or None where it is uniform
+    texels_per_sample : (down, across) the film
+    shape : (H, W) of the film
+    """
+
+    texels: Array | None = field(repr=False)
+    texels_per_sample: tuple[float, float]
+    shape: tuple[int, int]
+
+    def picture(self, shape: tuple[int, int]) -> Array:
+        """Cell means on a film of that shape, 0 … brightest texel; the middle of the chart where it is larger."""
+        values = np.ones((1, 1)) if self.texels is None else self.texels
+        for axis, (count, film) in enumerate(zip(shape, self.shape, strict=True)):
+            n = values.shape[axis]
+            covered = min(self.texels_per_sample[axis] * film, n) if self.texels is not None else n
+            edges = (n - covered) / 2 + covered * np.arange(count + 1) / count
+            running = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
+            values = np.diff(_linear(running, edges, axis), axis=axis) * (count / covered)
+        return values
+
+    @property
+    def uniform(self) -> bool:
+        return self.texels is None or float(np.ptp(self.texels)) == 0.0
+
+
+def _linear(values: Array, at: Array, axis: int) -> Array:
+    index = np.minimum(at.astype(int), values.shape[axis] - 2)
+    shape = [1, 1]
+    shape[axis] = -1
+    low, high = np.take(values, index, axis), np.take(values, index + 1, axis)
+    return np.asarray(low + (at - index).reshape(shape) * (high - low))
+
+
+def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, float]:
+    """The fewest samples a film cell, not above `most`, whose RMS relative error stays below `tolerance`; and that error."""
+    if chart.uniform:
+        return min(SAMPLE_COUNTS[0], most), 0.0
+    error = np.inf
+    for count in [each for each in SAMPLE_COUNTS if each < most]:
+        error = sampling_error(chart, count)
+        if error <= tolerance:
+            return count, error
+    side = max(1, round(most**0.5))
+    return most, sampling_error(chart, side * side)
+
+
+def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
+    """RMS relative error of cell means from correlated multi-jittered samples (Kensler 2013), tried on random cells."""
+    assert chart.texels is not None
+    rng = np.random.default_rng(seed)
+    side = round(spp**0.5)
+    corner = [
+        rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in zip(chart.texels.shape, chart.texels_per_sample, strict=True)
+    ]
+    grid = (np.arange(REFERENCE_SAMPLES) + 0.5) / REFERENCE_SAMPLES
+    v, u = (each.ravel() for each in np.meshgrid(grid, grid, indexing="ij"))
+    truth = _bilinear(chart, corner, np.broadcast_to(v, (TRIED_CELLS, v.size)), np.broadcast_to(u, (TRIED_CELLS, u.size)))
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
+    down, across = (
+        rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1),
+        rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1),
+    )
+    v = (i + (down[:, j] + rng.random((TRIED_CELLS, i.size))) / side) / side
+    u = (j + (across[:, i] + rng.random((TRIED_CELLS, i.size))) / side) / side
+    error = _bilinear(chart, corner, v, u) - truth
+    return float(np.sqrt(np.mean((error / np.maximum(truth, DARKEST * truth.max())) ** 2)))
+
+
+def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
+    """Mean over samples at fractions (v, u) of cells at `corner` texels, (cells,)."""
+    assert chart.texels is not None
+    texels, at, index = chart.texels, [], []
+    for axis, fraction in enumerate((v, u)):
+        place = corner[axis][:, None] + fraction * chart.texels_per_sample[axis] - 0.5
+        place = np.clip(place, 0, texels.shape[axis] - 1)
+        low = np.minimum(place.astype(int), max(texels.shape[axis] - 2, 0))
+        index.append((low, np.minimum(low + 1, texels.shape[axis] - 1)))
+        at.append(place - low)
+    (y0, y1), (x0, x1) = index
+    top = texels[y0, x0] * (1 - at[1]) + texels[y0, x1] * at[1]
+    bottom = texels[y1, x0] * (1 - at[1]) + texels[y1, x1] * at[1]
+    return np.asarray((top * (1 - at[0]) + bottom * at[0]).mean(axis=1))
+
+
+def diffraction_effect(chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float) -> float:
+    """Greatest relative change of any sample by diffraction, on the whole film: a coarser one would average detail away."""
+    if chart.uniform:
+        return 0.0
+    picture = chart.picture(chart.shape)
+    blurred = optics.diffract(picture, pitch_um, wavelength_nm, weight, f_number)
+    return float((np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max())).max())

@@ -1,0 +1,58 @@
+"""Results in the words of a terminal."""
+
+from __future__ import annotations
+
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pixsim.plan import Plan
+
+
+def plan_table(plan: Plan, width: int | None = None) -> str:
+    """The decisions as a table, as wide as the terminal or as told."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "", "why", "saved", "bound on e-"):
+        table.add_column(name, justify="right" if name.startswith("bound") else "left")
+    for each in plan.decisions:
+        bound = f"{each.bound_e:.1e}" if each.bound_e else ("0" if not each.kept else "")
+        bound = bound if each.bounded else "not known"
+        table.add_row(each.subject, "kept" if each.kept else "left out", each.reason, each.saved, bound)
+    text = StringIO()
+    Console(file=text, width=width or Console().width).print(table)
+    lines = [line.rstrip() for line in text.getvalue().splitlines()]
+    lines += [f"warning: {note}" for note in plan.warnings]
+    lines.append(
+        f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} of {plan.full_spp} samples; "
+        f"mean electrons right to {plan.bound_e:.1e}{'' if plan.bounded else ' and what is not known'}, "
+        f"asked for {plan.tolerance_e:g}"
+    )
+    return "\n".join(lines)
+
+
+def sensitivity_lines(outcome: Any) -> list[str]:
+    """The base, then each assumption with the range that it gives, widest first."""
+    lines = ["base: " + found_line(outcome.base.curves[0])]
+    for name, cases in outcome.by_variation().items():
+        sizes = sorted(case.first.optimum.pitch_um for case in (*cases, outcome.base_case))
+        best = sorted(case.first.optimum.mean_delta_e for case in (*cases, outcome.base_case))
+        lines.append(f"{name}: {sizes[0]:.2f} to {sizes[-1]:.2f} µm, best mean ΔE {best[0]:.3f} to {best[-1]:.3f}")
+    return lines
+
+
+def found_line(curve: Any) -> str:
+    best = curve.optimum
+    if not best.inside:
+        return (
+            f"{curve.technology}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
+            f"the error is least at {best.pitch_um:.2f} µm, the end of the range"
+        )
+    low, high = best.within_1_percent_um
+    return (
+        f"{curve.technology}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %, sensors) "
+        f"± {best.fit_um:.2f} µm "
+        f"(fit), mean ΔE {best.mean_delta_e:.3f}; within 1 % of it from {low:.2f} to {high:.2f} µm"
+    )

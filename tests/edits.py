@@ -1,0 +1,47 @@
+"""Copies of the shipped scenes with small edits, for the tests that need a scene a little different from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pixsim
+from pixsim import variant as variants
+from pixsim.plan import Plan, make_render_plan
+from pixsim.rules import Decision
+from pixsim.scene import Scene, packaged_scenes
+
+VARIANT = "scalar_spectral"  # is everywhere, and compiles nothing: the faster one for many small pictures
+FOLDER = packaged_scenes()["csf"].parent
+END = "</scene>"
+variants.choose()  # before Mitsuba is imported, or no LLVM can be chosen any more
+
+
+def edited(folder: Path, name: str, *edits: tuple[str, str]) -> Path:
+    """A shipped scene with texts replaced; one before "</scene>" is put in."""
+    text = (FOLDER / f"{name}.xml").read_text(encoding="utf-8")
+    for before, after in edits:
+        assert before in text, f"{before!r} is not in {name}.xml"
+        text = text.replace(before, after + END if before == END else after, 1)
+    for linked in ("charts", "spectra"):
+        if not (folder / linked).exists():
+            (folder / linked).symlink_to(FOLDER / linked)
+    path = folder / f"{name}.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def load(path: Path | str, **parameters: object) -> Scene:
+    return pixsim.load_scene(path, variant=VARIANT, **parameters)
+
+
+def render_plan(path: Path | str, **parameters: object) -> Plan:
+    return make_render_plan(load(path, **parameters), pixel=pixsim.Pixel())
+
+
+def decision(plan: Plan, subject: str) -> Decision:
+    (found,) = (each for each in plan.decisions if each.subject == subject)
+    return found
+
+
+def left_out(plan: Plan) -> set[str]:
+    return {each.subject for each in plan.decisions if not each.kept}

@@ -1,0 +1,590 @@
+"""Light that others made: files written here by OpenEXR, NumPy and SPy alone, read as irradiance; what is unclear is refused."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from spectral.io import envi
+
+import pixsim
+from pixsim import variant
+from pixsim.errors import PixsimError
+from pixsim.mitsuba_xml import import_mitsuba
+from pixsim.spectral import SpectralImage
+from pixsim.units import parse_light_unit
+
+UNIT = "W.m^-2.nm^-1"
+RADIANCE = "W.m^-2.sr^-1.nm^-1"
+NM = [500.0, 510.0, 520.0]
+CAMERA = pixsim.Camera(focal_length_mm=4.0, f_number=2.0, die_mm=0.05, object_distance_m=0.5, transmittance=0.9)
+
+
+def light(shape: tuple[int, ...] = (4, 5, 3), seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.1, 1, shape).astype(np.float32)
+
+
+def bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32).view(np.uint32)
+
+
+def exr(path: Path, channels: dict[str, np.ndarray], **header: object) -> Path:
+    top = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+    with OpenEXR.File(top, {name: np.ascontiguousarray(plane) for name, plane in channels.items()}) as file:
+        file.write(str(path))
+    return path
+
+
+def stokes(data: np.ndarray, names: tuple[str, ...] = ("S0.500nm", "S0.510nm", "S0.520nm")) -> dict[str, np.ndarray]:
+    return {name: data[:, :, band] for band, name in enumerate(names)}
+
+
+def npz(path: Path, **arrays: object) -> Path:
+    given = {"data": light(), "wavelength_nm": NM, "units": UNIT, "pitch_um": 2.5} | arrays
+    np.savez(path, **{name: value for name, value in given.items() if value is not None})
+    return path
+
+
+def cube(path: Path, data: np.ndarray, interleave: str = "bil", byte_order: int = 0, **fields: object) -> Path:
+    told = {"wavelength": NM, "wavelength units": "Nanometers", "data units": UNIT} | {
+        name.replace("_", " "): value for name, value in fields.items()
+    }
+    metadata = {name: value for name, value in told.items() if value is not None}
+    envi.save_image(str(path), data, dtype=data.dtype, interleave=interleave, byteorder=byte_order, metadata=metadata, ext="raw")
+    return path
+
+
+def refused(path: Path, *parts: str, **options: object) -> None:
+    with pytest.raises(PixsimError) as caught:
+        pixsim.read_irradiance(path, **{"pitch_um": 2.5, **options})
+    assert all(part in str(caught.value) for part in (path.name, *parts)), caught.value
+    assert "; allowed: " in str(caught.value)
+
+
+# --- pixsim's own ---
+
+
+def own_image() -> SpectralImage:
+    spectra, pictures = light((2, 46)), light((2, 4, 5))
+    nm = np.arange(370.0, 821.0, 10.0)
+    return SpectralImage(nm, 10.0, 1 / 3, factors=(spectra, pictures), header={"luminance_cd_per_m2": 1000.0})
+
+
+def test_pixsims_own_file_comes_back_bit_for_bit(tmp_path):
+    image = own_image()
+    pixsim.write_exr(tmp_path / "own.exr", image)
+    back = pixsim.read_irradiance(tmp_path / "own.exr")
+    assert np.array_equal(bits(back.data), bits(image.data))
+    assert np.array_equal(back.factors[0], image.factors[0])
+    assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
+    refused(tmp_path / "own.exr", "W.m^-2.um^-1 stated", "one unit", units="W.m^-2.um^-1", pitch_um=None)
+    refused(tmp_path / "own.exr", "0.333333333 µm by the file, 2.5 µm by pitch_um")
+    dark = SpectralImage(NM, 10.0, 1.0, data=np.zeros((2, 2, 3)))
+    pixsim.write_exr(tmp_path / "dark.exr", dark)
+    refused(tmp_path / "dark.exr", "black everywhere", pitch_um=None)
+    dark.data[1, 0, 2] = np.nan
+    pixsim.write_exr(tmp_path / "nan.exr", dark)
+    refused(tmp_path / "nan.exr", "nan at row 1, column 0 of the band at 520 nm", pitch_um=None)
+
+
+def test_pixsims_file_opens_in_other_tools(tmp_path):
+    image = own_image()
+    pixsim.write_exr(tmp_path / "own.exr", image)
+    expected = {f"S0.{nm},000000nm": image.data[:, :, band] for band, nm in enumerate(range(370, 821, 10))}
+    expected |= {f"factor.{r}": image.factors[1][r] for r in range(2)}
+    with OpenEXR.File(str(tmp_path / "own.exr"), separate_channels=True) as file:
+        assert file.header()["emissiveUnits"] == UNIT
+        stock = {name: channel.pixels for name, channel in file.channels().items()}
+    variant.choose(None)
+    bitmap = import_mitsuba("scalar_spectral").Bitmap(str(tmp_path / "own.exr"))
+    pixels = np.array(bitmap)
+    mitsuba = {field.name: pixels[:, :, channel] for channel, field in enumerate(bitmap.struct_())}
+    for found in (stock, mitsuba):
+        assert found.keys() == expected.keys()
+        assert all(np.array_equal(bits(found[name]), bits(expected[name])) for name in expected)
+
+
+def test_npz_comes_back_bit_for_bit(tmp_path):
+    image = own_image()
+    image.data.flat[:3] = 0.0, 1e-42, 3e38
+    pixsim.write_npz(tmp_path / "image.npz", image)
+    back = pixsim.read_irradiance(tmp_path / "image.npz")
+    assert np.array_equal(bits(back.data), bits(image.data))
+    assert np.array_equal(back.wavelength_nm, image.wavelength_nm)
+    assert np.array_equal(back.band_width_nm, image.band_width_nm)
+    assert back.pitch_um == image.pitch_um
+    assert back.header == {
+        "source": "image.npz",
+        "units": UNIT,
+        "pixsim": pixsim.__version__,
+        "luminance_cd_per_m2": 1000.0,
+    }
+    assert [each.name for each in tmp_path.iterdir()] == ["image.npz"]
+    with pytest.raises(PixsimError, match=r"output file: got '.*image\.npz' .*; allowed: a path that can be written"):
+        pixsim.write_npz(tmp_path / "nowhere" / "image.npz", image)
+
+
+# --- Units ---
+
+
+@pytest.mark.parametrize(
+    ("text", "factor", "radiance"),
+    [
+        ("W.m^-2.nm^-1", 1, False),
+        ("W m-2 nm-1", 1, False),
+        ("W/m2/nm", 1, False),
+        ("W·m⁻²·nm⁻¹", 1, False),
+        ("W*m**-2*nm**-1", 1, False),
+        ("W.m^{-2}.nm^{-1}", 1, False),
+        ("mW.m^-2.nm^-1", 1e-3, False),
+        ("kW m^-2 um^-1", 1, False),
+        ("W.m^-3", 1e-9, False),
+        ("uW.cm^-2.nm^-1", 1e-2, False),
+        ("W.m^-2.sr^-1.nm^-1", 1, True),
+        ("W/(m^2 sr nm)", 1, True),
+        ("W/(m2.sr.µm)", 1e-3, True),
+        ("W m^-2 sr^-1 um^-1", 1e-3, True),  # ENVI's radiometric calibration
+        ("uW/cm^2/SR/nm", 1e-2, True),
+        ("nW/(cm)^2/(nm)/(sr)", 1e-5, True),  # NERC-ARF
+        ("W/m^3/sr", 1e-9, True),
+    ],
+)
+def test_spellings_of_units(text, factor, radiance):
+    unit = parse_light_unit(text)
+    assert (unit.factor, unit.radiance, unit.spectral) == (factor, radiance, True)
+
+
+WRONG = """lx,DN,Reflectance,uW/cm2*nm*sr,W/m2 nm,W//m^2,W/(m^2 nm,W/m^2 nm),W/m^2/nm),W.m^-2.Hz^-1,J.m^-2,W^2.m^-6,W^2.m^-3,\
+W.m^-4,W.m^-3.sr,W.m^9999999999999999999"""
+
+
+@pytest.mark.parametrize("text", [*WRONG.split(","), "W.m^-2.nm^-1 twice", "3 W.m^-3", "(" * 5000, "W" * 5000, "W.m^" + "5" * 5000])
+def test_what_is_no_unit_of_light_is_refused(tmp_path, text):
+    mend = 'State them: units="W.m^-2.nm^-1" in Python, --units W.m^-2.nm^-1 on the command line.'
+    refused(npz(tmp_path / "a.npz", units=text), f"got '{text}'", "allowed: spectral irradiance or radiance, as", mend)
+
+
+@pytest.mark.parametrize("make", ["exr", "npz", "hdr"])
+def test_units_that_no_one_tells_are_asked_for(tmp_path, make):
+    paths = {
+        "exr": lambda: exr(tmp_path / "a.exr", stokes(light())),
+        "npz": lambda: npz(tmp_path / "a.npz", units=None),
+        "hdr": lambda: cube(tmp_path / "a.hdr", light(), data_units=None),
+    }
+    path = paths[make]()
+    refused(path, "units of '", "none in the file", 'units="W.m^-2.nm^-1" in Python', "--units")
+    back = pixsim.read_irradiance(path, pitch_um=2.5, units="mW/m^2/nm")
+    np.testing.assert_allclose(back.data, 1e-3 * light(), rtol=1e-6)
+    assert back.header["units"] == "mW/m^2/nm"
+
+
+def test_stated_units_may_not_contradict_the_file(tmp_path):
+    path = npz(tmp_path / "a.npz", units="mW/m2/nm")
+    refused(path, "mW/m2/nm in the file, W.m^-2.nm^-1 stated", "Leave the stated one out", units=UNIT)
+    refused(path, "in the file", units="mW/m2/sr/nm", camera=CAMERA)
+    same = pixsim.read_irradiance(path, units="W m^-2 um^-1")  # the same, spelled otherwise
+    np.testing.assert_allclose(same.data, 1e-3 * light(), rtol=1e-6)
+    # A unit without a wavelength leaves room for one, but stays a radiance; what is no unit says nothing.
+    half = npz(tmp_path / "half.npz", units="W.m^-2.sr^-1", pitch_um=None)
+    refused(half, "W.m^-2.sr^-1, which names no wavelength", "State them", pitch_um=None, camera=pixsim.Camera())
+    refused(half, "one unit", pitch_um=None, camera=CAMERA, units=UNIT)
+    told = pixsim.read_irradiance(half, pixsim.Camera(die_mm=0.0125), units="W.m^-2.sr^-1.um^-1")
+    assert told.header["units"] == "W.m^-2.sr^-1.um^-1"
+    assert pixsim.read_irradiance(npz(tmp_path / "dn.npz", units="DN"), units=UNIT).header["units"] == UNIT
+
+
+# --- Fichet's layout ---
+
+# 16 buckets over 360-830 nm, three decimals: the channels that pbrt-v4's issue 310 lists.
+PBRT = [f"{360 + 470 * (bucket + 0.5) / 16:.3f}".replace(".", ",") for bucket in range(16)]
+assert PBRT[:3] == ["374,688", "404,062", "433,438"]
+assert PBRT[15] == "815,312"
+
+
+def test_pbrts_spectral_film(tmp_path):
+    radiance = light((2, 2, 16)).astype(np.float16)
+    channels = stokes(radiance, tuple(f"S0.{nm}nm" for nm in PBRT)) | dict.fromkeys("RGB", np.ones((2, 2), np.float16))
+    path = exr(tmp_path / "pbrt.exr", channels, spectralLayoutVersion="1.0", emissiveUnits="W.m^-2.sr^-1")
+    camera = pixsim.Camera(f_number=4.0, object_distance_m=1e9, focal_length_mm=1000.0, die_mm=0.01)
+    image = pixsim.read_irradiance(path, camera)
+    # Infinity focus, all but on axis: π/(4N²+1). Read per m it would be 1e-9 of it, per band 1/30; half of it without π.
+    np.testing.assert_allclose(image.data, radiance.astype(float) * (math.pi / 65), rtol=1e-6)
+    assert image.pitch_um == 5.0
+    assert image.wavelength_nm[0] == 374.688
+    np.testing.assert_allclose(image.band_width_nm, 470 / 16, rtol=1e-4)  # names have three decimals
+    assert image.band_width_nm.sum() == pytest.approx(470, rel=1e-4)
+    assert image.header["camera"] == camera.model_dump()
+    assert image.header["units"] == "W.m^-2.sr^-1"
+    refused(path, "radiance (W.m^-2.sr^-1) without a camera", "--camera.f-number")
+    refused(path, "stated", units=UNIT, camera=camera, pitch_um=None)
+    flux = exr(tmp_path / "flux.exr", channels, emissiveUnits="W.m^-2")  # not the layout's unit
+    refused(flux, "W.m^-2, which names no wavelength")
+
+
+def test_wavelengths_in_any_spelling_and_order(tmp_path):
+    # A frequency is c/λ; 1000 nm sorts before 380 nm as text.
+    names = ("S0.1000nm", "S0.380,5nm", "S0.0,55um", "S0.4,5E-7m", "S0.6e2nm", "S0.499654,0966666667GHz", "S0.0,7e-3mm")
+    expected = [1000, 380.5, 550, 450, 600, 600.0000000001, 700]
+    data = light((3, 4, 6))
+    names, expected = names[:4] + names[5:], expected[:4] + expected[5:]
+    image = pixsim.read_irradiance(exr(tmp_path / "a.exr", stokes(data, names), emissiveUnits=UNIT), pitch_um=1.0)
+    order = np.argsort(expected)
+    np.testing.assert_allclose(image.wavelength_nm, np.array(expected)[order], rtol=1e-12)
+    assert {380.5, 450.0, 550.0, 700.0, 1000.0} < set(image.wavelength_nm)  # to the last bit
+    assert np.array_equal(bits(image.data), bits(data[:, :, order]))
+    doubled = exr(tmp_path / "b.exr", stokes(data, ("S0.0,55um", "S0.550,0nm")), emissiveUnits=UNIT)
+    refused(doubled, "550.0, 550.0 nm for 2 bands", "increasing")
+
+
+def test_only_unpolarised_light_is_taken(tmp_path):
+    data, dark = light(), np.zeros((4, 5), np.float32)
+    units = {"emissiveUnits": UNIT}
+    zeros = dict.fromkeys(("S1.500nm", "S2.500nm", "S3.500nm"), dark)
+    image = pixsim.read_irradiance(exr(tmp_path / "a.exr", stokes(data) | zeros | {"A": dark + 1}, **units), pitch_um=1.0)
+    assert np.array_equal(bits(image.data), bits(data))
+    refused(exr(tmp_path / "b.exr", stokes(data) | zeros | {"S2.500nm": dark - 1}, **units), "polarised light", "S2.500nm")
+    refused(exr(tmp_path / "c.exr", {"T.500nm": dark + 1, **stokes(data)}, **units), "reflectances", "T.500nm", "render it")
+    rgb = exr(tmp_path / "d.exr", dict.fromkeys("RGB", dark + 1), **units)
+    refused(rgb, "the channels B, G, R", "S0.550,0nm", "RGB has no spectrum", 'Film "spectral"')
+    many = exr(tmp_path / "e.exr", {f"layer.{index:02}": dark for index in range(40)})
+    refused(many, "layer.11 … in")
+
+
+def test_crops_and_oblong_samples_are_refused(tmp_path):
+    def box(right: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([0, 0], np.int32), np.array([right, 3], np.int32)
+
+    crop = exr(tmp_path / "a.exr", stokes(light()), emissiveUnits=UNIT, dataWindow=box(4), displayWindow=box(9))
+    refused(crop, "a crop", "the whole picture")
+    refused(exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT, pixelAspectRatio=2.0), "oblong", "square samples")
+
+
+def test_other_peoples_files(tmp_path):
+    """The files of Fichet et al. and of ART that colour-science carries, where they are installed."""
+    import colour
+
+    folder = Path(colour.__file__).parent / "io" / "tests" / "resources"
+    if not (folder / "D65.exr").is_file():
+        pytest.skip("this colour-science has no test files")
+    image = pixsim.read_irradiance(folder / "D65.exr", pixsim.Camera(f_number=1e3, die_mm=1e-3))
+    relative = image.data[0, 0] / image.data[0, 0, 52]
+    expected = colour.SDS_ILLUMINANTS["D65"][image.wavelength_nm] / 100  # 560 nm is band 52
+    np.testing.assert_allclose(relative, expected, rtol=2e-3)  # float16
+    assert set(image.band_width_nm) == {5.0}
+    refused(folder / "Polarised.exr", "polarised light")
+    refused(folder / "BiSpectral.exr", "reflectances")
+    refused(folder / "CMS_Test_Pattern.exr", "RGB has no spectrum")
+
+
+# --- Radiance to irradiance ---
+
+
+@pytest.mark.parametrize("make", ["exr", "npz", "hdr"])
+def test_radiance_becomes_irradiance(tmp_path, make):
+    data = np.full((41, 81, 3), 2.0, np.float32)
+    data[0, 0] = 4.0
+    paths = {
+        "exr": lambda: exr(tmp_path / "a.exr", stokes(data), emissiveUnits="W.m^-2.sr^-1"),
+        "npz": lambda: npz(tmp_path / "a.npz", data=1e3 * data, units="W/m2/sr/um", pitch_um=None),
+        "hdr": lambda: cube(tmp_path / "a.hdr", 100 * data, data_units="uW/cm^2/sr/nm"),
+    }
+    camera = pixsim.Camera(focal_length_mm=4.0, f_number=2.0, die_mm=6.0, object_distance_m=0.1, transmittance=0.9)
+    image = pixsim.read_irradiance(paths[make](), camera)
+    m = 4.0 / (100.0 - 4.0)
+    on_axis = 2 * 0.9 * math.pi / (1 + 4 * 2.0**2 * (1 + m) ** 2)
+    # float32: 6e-8. Without |m| it is 8 % more, with π/(4N²) 6 % more.
+    np.testing.assert_allclose(image.data[20, 40], on_axis, rtol=2e-7)
+    pitch_mm, v_mm = 6.0 / 81, 4.0 * (1 + m)
+    assert image.pitch_um == pytest.approx(1e3 * pitch_mm, rel=1e-15)
+    for row, column, radiance in ((0, 0, 4.0), (40, 80, 2.0), (20, 80, 2.0)):
+        tan2 = ((row - 20) ** 2 + (column - 40) ** 2) * (pitch_mm / v_mm) ** 2
+        a = (4.0 / (2 * 2.0) / v_mm) ** 2
+        root = math.sqrt(tan2**2 + 2 * tan2 * (1 - a) + (1 + a) ** 2)
+        foote = math.pi / 2 * (1 - (1 + tan2 - a) / root)
+        # cos⁴ instead of Foote is 2 % off in the corner, no fall-off a factor of 2.
+        np.testing.assert_allclose(image.data[row, column], radiance * 0.9 * foote, rtol=5e-7)
+    assert image.header["camera"]["transmittance"] == 0.9
+
+
+def test_irradiance_is_left_alone_by_a_camera(tmp_path):
+    image = pixsim.read_irradiance(npz(tmp_path / "a.npz", pitch_um=None), CAMERA)
+    assert np.array_equal(bits(image.data), bits(light()))
+    assert "camera" not in image.header
+
+
+def test_row_0_is_the_top(tmp_path):
+    data = light()
+    for path in (
+        npz(tmp_path / "a.npz"),
+        exr(tmp_path / "a.exr", stokes(data), emissiveUnits=UNIT, lineOrder=OpenEXR.DECREASING_Y),
+        cube(tmp_path / "a.hdr", data),
+    ):
+        assert np.array_equal(bits(pixsim.read_irradiance(path, pitch_um=2.5).data), bits(data))
+
+
+def test_the_sensor_stage_runs_on_it(tmp_path):
+    nm = np.arange(400.0, 701.0, 10.0)
+    shape = 64, 96, nm.size
+    path = npz(tmp_path / "a.npz", data=light(shape), wavelength_nm=nm, units=RADIANCE, pitch_um=None, white_cd_per_m2=6e4)
+    camera = pixsim.Camera(die_mm=0.48)
+    image = pixsim.read_irradiance(path, camera)
+    assert image.pitch_um == 5.0
+    score = pixsim.evaluate(image, camera, pixsim.Pixel(pitch_um=10.0))
+    assert score.frame.dn.shape == (32, 48)
+    assert 1 < score.mean_delta_e < 100  # of coarse pixels on noise of one sample
+
+
+# --- Bands and pitch ---
+
+
+def test_band_widths(tmp_path):
+    uneven = [400.0, 410.0, 430.0]
+    cells = pixsim.read_irradiance(npz(tmp_path / "a.npz", wavelength_nm=uneven))
+    assert cells.band_width_nm.tolist() == [10, 15, 20]  # edges 395, 405, 420, 440
+    told = pixsim.read_irradiance(npz(tmp_path / "b.npz", wavelength_nm=uneven, band_width_nm=[1, 2, 3.5]))
+    assert told.band_width_nm.tolist() == [1, 2, 3.5]
+    nowhere = npz(tmp_path / "nan.npz", data=light((4, 5, 1)), wavelength_nm=[np.nan], band_width_nm=1.0)
+    refused(nowhere, "nan nm for 1 bands")
+    one = npz(tmp_path / "c.npz", data=light((4, 5, 1)), wavelength_nm=[633.0])
+    refused(one, "one band has no neighbour", "band_width_nm", "fwhm")
+    assert pixsim.read_irradiance(npz(one, data=light((4, 5, 1)), wavelength_nm=[633.0], band_width_nm=2)).band_width_nm == [2]
+    line = exr(tmp_path / "d.exr", {"S0.633nm": light()[:, :, 0]}, emissiveUnits=UNIT, band_width_nm=2.0)
+    assert pixsim.read_irradiance(line, pitch_um=1.0).band_width_nm == [2]
+    for widths in ([1.0, 2.0], [1.0, 2.0, 0.0], [1.0, np.nan, 1.0], ["a", "b", "c"], [1.0, np.inf, 1.0]):
+        refused(npz(tmp_path / "e.npz", band_width_nm=widths), "band widths", "one, or 3, positive, in nm")
+
+
+@pytest.mark.parametrize(
+    "nm", [[500, 510], [520, 510, 500], [500, 500, 510], [299, 510, 520], [500, 510, 1201], [500, 510, np.nan]]
+)
+def test_wavelengths_that_cannot_be_used_are_refused(tmp_path, nm):
+    got = ", ".join(str(float(each)) for each in nm)
+    refused(npz(tmp_path / "a.npz", wavelength_nm=nm), f"{got} nm for 3 bands", "increasing, 300 to 1200 nm", "Leave out")
+
+
+def test_the_pitch_has_one_value(tmp_path):
+    path = npz(tmp_path / "a.npz", pitch_um=None)
+    refused(path, "none in the file", "Give pitch_um=, or a camera", pitch_um=None)
+    assert pixsim.read_irradiance(path, pitch_um=7.0).pitch_um == 7
+    assert pixsim.read_irradiance(path, CAMERA).pitch_um == 10
+    refused(path, "10 µm by camera.die_mm / 5 columns, 7 µm by pitch_um", "camera.die_mm = 0.035", pitch_um=7, camera=CAMERA)
+    told = npz(tmp_path / "b.npz", pitch_um=10.1)
+    refused(told, "10.1 µm by the file", "--camera.die-mm 0.0505", pitch_um=None, camera=CAMERA)
+    attribute = exr(tmp_path / "c.exr", stokes(light()), emissiveUnits=UNIT, pitch_um=1.7)  # a float32
+    assert pixsim.read_irradiance(attribute).pitch_um == pytest.approx(1.7, rel=1e-7)
+    exact = pixsim.Camera(die_mm=5 * 1.7e-3)
+    assert pixsim.read_irradiance(attribute, exact, pitch_um=1.7).pitch_um == 1e3 * exact.die_mm / 5
+    for pitch in (0.0, -1.0, np.nan, "wide", [1.0, 2.0]):
+        refused(npz(tmp_path / "d.npz", pitch_um=pitch), "pitch_um of", "a positive number", pitch_um=None)
+
+
+def test_the_white_is_taken_along(tmp_path):
+    image = pixsim.read_irradiance(npz(tmp_path / "a.npz", white_cd_per_m2=250))
+    assert image.header["luminance_cd_per_m2"] == 250.0
+    refused(npz(tmp_path / "b.npz", white_cd_per_m2=-1.0), "white_cd_per_m2 of", "-1", "a positive number")
+
+
+# --- Values and damage ---
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1e-30, 1e300])
+def test_what_is_not_light_is_refused_with_its_place(tmp_path, value):
+    data = light().astype(float)
+    data[2, 3, 1] = value
+    refused(npz(tmp_path / "a.npz", data=data), f"got {value} at row 2, column 3 of the band at 510 nm", "0 to 3.4e+38")
+
+
+def test_darkness_is_refused(tmp_path):
+    refused(npz(tmp_path / "a.npz", data=np.zeros((4, 5, 3))), "black everywhere", "some light")
+
+
+def test_numbers_of_any_kind_are_taken(tmp_path):
+    for kind in (np.uint8, np.int16, np.uint64, np.float16, np.float64, ">f4"):
+        data = np.arange(60).reshape(4, 5, 3).astype(kind)
+        assert np.array_equal(pixsim.read_irradiance(npz(tmp_path / "a.npz", data=data)).data, np.arange(60).reshape(4, 5, 3))
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [{"data": np.ones((4, 5))}, {"data": np.ones((4, 5, 3), complex)}, {"data": np.full((4, 5, 3), "a")}, {"wavelength_nm": 500.0}],
+)
+def test_arrays_of_another_kind_are_refused(tmp_path, arrays):
+    refused(npz(tmp_path / "a.npz", **arrays), "real numbers, data (H, W, B) and wavelength_nm (B,)")
+
+
+def test_names_in_an_npz_are_checked(tmp_path):
+    listed = "allowed: data, wavelength_nm, units; optional: band_width_nm, pitch_um, white_cd_per_m2"
+    refused(npz(tmp_path / "a.npz", data=None), "got wavelength_nm, units, pitch_um", listed)
+    refused(npz(tmp_path / "b.npz", pitch_mm=1.0), "pitch_mm", listed)
+    refused(npz(tmp_path / "c.npz", units=np.array({}, object)), "readable file of numpy.savez, without pickled objects")
+
+
+def test_absurd_sizes_are_refused_before_they_are_read(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        for name, shape in (("data", (1 << 20, 1 << 20, 3)), ("wavelength_nm", (3,))):
+            with file.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array_header_1_0(member, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    refused(tmp_path / "a.npz", "1048576 × 1048576 × 3 values", "1 to 2147483648 values")
+    whole = exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT).read_bytes()
+    window = np.array([0, 0, 4, 3], "<i4").tobytes()
+    assert whole.count(window) == 2  # of the data and of the display
+    (tmp_path / "b.exr").write_bytes(whole.replace(window, np.array([0, 0, 99999, 99999], "<i4").tobytes()))
+    refused(tmp_path / "b.exr", "100000 × 100000 × 3 values")
+    cube(tmp_path / "c.hdr", light())
+    text = (tmp_path / "c.hdr").read_text()
+    (tmp_path / "c.hdr").write_text(text.replace("lines = 4", "lines = 1000000000"))
+    refused(tmp_path / "c.hdr", "1000000000 × 5 × 3 values")
+    (tmp_path / "c.hdr").write_text(text.replace("lines = 4", "lines = 0"))
+    refused(tmp_path / "c.hdr", "0 × 5 × 3 values")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("kind", ["exr", "npz", "raw"])
+def test_torn_files_are_refused(tmp_path, kind, share):
+    data = light((32, 32, 3))
+    paths = {
+        "exr": lambda: exr(tmp_path / "a.exr", stokes(data), emissiveUnits=UNIT),
+        "npz": lambda: npz(tmp_path / "a.npz", data=data),
+        "raw": lambda: cube(tmp_path / "a.hdr", data),
+    }
+    path = paths[kind]()
+    torn = path.with_suffix(f".{kind}")
+    whole = torn.read_bytes()
+    torn.write_bytes(whole[: int(share * len(whole))])
+    refused(path)
+
+
+def test_a_header_torn_anywhere_is_refused_or_whole(tmp_path):
+    path = cube(tmp_path / "a.hdr", light(), wavelength=NM, fwhm=[5.0] * 3)
+    text = path.read_text()
+    for end in range(len(text)):
+        path.write_text(text[:end])
+        try:
+            image = pixsim.read_irradiance(path, units=UNIT, pitch_um=1.0)
+        except PixsimError:
+            continue
+        assert np.array_equal(image.data, light())
+
+
+@pytest.mark.parametrize("kind", ["exr", "npz", "hdr"])
+def test_damaged_files_are_refused_or_read(tmp_path, kind):
+    """Never a traceback: a hundred files, each with a run of wrong bytes."""
+    path = tmp_path / f"a.{kind}"
+    if kind == "exr":
+        exr(path, stokes(light()), emissiveUnits=UNIT)
+    elif kind == "npz":
+        np.savez_compressed(path, data=light(), wavelength_nm=NM, units=UNIT)
+    else:
+        cube(path, light(), fwhm=[5.0] * 3, data_ignore_value=-1, reflectance_scale_factor=1)
+    whole, rng, kept = path.read_bytes(), np.random.default_rng(0), 0
+    for _ in range(100):
+        damaged, place, length = bytearray(whole), rng.integers(len(whole)), rng.integers(1, 30)
+        damaged[place : place + length] = rng.bytes(length) if rng.random() < 0.5 else rng.bytes(1) * length
+        path.write_bytes(damaged)
+        try:
+            pixsim.read_irradiance(path, pitch_um=1.0)
+        except PixsimError:
+            continue
+        kept += 1
+    assert kept < 70
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("a.png", "a file that ends in .exr, .npz or .hdr"),
+        ("nowhere.npz", "which does not exist"),
+        ("nowhere.hdr", "which does not exist"),
+        ("nowhere.exr", "which does not exist"),
+    ],
+)
+def test_other_paths_are_refused(tmp_path, name, part):
+    refused(tmp_path / name, part)
+
+
+# --- ENVI ---
+
+
+@pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
+@pytest.mark.parametrize("byte_order", [0, 1])
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.uint16, np.int32, np.float32, np.float64])
+def test_envi_in_every_order(tmp_path, interleave, byte_order, kind):
+    data = np.arange(60).reshape(4, 5, 3).astype(kind)
+    image = pixsim.read_irradiance(cube(tmp_path / "a.hdr", data, interleave, byte_order), pitch_um=1.0)
+    assert np.array_equal(image.data, np.arange(60).reshape(4, 5, 3))
+    assert image.wavelength_nm.tolist() == NM
+    assert image.band_width_nm.tolist() == [10, 10, 10]
+
+
+def test_an_envi_header_written_by_hand(tmp_path):
+    (tmp_path / "scan.img").write_bytes(b"skip" + np.arange(1, 13, dtype=">f4").tobytes())
+    (tmp_path / "scan.hdr").write_text(
+        "ENVI\ndescription = { Radiance }\nsamples = 3\nlines = 2\nbands = 2\nheader offset = 4\nfile type = ENVI Standard\n"
+        "data type = 4\ninterleave = bsq\nbyte order = 1\nwavelength units = Micrometers\nwavelength = { 0.5,\n 0.55 }\n"
+        "fwhm = { 0.01, 0.02 }\ndata gain values = {1.0, 1.0}\nData Units = W m^-2 um^-1\npitch_um = 4\ndata ignore value = -9999\n"
+    )
+    image = pixsim.read_irradiance(tmp_path / "scan.hdr")
+    np.testing.assert_allclose(image.data, 1e-3 * np.arange(1, 13).reshape(2, 2, 3).transpose(1, 2, 0), rtol=1e-7)
+    np.testing.assert_allclose(image.wavelength_nm, [500, 550], rtol=1e-15)
+    np.testing.assert_allclose(image.band_width_nm, [10, 20], rtol=1e-15)
+    assert image.pitch_um == 4
+    assert image.header["units"] == "W m^-2 um^-1"
+
+
+def test_fwhm_is_a_width_only_where_bands_do_not_overlap(tmp_path):
+    for fwhm, width in ((4.0, 4.0), (9.95, 9.95), (10.0, 10.0), (10.05, 10.0), (25.0, 10.0)):
+        image = pixsim.read_irradiance(cube(tmp_path / f"{fwhm}.hdr", light(), fwhm=[fwhm] * 3), pitch_um=1.0)
+        assert image.band_width_nm.tolist() == [width] * 3
+
+
+@pytest.mark.parametrize(
+    ("fields", "parts"),
+    [
+        ({"data_gain_values": [1, 2, 1]}, ("'data gain values'", "write the light itself")),
+        ({"data_offset_values": [0, 0, 0.5]}, ("'data offset values'", "none, or 0 for each band")),
+        ({"reflectance_scale_factor": 10000}, ("'reflectance scale factor'", "10000", "none, or 1")),
+        ({"calibration_scale_factor": 0.1}, ("'calibration scale factor'", "0.1")),
+        ({"bbl": [1, 0, 1]}, ("'bbl'", "leave bad bands out")),
+        ({"data_ignore_value": float(light()[1, 2, 0])}, ("no data", "at row 1, column 2, band 0", "Fill the gaps")),
+        ({"wavelength_units": "Unknown"}, ("wavelength units", "Unknown", "Nanometers or Micrometers")),
+        ({"wavelength_units": None}, ("wavelength units", "got none", "Nanometers or Micrometers")),
+        ({"wavelength": None}, ("without wavelength",)),
+        ({"wavelength": ["a", "b", "c"]}, ("an ENVI header with its raw file beside it",)),
+        ({"data_units": "Reflectance"}, ("got 'Reflectance'", "--units")),
+    ],
+)
+def test_envi_fields_that_change_the_values_are_refused(tmp_path, fields, parts):
+    refused(cube(tmp_path / "a.hdr", light(), **fields), *parts)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "part"),
+    [
+        ("ENVI\n", "#?RADIANCE\n", "an ENVI header"),
+        ("interleave = bil", "interleave = tiles", "interleave = tiles"),
+        ("byte order = 0", "byte order = 2", "byte order = 2"),
+        ("data type = 4", "data type = 6", "real numbers"),
+        ("data type = 4", "data type = 99", "an ENVI header"),
+        ("lines = 4", "lines = four", "an ENVI header"),
+        ("bands = 3", "", '"bands"'),
+        ("lines = 4", "lines = 40", "240 bytes in"),
+    ],
+)
+def test_envi_headers_that_make_no_sense_are_refused(tmp_path, old, new, part):
+    path = cube(tmp_path / "a.hdr", light())
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    refused(path, part)
+
+
+def test_envi_without_its_raw_file_or_spy(tmp_path, monkeypatch):
+    path = cube(tmp_path / "a.hdr", light())
+    (tmp_path / "a.raw").rename(tmp_path / "b.raw")
+    refused(path, "an ENVI header with its raw file beside it")
+    monkeypatch.setitem(__import__("sys").modules, "spectral", None)
+    refused(path, "no SPy", "pip install 'pixsim[envi]'")
