@@ -1,0 +1,163 @@
+"""How much faster the pruned render reaches an error than a plain Mitsuba render: both in one run, on one machine.
+
+    python tests/benchmarks/render_speed.py [SCENE ...] [--resolution 512]
+
+The error is the RMS of the QE-weighted irradiance (0.35 µm pixel) over its mean, from pairs of independent renders; what is
+systematic in the pruned one is its plan's bound, printed beside it. The plain side: the scene's own XML and `path`, a
+specfilm of 31 bands of 10 nm, a box filter, `independent` or `multijitter`. Times are of the render alone, warm, medians
+of pairs. A side that does not reach the target within the ladder is extrapolated with the slope of its last rungs, and the
+table says so. Memory: the largest resident set of a process of its own, with few and with many samples.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+import pixsim
+from pixsim.mitsuba_xml import speaking_mitsuba
+from pixsim.parameters import Pixel
+from pixsim.pixel import derive
+from pixsim.plan import Plan
+from pixsim.renderer import Renderer
+from pixsim.sensor import ideal_rate
+from pixsim.spectral import photons_per_joule
+
+TARGETS = {"csf": (1e-3, 100.0, 3.0), "macbeth": (1e-3, 50.0, 2.0), "still_life": (5e-2, 1.5, 1.0)}  # error, ratios asked for
+BANDS_NM = np.arange(400.0, 701.0, 10.0)
+PHYSICS = derive(Pixel())
+LADDER = tuple(4**k for k in range(1, 7))
+SECONDS_A_RUNG = 20.0
+RANDOM, STEEPEST = -0.5, -1.0  # exponents of error against time that an extrapolation may take
+Picture = Callable[[int, int], tuple[np.ndarray, float]]  # (samples, seed) -> QE-weighted irradiance, seconds
+
+
+def plain(name: str, resolution: int, sampler: str) -> Picture:
+    """Mitsuba's own render of the XML in 31 bands."""
+    scene = pixsim.load_scene(name, resolution=resolution)
+    weight = PHYSICS.quantum_efficiency(BANDS_NM) * photons_per_joule(BANDS_NM)
+    film = {
+        "type": "specfilm",
+        "width": resolution,
+        "height": resolution,
+        "component_format": "float32",
+        "rfilter": {"type": "box"},
+        **{
+            f"band{k}": {"type": "regular", "wavelength_min": nm - 5, "wavelength_max": nm + 5, "values": "1, 1"}
+            for k, nm in enumerate(BANDS_NM.tolist())
+        },
+    }
+    with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+        loaded = mi.load_file(str(scene.path), **scene.parameters)
+        sensor = pixsim.scene.sensor_node(scene.parse(), None)[1]
+        lens = {
+            key: sensor.props[key]
+            for key in ("type", "fov", "aperture_radius", "focus_distance", "to_world")
+            if key in sensor.props
+        }
+
+    def picture(spp: int, seed: int) -> tuple[np.ndarray, float]:
+        with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+            camera = mi.load_dict({"type": "thinlens", **lens, "film": film, "sampler": {"type": sampler, "sample_count": spp}})
+            start = time.perf_counter()
+            bands = np.asarray(
+                mi.render(loaded, sensor=camera, integrator=mi.load_dict({"type": "path"}), spp=spp, seed=seed), float
+            )
+            return (bands * weight).sum(axis=2), time.perf_counter() - start
+
+    return picture
+
+
+def pruned(name: str, resolution: int) -> tuple[Picture, Plan]:
+    """pixsim's render, as planned, with other numbers of samples."""
+    from dataclasses import replace
+
+    scene = pixsim.load_scene(name, resolution=resolution)
+    camera = scene.camera()
+    plan = pixsim.make_plan(scene, camera)
+    jobs: dict[int, Renderer] = {}
+
+    def picture(spp: int, seed: int) -> tuple[np.ndarray, float]:
+        job = jobs.setdefault(spp, Renderer(scene, camera, replace(plan, spp=spp), 0))
+        start = time.perf_counter()
+        image = job.image(*job.run(seed))
+        rate = ideal_rate(image, PHYSICS)
+        return rate, time.perf_counter() - start
+
+    return picture, plan
+
+
+def rungs(picture: Picture) -> Iterator[tuple[int, float, float]]:
+    """(samples, seconds, RMS error) up the ladder, until a rung takes too long."""
+    for spp in LADDER:
+        picture(spp, 9)  # compile
+        pairs = [[picture(spp, 2 * k), picture(spp, 2 * k + 1)] for k in range(2)]
+        seconds = statistics.median(each[1] for pair in pairs for each in pair)
+        error = statistics.fmean(float(np.sqrt(np.mean((a - b) ** 2) / 2) / a.mean()) for (a, _), (b, _) in pairs)
+        yield spp, seconds, error
+        if seconds * (4 + 1) > SECONDS_A_RUNG:
+            return
+
+
+def seconds_to(target: float, ladder: list[tuple[int, float, float]]) -> tuple[float, str]:
+    """Seconds at which the error is met, between rungs or beyond them on a line in logarithms."""
+    t, e = (np.log([each[k] for each in ladder]) for k in (1, 2))
+    goal = math.log(target)
+    if e[0] <= goal:
+        return float(np.exp(t[0])), f"at the first rung, {ladder[0][0]} samples"
+    for k in range(1, len(ladder)):
+        if e[k] <= goal:
+            return float(np.exp(t[k - 1] + (t[k] - t[k - 1]) * (goal - e[k - 1]) / (e[k] - e[k - 1]))), "measured"
+    slope = float(np.clip((e[-1] - e[-2]) / (t[-1] - t[-2]), STEEPEST, RANDOM))
+    return float(np.exp(t[-1] + (goal - e[-1]) / slope)), f"extrapolated from {np.exp(e[-1]):.2%} with error ∝ time^{slope:.2f}"
+
+
+def memory_gib(name: str, resolution: int, spp: int) -> float:
+    """Largest resident set of a fresh process that renders so many samples."""
+    code = (
+        "import sys, resource, pixsim\n"
+        "name, resolution, spp = sys.argv[1:]\n"
+        "pixsim.render(pixsim.load_scene(name, resolution=int(resolution), spp=int(spp)))\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)\n"
+    )
+    return float(
+        subprocess.run(
+            [sys.executable, "-c", code, name, str(resolution), str(spp)], capture_output=True, text=True, check=True
+        ).stdout
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scenes", nargs="*", default=list(TARGETS))
+    parser.add_argument("--resolution", type=int, default=512)
+    options = parser.parse_args()
+    for name in options.scenes or TARGETS:
+        target, asked_independent, asked_multijitter = TARGETS[name]
+        own, plan = pruned(name, options.resolution)
+        ladders = {"pruned": list(rungs(own))}
+        for sampler in ("independent", "multijitter"):
+            ladders[sampler] = list(rungs(plain(name, options.resolution, sampler)))
+        print(f"{name}, {options.resolution}², target {target:.1%} RMS; {plan}")
+        reached = {}
+        for side, ladder in ladders.items():
+            seconds, how = seconds_to(target, ladder)
+            reached[side] = seconds
+            steps = "  ".join(f"{spp}: {s:.2f} s {error:.2%}" for spp, s, error in ladder)
+            print(f"  {side:12} {seconds:10.2f} s  {how:60} {steps}")
+        for sampler, asked in (("independent", asked_independent), ("multijitter", asked_multijitter)):
+            ratio = reached[sampler] / reached["pruned"]
+            print(f"  {ratio:8.1f} times faster than plain {sampler} (asked for {asked:g}): {'yes' if ratio >= asked else 'NO'}")
+        few, many = (memory_gib(name, options.resolution, spp) for spp in (4, 256))
+        print(f"  memory of a process: {few:.2f} GiB with 4 samples, {many:.2f} GiB with 256")
+
+
+if __name__ == "__main__":
+    main()
