@@ -162,6 +162,9 @@ def decide_samples(
     subject = "texture samples"
     if full or explicit:
         return most, Decision(subject, True, f"{most} a film cell, as {'the scene says' if full else 'asked for'}")
+    if chart is None and most < LEAST_OF_A_PATH:
+        told = f"{LEAST_OF_A_PATH} a film cell, the scene says {most}: with so few, multijitter makes paths too dark"
+        return LEAST_OF_A_PATH, Decision(subject, True, told)
     if chart is None:
         told = f"{most} a film cell, as the scene says: edges and depth are known to the renderer only"
         if passes == 1:
