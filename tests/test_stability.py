@@ -1,0 +1,36 @@
+"""Every extreme of the stability table meets its known answer, without a warning; and the table can fail."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pixsim import stability
+from pixsim.stability import Case, compare
+
+PRESENT = [room for room in stability.ROOMS if (Path(stability.__file__).parent / f"{room}.py").exists()]
+
+
+@pytest.fixture(scope="module", params=PRESENT)
+def found(request: pytest.FixtureRequest) -> list[Case]:
+    return list(stability.cases_of(request.param))
+
+
+def test_every_case_meets_its_answer(found: list[Case]) -> None:
+    wrong = [case for case in found if not case.passed]
+    assert found
+    assert not wrong, "\n".join(
+        f"{c.name}: expected {c.expected:.9g}, got {c.got:.9g}, {c.error:.2g} > {c.allowed:.2g} {c.warned}" for c in wrong
+    )
+
+
+def test_a_wrong_number_and_a_nan_do_not_pass() -> None:
+    assert compare("right", [1.0, 2.0], [1.0, 2.0 + 1e-9], 1e-8, "").passed
+    assert not compare("wrong", [1.0, 2.0], [1.0, 2.1], 1e-2, "").passed
+    worst = compare("wrong", [1.0, 2.0], [1.0, 2.1], 1e-2, "")
+    assert (worst.expected, worst.got) == (2.0, 2.1)
+    assert not compare("nan", [1.0, 1.0], [1.0, math.nan], 1.0, "").passed
+    assert not compare("not zero", [0.0], [1e-300], 1.0, "").passed
+    assert compare("of a scale", [0.0], [1e-3], 1e-2, "", scale=1.0).passed
+    assert not compare("infinite", [1.0], [np.inf], 1e9, "").passed
