@@ -126,6 +126,11 @@ def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness]
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
 
 
+def equal_bands(count: int, lamps: list[Spectrum]) -> Bands:
+    """So many bands of equal width from 360 to 830 nm."""
+    return _shaped(np.linspace(LOW_NM, HIGH_NM, count + 1), lamps)
+
+
 def band_errors(bands: Bands, lamp: Spectrum, surfaces: Array, witnesses: list[Witness]) -> Array:
     """Error of each witness's answer to the lamp's light from each surface, by band and over the whole answer.
 

@@ -80,6 +80,7 @@ class Plan:
     tolerance_e: float = TOLERANCE_E
     warnings: tuple[str, ...] = ()
     resolution: int | None = None  # a coarser film that is enough, where the scene leaves it open
+    sampler: str = "multijitter"
 
     @property
     def passes(self) -> int:
@@ -133,7 +134,7 @@ def make_render_plan(
     *,
     tolerance_e: float = TOLERANCE_E,
     full: bool = False,
-    state: Any = None,
+    band_count: int | None = None,
 ) -> Plan:
     """Decide what to render from the parsed tree.
 
@@ -142,13 +143,14 @@ def make_render_plan(
     pixel : whose electrons must be right; None takes the packaged response curves
     tolerance_e : relative error of the mean electrons that all decisions may cost together
     full : leave nothing out: every band of every lamp, the scene's own integrator, a sampled lens
+    band_count : so many bands of equal width instead of those that the tolerance asks for
 
     Raises PixsimError for emitters that are negative or not finite, and for a tolerance that is not positive.
     """
     if not 0 < tolerance_e < 1:
         raise refuse("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1: a relative error of mean electrons")
     camera = camera or scene.camera()
-    state = scene.for_camera(camera) if state is None else state
+    state = scene.for_camera(camera)
     sensor = sensor_node(state, scene.sensor_id)[1]
     height, width = (max(1, each) for each in film_size(state, sensor))  # the renderer refuses the others
     bodies = find_bodies(state, sensor)
@@ -157,7 +159,7 @@ def make_render_plan(
     if not lamps:
         raise refuse("scene", "no emitter that shines", "a lamp, a chart or a sky with light", "Is its scale above 0?")
     integrator, met, bounces = decide_bounces(state, bodies, full)
-    lights, bands, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full)
+    lights, bands, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
     by_index, tables = decide_tables(state, full)
     lens, focus = decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
     # Out of focus a chart is not the picture, and the lens takes samples of its own.
@@ -219,11 +221,20 @@ def _witnesses(pixel: Pixel | None) -> list[Witness]:
 
 
 def _lights(
-    lamps: list[Lamp], surfaces: Surfaces, bounces: int, witnesses: list[Witness], tolerance_e: float, full: bool
+    lamps: list[Lamp],
+    surfaces: Surfaces,
+    bounces: int,
+    witnesses: list[Witness],
+    tolerance_e: float,
+    full: bool,
+    band_count: int | None,
 ) -> tuple[list[Light], Bands, list[Decision]]:
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
-    bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE)
+    if band_count:
+        bands = spectral_bands.equal_bands(band_count, spectra)
+    else:
+        bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE)
     lights, error, reasons = [], 0.0, []
     for lamp in lamps:
         known = lamp.spectrum if surfaces.spectra is not None or bounces == 0 else None

@@ -129,10 +129,10 @@ class Renderer:
         """
         pictures, number = [], 0
         with self._mitsuba() as mi:
-            # Long renders are averages of shorter ones; multijitter rounds their samples up to what it can stratify.
+            # Long renders are averages of shorter ones; most samplers round their samples up to what it can stratify.
             asked = self.plan.spp * LEVEL_FACTOR**level
             renders = -(-asked // SPP_PER_RENDER)
-            spp = mi.load_dict({"type": "multijitter", "sample_count": -(-asked // renders)}).sample_count()
+            spp = mi.load_dict({"type": self.plan.sampler, "sample_count": -(-asked // renders)}).sample_count()
             for light, scene, integrator in zip(self.plan.lights, self.scenes, self.integrators, strict=True):
                 planes = np.zeros((*self.size, len(light.pulses)), np.float32)
                 for each in light.passes:
@@ -152,7 +152,7 @@ class Renderer:
         rows = np.linspace(0, height, min(strips, height) + 1).astype(int)
         total = np.zeros((height, width, len(job.responses)))
         count = job.renders * (len(rows) - 1)
-        sampler = {"sampler": {"type": "multijitter", "sample_count": job.spp}}
+        sampler = {"sampler": {"type": self.plan.sampler, "sample_count": job.spp}}
         for index in range(count):
             top, bottom = rows[index // job.renders], rows[index // job.renders + 1]
             sensor = mi.load_dict(self.sensor | sampler | {"film": film(job.responses, self.size, top, bottom)})

@@ -14,7 +14,7 @@ from pixsim import display as displays
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab
-from pixsim.sensor import Frame, capture_rate, draw_sensor, mean_signal_rate
+from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, integrate_pixels
 from pixsim.spectral import Array, SpectralImage
 
 CLIPPED_WARNING = 0.01
@@ -100,13 +100,68 @@ class Bench:
 
     def score(self, *key: object) -> Score:
         """Another sensor and another frame for each key."""
-        sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, stream(*key, "sensor"))
-        frame = capture_rate(self.signal_e_per_s, sensor, self.exposure, stream(*key, "frame"))
+        return self.score_with(stream(*key, "sensor"), stream(*key, "frame"))
+
+    def score_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Score:
+        """The picture of the sensor that one generator draws, with the temporal noise of the other."""
+        sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
+        frame = capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
         white_e = self.white_e_per_s * frame.integration_s
         luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display)
         image = displays.shown_luminance(luminance, self.display)
         map_ = delta_e(self.ideal_lab, seen_lab(image, self.display, self.full), self.display.delta_e)
         return Score(map_, self.ideal, image, frame, self.physics)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """What pixels of one response share, whatever their pitch: the light behind the lens, and the viewer's ideal image.
+
+    rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
+    white_e_per_s_um2 : of the scene's white, on axis
+    ideal, ideal_lab : shown luminance on the display's dots, and its CIELAB as the eye blurs it
+    """
+
+    rate_e_per_s_um2: Array = field(repr=False)
+    sample_pitch_um: float
+    size_um: tuple[float, float]
+    white_e_per_s_um2: float
+    ideal: Array = field(repr=False)
+    ideal_lab: Array = field(repr=False)
+
+
+def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, full: bool = False) -> Projection:
+    """Everything up to the pixels. Only the one_to_one raster, whose dots are pixels, makes it depend on the pitch."""
+    luminance = displays.ideal_luminance(irradiance, camera, physics, display)
+    if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
+        warnings.warn(
+            f"{beyond:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2", stacklevel=4
+        )
+    ideal = displays.shown_luminance(luminance, display)
+    return Projection(
+        rate_e_per_s_um2=diffracted_rate(irradiance, camera, physics),
+        sample_pitch_um=irradiance.pitch_um,
+        size_um=displays.picture_size_um(irradiance),
+        white_e_per_s_um2=displays.white_rate(irradiance, camera, physics, display),
+        ideal=ideal,
+        ideal_lab=seen_lab(ideal, display, full),
+    )
+
+
+def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure, display: Display, full: bool = False) -> Bench:
+    """A pixel of any pitch under a projection for its response."""
+    side_um = physics.pitch_um, physics.photodiode_side_um
+    return Bench(
+        signal_e_per_s=np.maximum(integrate_pixels(light.rate_e_per_s_um2, light.sample_pitch_um, *side_um), 0.0),
+        physics=physics,
+        exposure=exposure,
+        display=display,
+        size_um=light.size_um,
+        white_e_per_s=light.white_e_per_s_um2 * physics.photodiode_area_um2,
+        ideal=light.ideal,
+        ideal_lab=light.ideal_lab,
+        full=full,
+    )
 
 
 def make_bench(
@@ -117,24 +172,7 @@ def make_bench(
     if rendered is not None and Camera.model_validate(rendered) != camera:
         warnings.warn("the irradiance was rendered with another camera than the one it is sensed with", stacklevel=3)
     physics = derive(pixel)
-    luminance = displays.ideal_luminance(irradiance, camera, physics, display)
-    if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
-        warnings.warn(
-            f"{beyond:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2", stacklevel=3
-        )
-    ideal = displays.shown_luminance(luminance, display)
-    white_per_um2 = displays.white_rate(irradiance, camera, physics, display)
-    return Bench(
-        signal_e_per_s=mean_signal_rate(irradiance, camera, physics),
-        physics=physics,
-        exposure=exposure,
-        display=display,
-        size_um=displays.picture_size_um(irradiance),
-        white_e_per_s=white_per_um2 * physics.photodiode_area_um2,
-        ideal=ideal,
-        ideal_lab=seen_lab(ideal, display, full),
-        full=full,
-    )
+    return bench_of(project(irradiance, camera, physics, display, full), physics, exposure, display, full)
 
 
 def evaluate(

@@ -1,0 +1,162 @@
+"""What a spectral picture gives: mean electrons behind the pixels, mean ΔE, and the pitch with the least ΔE."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pixsim.optimum import DEGREE, fitted_curve
+from pixsim.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run
+from pixsim.pixel import derive, pitch_for_fill_factor_um
+from pixsim.score import Bench, Projection, bench_of, make_bench, project, stream
+from pixsim.spectral import Array, SpectralImage
+from pixsim.technology import load_technology, with_fill_factor_law
+
+SCAN_PITCHES = 9  # to find where the optimum is
+AROUND = 1.35  # times and parts of it, where it is looked for again
+FEWEST_PIXELS = 16  # across the die, of the largest pitch that is tried
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What stays the same while settings of the render move: the camera, the pixel, the viewer, and the noise.
+
+    pitches_um : at which the optimum is looked for; empty where none is wanted
+    sensors : individual sensors; each pitch takes the same ones every time
+    """
+
+    camera: Camera
+    pixel: Pixel
+    exposure: Exposure
+    display: Display
+    seed: int = 0
+    pitches_um: tuple[float, ...] = ()
+    sensors: int = 1
+
+    @classmethod
+    def of(cls, run: Run, camera: Camera, sensors: int = 1) -> Setup:
+        return cls(camera, run.pixel, run.exposure, run.display, run.seed, (), sensors)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a picture gives.
+
+    electrons_e_per_s : (rows, columns) mean photo-electrons a second of the set-up's pixel
+    delta_e : (sensors,) mean ΔE of its individual sensors
+    sweep_delta_e : (pitches, sensors)
+    """
+
+    electrons_e_per_s: Array = field(repr=False)
+    delta_e: Array
+    pitch_um: Array
+    sweep_delta_e: Array = field(repr=False)
+
+    @property
+    def mean_delta_e(self) -> float:
+        return float(self.delta_e.mean())
+
+    @property
+    def optimum_um(self) -> float:
+        """NaN without a sweep, or where the error is least at an end of it."""
+        return minimum_um(self.pitch_um, self.sweep_delta_e.mean(axis=1)) if self.pitch_um.size else math.nan
+
+
+def minimum_um(pitch_um: Array, delta_e: Array) -> float:
+    """Minimum of a cubic in log pitch through the points; NaN where it is at an end."""
+    if pitch_um.size < DEGREE + 2:
+        return math.nan
+    grid, curve = fitted_curve(pitch_um, delta_e)
+    best = int(np.argmin(curve))
+    return float(grid[best]) if 0 < best < grid.size - 1 else math.nan
+
+
+def relative_rms(got: Array, reference: Array) -> float:
+    """RMS over pixels of the difference over the RMS of the reference."""
+    power = float(np.mean(reference**2))
+    return math.sqrt(float(np.mean((got - reference) ** 2)) / power) if power else math.nan
+
+
+def probe(image: SpectralImage, setup: Setup) -> Probe:
+    """Sense and score a picture at the set-up's pixel, and at its pitches."""
+    with unheard():
+        bench_at = benches(image, setup)
+        bench = bench_at(setup.pixel.pitch_um)
+        own = np.array([score(bench, setup, setup.pixel.pitch_um, k) for k in range(setup.sensors)])
+        sweep = np.array([[score(bench_at(p), setup, p, k) for k in range(setup.sensors)] for p in setup.pitches_um])
+    return Probe(bench.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(len(setup.pitches_um), setup.sensors))
+
+
+class PairedNoise(np.random.Generator):
+    """Noise that changes as little as the picture does.
+
+    NumPy's Poisson takes another number of random values where a mean changes by a hair, and all that is drawn after it
+    differs: mean ΔE then jumps by 3e-4 (csf, 6.5 µm). Here each count takes one normal value, so that pictures that differ
+    by 1e-5 give ΔEs that do; its mean, variance and skewness are Poisson's (Cornish and Fisher, Rev. ISI 5 (1937) 307).
+    """
+
+    def poisson(self, lam: ArrayLike = 1.0, size: Any = None) -> Any:
+        mean = np.broadcast_to(np.asarray(lam, float), np.shape(lam) if size is None else size)
+        z = self.standard_normal(mean.shape)
+        return np.maximum(np.rint(mean + np.sqrt(mean) * z + (z**2 - 1) / 6), 0.0).astype(np.int64)
+
+
+def score(bench: Bench, setup: Setup, pitch_um: float, sensor: int) -> float:
+    """Mean ΔE of an individual sensor, the same for the same set-up, pitch and number."""
+    own = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
+    return bench.score_with(own, PairedNoise(own.bit_generator)).mean_delta_e
+
+
+def benches(image: SpectralImage, setup: Setup) -> Callable[[float], Bench]:
+    """A bench of any pitch; what the pitches share is made once."""
+    shared: list[Projection] = []
+
+    def at(pitch_um: float) -> Bench:
+        pixel = setup.pixel.model_copy(update={"pitch_um": pitch_um})
+        if setup.display.raster == "one_to_one":
+            return make_bench(image, setup.camera, pixel, setup.exposure, setup.display)
+        physics = derive(pixel)
+        if not shared:
+            shared.append(project(image, setup.camera, physics, setup.display))
+        return bench_of(shared[0], physics, setup.exposure, setup.display)
+
+    return at
+
+
+@contextmanager
+def unheard() -> Iterator[None]:
+    """Advice that a run gives once (clipped white) is not given for each of many probes."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        yield
+
+
+def pitch_range_um(setup: Setup) -> tuple[float, float]:
+    """Pitches among which a smaller or larger pixel makes sense: as in a study, from 5 % fill factor to 15 µm."""
+    usual = PitchRange()
+    largest = min(usual.max_um, 1e3 * setup.camera.die_mm / FEWEST_PIXELS)
+    if setup.pixel.fill_factor is not None:  # the law does not bind it
+        return min(setup.pixel.pitch_um / 3, largest / 3), largest
+    process = with_fill_factor_law(load_technology(setup.pixel.technology), setup.pixel.fill_factor_law)
+    return pitch_for_fill_factor_um(usual.min_fill_factor, process), largest
+
+
+def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) -> tuple[float, ...]:
+    """`count` pitches around the one with the least ΔE, found by a scan of one sensor each; empty where there is no room."""
+    low, high = pitch_range_um(setup)
+    if low * AROUND >= high:
+        return ()
+    with unheard():
+        bench_at = benches(image, setup)
+        scanned = np.geomspace(low, high, SCAN_PITCHES)
+        errors = [score(bench_at(p), setup, p, 0) for p in scanned.tolist()]
+    best = float(scanned[int(np.argmin(errors))])
+    around = np.geomspace(max(low, best / AROUND), min(high, best * AROUND), count)
+    return tuple(float(f"{p:.4g}") for p in around)

@@ -1,0 +1,103 @@
+"""What is right: the chart's own formula where the scene is one of the shipped charts alone, else a much longer render."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pixsim import charts
+from pixsim.accuracy.probe import Setup
+from pixsim.charts import SLANT_DEG, csf_value
+from pixsim.parameters import Camera
+from pixsim.plan import Plan, make_render_plan
+from pixsim.renderer import Renderer
+from pixsim.scene import Scene
+from pixsim.spectral import Array, SpectralImage
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)  # cells are far smaller than a cycle: exact to 1e-12
+EDGE_ROWS = 64  # lines across a cell on which the edge's cover is exact; their mean errs by 1e-5 of the step
+REFERENCE_WORK = 64  # times the samples of a default render
+REFERENCE_BANDS = 470  # of 1 nm
+REFERENCE_SEED = 7919  # beside the user's seed
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A picture to measure errors against, and what it is in words."""
+
+    image: SpectralImage = field(repr=False)
+    told: str
+    analytic: bool
+
+
+def cell_means(value: Callable[[Array], Array], count: int) -> Array:
+    """Means of a smooth function of [0, 1] over `count` equal cells."""
+    middle = (np.arange(count) + 0.5) / count
+    return (value(middle[:, None] + NODES / (2 * count)) * (WEIGHTS / 2)).sum(axis=1)
+
+
+def csf_picture(height: int, width: int) -> Array:
+    """Cell means of the CSF chart's formula: a sum of a constant and a product of functions of x and of y."""
+    base = float(csf_value(0.0, 0.0))  # the phase is 0 at x = 0: the mean
+    wave = cell_means(lambda x: csf_value(x, 1.0) / base - 1, width)
+    growth = cell_means(lambda y: charts.csf_contrast(y) / charts.csf_contrast(1.0), height)
+    return base * (1 + growth[:, None] * wave[None, :])
+
+
+def edge_picture(height: int, width: int, dark: float = 0.1) -> Array:
+    """Cell means of the slanted edge: exact cover along each of many lines of a row of cells."""
+    y = (np.arange(height * EDGE_ROWS) + 0.5) / (height * EDGE_ROWS)
+    edge = (0.5 + (0.5 - y) * np.tan(np.radians(SLANT_DEG))) * width
+    cover = np.clip(np.arange(1, width + 1)[None, :] - edge.reshape(height, EDGE_ROWS, 1), 0.0, 1.0).mean(axis=1)
+    return np.asarray(dark + (1 - dark) * cover)
+
+
+def flat_picture(height: int, width: int) -> Array:
+    return np.ones((height, width))
+
+
+FORMULAS: dict[str, Callable[[int, int], Array]] = {"csf": csf_picture, "flat": flat_picture, "slanted_edge": edge_picture}
+
+
+def formula_of(scene: Scene, plan: Plan) -> str | None:
+    """Name of the shipped chart that a scene shows alone, upright and filling the film; None for any other."""
+    name = scene.path.stem
+    return name if plan.chart is not None and name in FORMULAS and "chart" not in scene.parameters else None
+
+
+def analytic_reference(scene: Scene, camera: Camera, setup: Setup, resolution: int) -> Reference:
+    """The chart's formula as irradiance: exact cell means, bands of 1 nm, the lens's fall-off at every sample."""
+    plan = make_render_plan(scene, camera, setup.pixel, band_count=REFERENCE_BANDS)
+    name = formula_of(scene, plan)
+    assert name is not None
+    height, width = (resolution * n // max(plan_shape(plan)) for n in plan_shape(plan))
+    picture = FORMULAS[name](height, width)
+    job = Renderer(scene.with_parameters(resolution=resolution), camera, plan, 0)
+    pictures = [np.repeat(picture[:, :, None], len(light.pulses), axis=2) for light in plan.lights]
+    image = job.image(pictures, 0)
+    return Reference(image, f"analytic: the formula of the {name} chart, {width} × {height} exact cell means, 1 nm bands", True)
+
+
+def plan_shape(plan: Plan) -> tuple[int, int]:
+    assert plan.chart is not None
+    return plan.chart.shape
+
+
+def rendered_reference(scene: Scene, camera: Camera, setup: Setup, plan: Plan, told: Any = None) -> Reference:
+    """A render with nothing left out, other seeds, and at least 64 times the samples of the plan's, on a film twice as fine
+    where the scene lets its resolution be set."""
+    job = Renderer(scene, camera, plan, 0)
+    width = job.size[1]
+    finer = scene.with_parameters(resolution=2 * width) if "resolution" in scene.names else scene
+    full = make_render_plan(finer, camera, setup.pixel, full=True)
+    cells = 4 if finer is not scene else 1
+    samples = REFERENCE_WORK * plan.spp * plan.passes / (full.passes * cells)
+    spp = 1 << max(4, int(np.ceil(np.log2(samples))))
+    heavy = Renderer(finer, camera, replace(full, spp=spp), setup.seed + REFERENCE_SEED)
+    image = heavy.image(*heavy.run(0, told))
+    work = full.passes * spp * cells / (plan.spp * plan.passes)
+    size = " × ".join(str(n) for n in heavy.size[::-1])
+    return Reference(image, f"a render of {work:.0f} times the work, other seeds: {size}, {full.passes} × {spp} samples", False)
