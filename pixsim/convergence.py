@@ -91,7 +91,7 @@ def render_until(
         weight, at_level = weight + spp, at_level + 1
         mean = [(even + odd) / (2 * weight) for even, odd in zip(*halves, strict=True)]
         difference = [(even - odd) / (2 * weight) for even, odd in zip(*halves, strict=True)]
-        fraction, relative = _noise(job, mean, difference, pixels, exposure)
+        fraction, relative = noise_of(job, mean, difference, pixels, exposure)
         much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
         up = much and at_level >= PAIRS_A_LEVEL and spp < MOST_SPP
         level, at_level = (level + 1, 0) if up else (level, at_level)
@@ -123,10 +123,10 @@ def _header(noise: RenderNoise) -> dict[str, Any]:
     return {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
 
 
-def _noise(
+def noise_of(
     job: Renderer, mean: list[Array], difference: list[Array], pixels: Sequence[Pixel], exposure: Exposure
 ) -> tuple[float, float]:
-    """(fraction of sensor noise, relative), the greatest over the pixels.
+    """(fraction of sensor noise, relative) of a mean of renders whose standard error is `difference`, the greatest over pixels.
 
     Diffraction is left out: it would average over a little more than a pixel, and so lower the noise a little.
     """

@@ -20,7 +20,7 @@ from pixsim.figures import save_delta_e_png, save_png
 from pixsim.files import output_folder
 from pixsim.parameters import Camera, Run
 from pixsim.report import versions, write_json
-from pixsim.score import Score, describe, evaluate
+from pixsim.score import Bench, Score, describe, make_bench
 from pixsim.sensor import pixels_along
 from pixsim.spectral import SpectralImage, write_channels, write_exr
 
@@ -48,6 +48,8 @@ def run_and_write(
     from pixsim.pixel import derive
 
     derive(settings.pixel)
+    if settings.tolerance_delta_e and full:
+        raise refuse("--tolerance-delta-e", "with --full", "one of them: the first leaves out what it can, the second nothing")
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -56,8 +58,9 @@ def run_and_write(
         seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
 
     if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-        if settings.scene or sensor or variant:
-            raise refuse("-D, --sensor, --variant", f"'{source}', a picture", "a Mitsuba scene for these options")
+        if settings.scene or sensor or variant or settings.tolerance_delta_e:
+            options = "-D, --sensor, --variant, --tolerance-delta-e"
+            raise refuse(options, f"'{source}', a picture", "a Mitsuba scene for these options")
         prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]] = partial(_read, source, settings, units)
     else:
         if units:
@@ -69,7 +72,9 @@ def run_and_write(
         progress("sense and score")
         if not settings.display.white_cd_per_m2 and "luminance_cd_per_m2" not in irradiance.header:
             irradiance.header |= measured_white(irradiance, camera)
-        score = evaluate(irradiance, camera, settings.pixel, settings.exposure, settings.display, seed=settings.seed, full=full)
+        bench = make_bench(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
+        score = bench.score("evaluate", settings.seed)
+        more |= sensors_mean(bench, score, settings.seed, more)
         lap("sense and score")
         progress("write")
         summary = describe(score, irradiance) | {
@@ -85,10 +90,21 @@ def run_and_write(
     return summary
 
 
+def sensors_mean(bench: Bench, score: Score, seed: int, more: dict[str, Any]) -> dict[str, Any]:
+    """Mean ΔE over as many sensors as the error budget asks for, the pictured one among them."""
+    if "error_budget" not in more:
+        return {}
+    sensors = more["error_budget"]["settings"]["sensors"]
+    others = [bench.score("evaluate", seed, number).mean_delta_e for number in range(1, sensors)]
+    return {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
+
+
 def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
 ) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
     """Everything that can be refused before a render, and the render."""
+    from pixsim.accuracy.probe import Setup
+    from pixsim.accuracy.settle import Settled, settle
     from pixsim.convergence import render_until
     from pixsim.scene import load_scene
     from pixsim.sensor_plan import make_plan
@@ -96,6 +112,12 @@ def _prepare(
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
     camera = scene.camera(settings.camera)
     pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    settled: Settled | None = None
+    if settings.tolerance_delta_e:
+        progress("calibrate")
+        settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
+        chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
+        scene, settings = settled.scene, settings.model_copy(update=chosen)
     plan = make_plan(scene, camera, settings.pixel, tolerance_e=settings.tolerance_e, full=full)
     for note in plan.warnings:
         warnings.warn(note, stacklevel=2)
@@ -114,7 +136,10 @@ def _prepare(
             max_seconds=settings.max_seconds,
             progress=progress("render"),
         )
-        return image, camera, {"render_noise": asdict(noise), "plan": plan.as_dict()}
+        more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict()}
+        if settled:
+            more["error_budget"] = settled.budget(noise, plan.bound_e, settled.choice.sensors)
+        return image, camera, more
 
     return render
 

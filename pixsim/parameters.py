@@ -198,6 +198,9 @@ class Effort(Record):
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
         1e-3, description="relative error of the mean electrons that all that is left out may cost together"
     )
+    tolerance_delta_e: Positive | None = Field(
+        None, description="error of mean ΔE; picks film, render noise, tolerance_e and sensors by a short, cached calibration"
+    )
     render_noise: Positive = Field(0.2, description="noise of the render, as a fraction of the sensor's temporal noise")
     max_seconds: Positive = Field(120.0, description="of rendering; if they end it, a warning says so, and what noise was reached")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,10 @@ from pixsim.spectral import Array, SpectralImage
 from pixsim.technology import load_technology
 
 if TYPE_CHECKING:
+    from pixsim.accuracy.settle import Settled
     from pixsim.scene import Scene
+
+FEWEST_REPEATS = 2  # of a study: fewer tell no interval
 
 
 @dataclass(frozen=True)
@@ -73,10 +76,12 @@ class StudyResult:
     curves: tuple[Curve, ...]
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
+    budget: dict[str, Any] | None = None  # of the first curve, where a tolerance of ΔE was asked for
 
     def as_dict(self) -> dict[str, Any]:
         """summary.json."""
-        return {
+        budget = {"error_budget": self.budget} if self.budget else {}
+        return budget | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "irradiance": self.irradiance.header,
             "curves": [curve.as_dict() for curve in self.curves],
@@ -231,6 +236,45 @@ def study(
     refuse_bad_pitches(chosen)
     stage = progress or (lambda _: lambda *_: None)
     with output_folder(out) as folder:
+        settled = None
+        if chosen.tolerance_delta_e:
+            stage("calibrate")
+            chosen, settled = settled_study(chosen, variant)
         irradiance, camera = render_for(chosen, variant, stage("render"))
         workers = jobs or os.cpu_count() or 1
-        return sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))
+        result = sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))
+    return replace(result, budget=study_budget(settled, result)) if settled else result
+
+
+def settled_study(study: Study, variant: str | None) -> tuple[Study, Settled]:
+    """The study with the settings of least work for its tolerance, calibrated around the optimum of its first technology."""
+    from pixsim.accuracy.probe import Setup
+    from pixsim.accuracy.settle import settle
+
+    scene, camera = scene_for(study, variant)
+    assert study.tolerance_delta_e
+    pixel = pixel_of(study, study.technologies[0], study.pitch.max_um)
+    setup = Setup(camera, pixel, study.exposure, study.display, study.seed, at_optimum=True)
+    settled = settle(scene, camera, setup, study.tolerance_delta_e)
+    choice, parameters = settled.choice, dict(study.scene.parameters)
+    if "resolution" in settled.scene.parameters:
+        parameters["resolution"] = int(settled.scene.parameters["resolution"])
+    own = {
+        "render_noise": choice.render_noise,
+        "tolerance_e": choice.tolerance_e,
+        "repeats": min(max(FEWEST_REPEATS, choice.sensors), max(FEWEST_REPEATS, study.max_repeats)),
+        "scene": study.scene.model_copy(update={"parameters": parameters}),
+    }
+    return study.model_copy(update=own), settled
+
+
+def study_budget(settled: Settled, result: StudyResult) -> dict[str, Any]:
+    """The error budget of the first curve at its optimum; its own sensors tell the share of the seeds."""
+    from pixsim.accuracy.budget import Effect
+    from pixsim.convergence import RenderNoise
+
+    curve, header = result.curves[0], result.irradiance.header
+    near = int(np.argmin(np.abs(curve.pitch_um - curve.optimum.pitch_um)))
+    seeds = Effect(float(mean_and_ci95(curve.delta_e)[1][near]), curve.optimum.ci95_um)
+    bound_e = header["bound_e"] if header["bound_e"] is not None else result.study.tolerance_e
+    return settled.budget(RenderNoise(**header["render_noise"]), bound_e, result.study.repeats, seeds)

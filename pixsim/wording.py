@@ -56,3 +56,23 @@ def found_line(curve: Any) -> str:
         f"± {best.fit_um:.2f} µm "
         f"(fit), mean ΔE {best.mean_delta_e:.3f}; within 1 % of it from {low:.2f} to {high:.2f} µm"
     )
+
+
+def budget_lines(result: dict[str, Any]) -> list[str]:
+    """The error budget of a result that was asked for one."""
+    budget = result.get("error_budget")
+    if budget is None:
+        return []
+
+    def told(each: dict[str, float | None]) -> str:
+        size = "not known" if each["delta_e"] is None else f"{each['delta_e']:.1e}"
+        return f"{size} ΔE" + ("" if each["optimum_um"] is None else f", {each['optimum_um']:.1e} µm of the optimum")
+
+    chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
+    lines = [f"  {name:20} {told(each)}" for name, each in budget["sources"].items()]
+    verdict = "met" if budget["met"] else "NOT met"
+    return [
+        f"error budget for {budget['tolerance_delta_e']:g} ΔE ({verdict}), with {chosen}:",
+        *lines,
+        f"  {'all but the raster':20} {told(budget['total'])}",
+    ]

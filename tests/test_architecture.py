@@ -91,7 +91,7 @@ def test_only_the_command_line_prints_or_exits() -> None:
         for node in ast.walk(TREES[module])
         if isinstance(node, ast.Call) and ast.unparse(node.func) in {"print", "exit", "quit", "sys.exit", "os._exit"}
     }
-    assert speaking == {"cli"}
+    assert {module.partition(".")[0] for module in speaking} == {"cli"}
 
 
 def test_no_module_hides_a_public_function() -> None:

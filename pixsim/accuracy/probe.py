@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ class Setup:
 
     pitches_um : at which the optimum is looked for; empty where none is wanted
     sensors : individual sensors; each pitch takes the same ones every time
+    at_optimum : whether the pixel's pitch is the optimum's, whatever it says
     """
 
     camera: Camera
@@ -39,10 +41,18 @@ class Setup:
     seed: int = 0
     pitches_um: tuple[float, ...] = ()
     sensors: int = 1
+    at_optimum: bool = False
 
     @classmethod
-    def of(cls, run: Run, camera: Camera, sensors: int = 1) -> Setup:
-        return cls(camera, run.pixel, run.exposure, run.display, run.seed, (), sensors)
+    def of(cls, run: Run, camera: Camera) -> Setup:
+        return cls(camera, run.pixel, run.exposure, run.display, run.seed)
+
+    def around(self, pitches_um: tuple[float, ...]) -> Setup:
+        """With these pitches, and the pixel's among them if it is the optimum's."""
+        if not (self.at_optimum and pitches_um):
+            return replace(self, pitches_um=pitches_um)
+        middle = float(f"{math.sqrt(pitches_um[0] * pitches_um[-1]):.4g}")
+        return replace(self, pitches_um=pitches_um, pixel=self.pixel.model_copy(update={"pitch_um": middle}))
 
 
 @dataclass(frozen=True)
@@ -52,12 +62,15 @@ class Probe:
     electrons_e_per_s : (rows, columns) mean photo-electrons a second of the set-up's pixel
     delta_e : (sensors,) mean ΔE of its individual sensors
     sweep_delta_e : (pitches, sensors)
+    seconds : of diffraction, sensor and S-CIELAB, for one sensor of the set-up's pixel; score_seconds : of another sensor
     """
 
     electrons_e_per_s: Array = field(repr=False)
     delta_e: Array
     pitch_um: Array
     sweep_delta_e: Array = field(repr=False)
+    seconds: float = 0.0
+    score_seconds: float = 0.0
 
     @property
     def mean_delta_e(self) -> float:
@@ -66,7 +79,11 @@ class Probe:
     @property
     def optimum_um(self) -> float:
         """NaN without a sweep, or where the error is least at an end of it."""
-        return minimum_um(self.pitch_um, self.sweep_delta_e.mean(axis=1)) if self.pitch_um.size else math.nan
+        return minimum_um(self.pitch_um, self.sweep_delta_e.mean(axis=1))
+
+    def optimum_of(self, sensor: int) -> float:
+        """Of one sensor alone."""
+        return minimum_um(self.pitch_um, self.sweep_delta_e[:, sensor])
 
 
 def minimum_um(pitch_um: Array, delta_e: Array) -> float:
@@ -86,12 +103,17 @@ def relative_rms(got: Array, reference: Array) -> float:
 
 def probe(image: SpectralImage, setup: Setup) -> Probe:
     """Sense and score a picture at the set-up's pixel, and at its pitches."""
+    start = time.perf_counter()
     with unheard():
         bench_at = benches(image, setup)
         bench = bench_at(setup.pixel.pitch_um)
-        own = np.array([score(bench, setup, setup.pixel.pitch_um, k) for k in range(setup.sensors)])
+        middle = time.perf_counter()
+        first = score(bench, setup, setup.pixel.pitch_um, 0)
+        end = time.perf_counter()
+        own = np.array([first, *(score(bench, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))])
         sweep = np.array([[score(bench_at(p), setup, p, k) for k in range(setup.sensors)] for p in setup.pitches_um])
-    return Probe(bench.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(len(setup.pitches_um), setup.sensors))
+    shape = len(setup.pitches_um), setup.sensors
+    return Probe(bench.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
 
 
 class PairedNoise(np.random.Generator):

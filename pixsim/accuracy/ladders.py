@@ -1,0 +1,211 @@
+"""One setting moved at a time, everything else as shipped: wall time and error of each rung."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pixsim.accuracy.plain import plain_picture
+from pixsim.accuracy.probe import Probe, Setup, probe, relative_rms
+from pixsim.parameters import Camera
+from pixsim.plan import Plan, make_render_plan
+from pixsim.renderer import Renderer
+from pixsim.scene import Scene
+from pixsim.spectral import SpectralImage
+
+Picture = Callable[[int], SpectralImage]  # seed -> irradiance
+MOST_SPP, MOST_WIDTH = 4096, 8192
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One setting, measured.
+
+    ladder, setting : which, in words; value : its number, on the axis of the ladder
+    seconds : of rendering and scoring one picture, warm; least of the runs
+    error_e : RMS relative error of the mean electrons of the pixels
+    error_delta_e : of mean ΔE; error_optimum_um : of the optimal pitch; RMS over runs, NaN where it was not measured
+    left_out : why it was not measured
+    """
+
+    ladder: str
+    setting: str
+    value: float
+    shipped: bool = False
+    seconds: float = math.nan
+    error_e: float = math.nan
+    error_delta_e: float = math.nan
+    error_optimum_um: float = math.nan
+    left_out: str = ""
+
+
+@dataclass
+class Clock:
+    """Wall time that is left for the ladders, and what the shipped setting takes of it."""
+
+    end: float
+    runs: int
+    render_s: float = 0.0
+    probe_s: float = 0.0
+
+    def expected_s(self, work: float) -> float:
+        """Of a rung of so many times the work of the shipped one; its first render only compiles."""
+        return (self.runs + 1) * work * self.render_s + self.runs * self.probe_s
+
+    def room_for(self, seconds: float) -> bool:
+        return time.perf_counter() + seconds < self.end
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is measured, and against what."""
+
+    scene: Scene
+    camera: Camera
+    plan: Plan
+    setup: Setup
+    truth: Probe = field(repr=False)
+
+    @property
+    def width(self) -> int:
+        return Renderer(self.scene, self.camera, self.plan, 0).size[1]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A rung to be measured: how to make its picture, and how many times the work of the one before it is."""
+
+    setting: str
+    value: float
+    picture: Callable[[], Picture]
+    work: float  # of the shipped setting's
+    shipped: bool = False
+
+
+def rendered(scene: Scene, camera: Camera, plan: Plan) -> Callable[[], Picture]:
+    """How the renderer makes a picture of a plan."""
+
+    def loaded() -> Picture:
+        job = Renderer(scene, camera, plan, 0)
+        return lambda seed: job.image(*job.run(seed))
+
+    return loaded
+
+
+def measure(ladder: str, step: Step, subject: Subject, runs: int) -> Rung:
+    """Time and errors of a setting, over independent renders; one more comes first where only it would tell the time."""
+    picture = step.picture()
+    picture(runs)  # compiles
+    seconds, electrons, delta_e, optimum = [], [], [], []
+    for seed in range(runs):
+        start = time.perf_counter()
+        image = picture(seed)
+        middle = time.perf_counter()
+        found = probe(image, subject.setup)
+        seconds.append(middle - start + found.seconds)
+        electrons.append(relative_rms(found.electrons_e_per_s, subject.truth.electrons_e_per_s))
+        delta_e.append(found.mean_delta_e - subject.truth.mean_delta_e)
+        optimum.append(found.optimum_um - subject.truth.optimum_um)
+    return Rung(ladder, step.setting, step.value, step.shipped, min(seconds), rms(electrons), rms(delta_e), rms(optimum))
+
+
+def rms(values: Sequence[float]) -> float:
+    return math.sqrt(float(np.mean(np.square(values))))
+
+
+def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock) -> Iterator[Rung]:
+    """Measure the rungs, cheapest first; what would take longer than what is left is left out, and says so."""
+    for step in sorted(steps, key=lambda each: each.work):
+        expected = clock.expected_s(step.work)
+        if clock.room_for(expected):
+            yield measure(ladder, step, subject, clock.runs)
+        else:
+            yield Rung(ladder, step.setting, step.value, left_out=f"about {expected:.0f} s")
+
+
+def sample_steps(subject: Subject, most: int) -> list[Step]:
+    plan = subject.plan
+    counts = sorted({4, 16, 64, 256, 1024, plan.spp})
+    return [
+        Step(
+            f"{n} spp",
+            n,
+            rendered(subject.scene, subject.camera, replace(plan, spp=n)),
+            n / plan.spp,
+            n == plan.spp,
+        )
+        for n in counts
+        if n <= most
+    ]
+
+
+def film_steps(subject: Subject, widths: Sequence[int]) -> list[Step]:
+    """Films of other widths, where the scene lets its resolution be set."""
+    if "resolution" not in subject.scene.names:
+        return []
+    own = subject.width
+    steps = []
+    for width in sorted({*widths, own}):
+        scene = subject.scene.with_parameters(resolution=width)
+        steps.append(Step(f"{width} wide", width, rendered(scene, subject.camera, subject.plan), (width / own) ** 2, width == own))
+    return steps
+
+
+def band_steps(subject: Subject, counts: Sequence[int]) -> list[Step]:
+    """Bands of equal width, and those that the plan places."""
+    own = subject.plan.bands.width_nm.size
+    steps = [Step(f"{own} bands, as planned", own, rendered(subject.scene, subject.camera, subject.plan), 1.0, True)]
+    for count in counts:
+        plan = make_render_plan(subject.scene, subject.camera, subject.setup.pixel, band_count=count)
+        plan = replace(plan, spp=subject.plan.spp)
+        work = plan.passes / subject.plan.passes
+        steps.append(Step(f"{count} equal bands", count, rendered(subject.scene, subject.camera, plan), work))
+    return steps
+
+
+def sampler_steps(subject: Subject) -> list[Step]:
+    plan = subject.plan
+    names = ("multijitter", "stratified", "ldsampler", "independent")
+    return [
+        Step(name, k, rendered(subject.scene, subject.camera, replace(plan, sampler=name)), 1.0 + 0.01 * k, name == plan.sampler)
+        for k, name in enumerate(names)
+    ]
+
+
+def lens_steps(subject: Subject, counts: Sequence[int]) -> list[Step]:
+    """A pinhole, and a lens of so many samples."""
+    plan = subject.plan
+    steps = [
+        Step(
+            f"lens, {n} samples",
+            n,
+            rendered(subject.scene, subject.camera, replace(plan, lens="thinlens", spp=n)),
+            n / plan.spp,
+            plan.lens == "thinlens" and n == plan.spp,
+        )
+        for n in counts
+    ]
+    pinhole = replace(plan, lens="perspective")
+    return [*steps, Step("pinhole", 1, rendered(subject.scene, subject.camera, pinhole), 1.0, plan.lens == "perspective")]
+
+
+def method_steps(subject: Subject, counts: Sequence[int], other: Scene | None) -> list[Step]:
+    """Whole ways to the picture: plain Mitsuba, pixsim with nothing left out, pixsim as shipped, and its other variant."""
+    scene, camera, plan = subject.scene, subject.camera, subject.plan
+    full = make_render_plan(scene, camera, subject.setup.pixel, full=True)
+    work = full.passes * full.spp / (plan.passes * plan.spp)
+    steps = [
+        Step("pixsim, pruned", plan.spp, rendered(scene, camera, plan), 1.0, True),
+        Step("pixsim, --full", full.spp, rendered(scene, camera, full), 1.5 * work),
+    ]
+    for count in counts:
+        for sampler in ("independent", "multijitter"):
+            made = plain_picture(scene, camera, plan, sampler, count)
+            steps.append(Step(f"Mitsuba, {sampler}, {count} spp", count, made, 8 * count / plan.spp))
+    if other is not None:
+        steps.append(Step(f"pixsim, pruned, {other.choice.variant}", plan.spp, rendered(other, camera, plan), 12.0))
+    return steps

@@ -1,0 +1,68 @@
+"""`--tolerance-delta-e`: settings for a tolerance before the work, and the error budget after it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+from pixsim.accuracy.budget import Calibration, Choice, Effect, calibrate, choose, effects, total
+from pixsim.accuracy.probe import Setup
+from pixsim.convergence import RenderNoise
+from pixsim.parameters import Camera
+from pixsim.plan import make_render_plan
+from pixsim.scene import Scene
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A scene with the film that the tolerance asks for, the other settings, and what they were chosen from."""
+
+    scene: Scene
+    tolerance_delta_e: float
+    calibration: Calibration
+    choice: Choice
+
+    def budget(self, noise: RenderNoise, bound_e: float, sensors: int, seeds: Effect | None = None) -> dict[str, Any]:
+        """What stands in score.json and summary.json: the error of each source, as it came out.
+
+        seeds : measured by the result itself, in place of the calibration's
+        """
+        width = self.choice.width
+        found = effects(self.calibration, width, noise.fraction, bound_e, sensors) | ({"seeds": seeds} if seeds else {})
+        whole = total(found)
+        rows = {name: _finite(each) for name, each in found.items()}
+        return {
+            "tolerance_delta_e": self.tolerance_delta_e,
+            "total": _finite(whole),
+            "met": whole.delta_e <= self.tolerance_delta_e,
+            "settings": {
+                "resolution": width,
+                "render_noise": self.choice.render_noise,
+                "tolerance_e": self.choice.tolerance_e,
+                "sensors": sensors,
+            },
+            "sources": rows,
+        }
+
+
+def _finite(each: Effect) -> dict[str, float | None]:
+    """To three digits; None where there is no such number (JSON knows no NaN)."""
+    pairs = {"delta_e": each.delta_e, "optimum_um": each.optimum_um}
+    return {name: float(f"{value:.3g}") if value == value else None for name, value in pairs.items()}
+
+
+def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float) -> Settled:
+    """Calibrate (or take the cached calibration) and choose. Warns where no settings meet the tolerance."""
+    plan = make_render_plan(scene, camera, setup.pixel)
+    found = calibrate(scene, camera, plan, setup)
+    free = "resolution" in scene.names and "resolution" not in scene.parameters
+    choice = choose(found, tolerance_delta_e, film_is_free=free)
+    if not choice.met:
+        hint = "" if free else "; the film's resolution is set, leave it open"
+        warnings.warn(
+            f"no settings meet --tolerance-delta-e {tolerance_delta_e:g}: the finest leave {choice.expected_delta_e:.2g}{hint}",
+            stacklevel=3,
+        )
+    chosen = scene.with_parameters(resolution=choice.width) if free else scene
+    return Settled(chosen, tolerance_delta_e, found, choice)

@@ -1,0 +1,161 @@
+"""`pixsim run`, `plan` and `chart`: one scene, one picture."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from pixsim.cli.base import (
+    DEFAULT_OUT,
+    FILE_WIDTH,
+    Config,
+    Define,
+    Full,
+    Json,
+    Out,
+    Seed,
+    SensorId,
+    Tolerance,
+    Variant,
+    app,
+    described,
+    settings_of,
+    show,
+)
+from pixsim.cli.tables import (
+    NO_CAMERA,
+    NO_DISPLAY,
+    NO_EXPOSURE,
+    NO_PIXEL,
+    CameraTable,
+    DisplayTable,
+    ExposureTable,
+    PixelTable,
+)
+from pixsim.progress import stages
+from pixsim.wording import budget_lines, plan_table
+
+
+@app.command
+def run(
+    scene: str,
+    *,
+    config: Config = None,
+    define: Define | None = None,
+    camera: CameraTable = NO_CAMERA,
+    pixel: PixelTable = NO_PIXEL,
+    exposure: ExposureTable = NO_EXPOSURE,
+    display: DisplayTable = NO_DISPLAY,
+    seed: Seed = None,
+    tolerance_e: Tolerance = None,
+    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
+    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
+    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    full: Full = False,
+    sensor: SensorId = None,
+    variant: Variant = None,
+    units: Annotated[str | None, Parameter(help="Of a picture whose file does not tell them, as W.m^-2.nm^-1.")] = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Render a scene, take its picture with one sensor and score it.
+
+    Examples:
+    pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
+    pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
+
+    Writes irradiance.exr, raw.exr, ideal.png, image.png, delta_e.exr, delta_e.png, score.json.
+
+    Parameters
+    ----------
+    scene
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
+        Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry.
+    """
+    from pixsim.outputs import run_and_write
+
+    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
+    values = {
+        "seed": seed,
+        "tolerance_e": tolerance_e,
+        "tolerance_delta_e": tolerance_delta_e,
+        "render_noise": render_noise,
+        "max_seconds": max_seconds,
+    }
+    chosen = settings_of(config, tables, define, values)
+    folder = out or DEFAULT_OUT / Path(scene).stem
+    with stages() as stage:
+        result = run_and_write(scene, chosen, folder, full=full, sensor=sensor, variant=variant, units=units, progress=stage)
+    noise = result.get("render_noise")
+    show(
+        result,
+        json,
+        f"mean ΔE {result['mean_delta_e']:.3f} with {result['pitch_um']:g} µm pixels, "
+        f"{1e3 * result['integration_s']:.3g} ms"
+        + (f"; noise of the render {noise['fraction']:.2g} of the sensor's" if noise else "")
+        + f"; pictures in {folder}"
+        + "".join(f"\n{line}" for line in budget_lines(result)),
+    )
+
+
+@app.command
+def plan(
+    scene: str,
+    *,
+    config: Config = None,
+    define: Define | None = None,
+    camera: CameraTable = NO_CAMERA,
+    pixel: PixelTable = NO_PIXEL,
+    tolerance_e: Tolerance = None,
+    full: Full = False,
+    sensor: SensorId = None,
+    variant: Variant = None,
+    json: Json = False,
+) -> None:
+    """What a scene needs, what is left out, why, and what leaving it out can cost at most; nothing is rendered.
+
+    Example: pixsim plan macbeth --tolerance-e 1e-4
+
+    Parameters
+    ----------
+    scene
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
+    """
+    from pixsim.scene import load_scene
+    from pixsim.sensor_plan import make_plan
+
+    chosen = settings_of(config, {"camera": camera, "pixel": pixel}, define, {"tolerance_e": tolerance_e})
+    loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
+    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, tolerance_e=chosen.tolerance_e, full=full)
+    if json:
+        show(made.as_dict(), True, "")
+    else:
+        print(plan_table(made, None if sys.stdout.isatty() else FILE_WIDTH))
+
+
+@app.command
+def chart(
+    kind: str,
+    *,
+    output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR, row 0 on top.")],
+    width: Annotated[int | None, Parameter(help="Texels across.")] = None,
+    height: Annotated[int | None, Parameter(help="Texels down.")] = None,
+    die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+) -> None:
+    """Make a chart texture for -D chart=FILE.
+
+    Example: pixsim chart siemens_star -o star.exr
+
+    Parameters
+    ----------
+    kind
+        csf, flat, siemens_star or slanted_edge.
+    """
+    from pixsim import charts
+
+    texels = charts.make_chart(kind, width, height, die_mm)
+    charts.write_chart(output, texels)
+    print(f"{texels.shape[1]} × {texels.shape[0]} texels in {output}")

@@ -1,0 +1,73 @@
+"""`pixsim study`: many pixel sizes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from pixsim.cli.base import DEFAULT_OUT, Json, Out, Variant, app, described, show
+from pixsim.errors import PixsimError
+from pixsim.progress import stages
+from pixsim.wording import budget_lines, found_line, sensitivity_lines
+
+
+@app.command
+def study(
+    study: str,
+    *,
+    quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
+    jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
+    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
+    variant: Variant = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Sweep the pixel size and find the one with the least visible error.
+
+    Example: pixsim study chen2000 --quick
+
+    Writes results.csv, summary.json, figures/*.svg, provenance.json, report.html; an interrupted study goes on where it
+    stopped when the same command is given again.
+
+    Parameters
+    ----------
+    study
+        A TOML file, or the name of a packaged study: chen2000, chen2000-sensitivity, modern.
+    """
+    from pixsim import sweep
+
+    if jobs is not None and jobs < 1:
+        raise PixsimError(f"--jobs: got {jobs}; allowed: 1 or more.")
+    table = sweep.read_study(study)
+    if tolerance_delta_e is not None:
+        table["tolerance_delta_e"] = tolerance_delta_e
+    seconds: dict[str, float] = {}
+    how: dict[str, Any] = {"quick": quick, "jobs": jobs, "variant": variant}
+    with stages(seconds) as stage:
+        if "vary" in table:
+            from pixsim.sensitivity import Sensitivity, run_sensitivity
+            from pixsim.sensitivity_report import write_sensitivity_report
+
+            moved = Sensitivity.model_validate(table)
+            folder = study_folder(out, moved.name, quick)
+            outcome = run_sensitivity(moved, folder, progress=stage, **how)
+            stage("report")
+            report = write_sensitivity_report(outcome, folder, seconds)
+            found, lines = outcome.as_dict(), sensitivity_lines(outcome)
+        else:
+            from pixsim.report import write_report
+
+            plan = sweep.checked_study(table)
+            folder = study_folder(out, plan.name, quick)
+            result = sweep.study(plan, folder, progress=stage, **how)
+            stage("report")
+            report = write_report(result, folder, seconds)
+            found = result.as_dict()
+            lines = [*(found_line(curve) for curve in result.curves), *budget_lines(found)]
+    show(found, json, "\n".join([*lines, f"report: {report}"]))
+
+
+def study_folder(out: Path | None, name: str, quick: bool) -> Path:
+    return out or DEFAULT_OUT / (name + ("-quick" if quick else ""))
