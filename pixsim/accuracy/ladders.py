@@ -60,19 +60,23 @@ class Clock:
         return time.perf_counter() + seconds < self.end
 
 
+NOTHING = Probe(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros((0, 0)))
+
+
 @dataclass(frozen=True)
 class Subject:
-    """What is measured, and against what."""
+    """What is measured, and against what.
+
+    image : of the shipped settings; white : header entries that every picture of the scene is to share
+    """
 
     scene: Scene
     camera: Camera
     plan: Plan
     setup: Setup
-    truth: Probe = field(repr=False)
-
-    @property
-    def width(self) -> int:
-        return Renderer(self.scene, self.camera, self.plan, 0).size[1]
+    image: SpectralImage = field(repr=False)
+    truth: Probe = field(default=NOTHING, repr=False)
+    white: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,7 @@ def measure(ladder: str, step: Step, subject: Subject, runs: int) -> Rung:
     for seed in range(runs):
         start = time.perf_counter()
         image = picture(seed)
+        image.header |= subject.white
         middle = time.perf_counter()
         found = probe(image, subject.setup)
         seconds.append(middle - start + found.seconds)
@@ -117,11 +122,14 @@ def rms(values: Sequence[float]) -> float:
     return math.sqrt(float(np.mean(np.square(values))))
 
 
-def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock) -> Iterator[Rung]:
-    """Measure the rungs, cheapest first; what would take longer than what is left is left out, and says so."""
+def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, shipped: Rung) -> Iterator[Rung]:
+    """Measure the rungs, cheapest first, but for the shipped one, which is known; what would take longer than what is left
+    is left out, and says so."""
     for step in sorted(steps, key=lambda each: each.work):
         expected = clock.expected_s(step.work)
-        if clock.room_for(expected):
+        if step.shipped:
+            yield replace(shipped, ladder=ladder, setting=step.setting, value=step.value)
+        elif clock.room_for(expected):
             yield measure(ladder, step, subject, clock.runs)
         else:
             yield Rung(ladder, step.setting, step.value, left_out=f"about {expected:.0f} s")
@@ -147,7 +155,7 @@ def film_steps(subject: Subject, widths: Sequence[int]) -> list[Step]:
     """Films of other widths, where the scene lets its resolution be set."""
     if "resolution" not in subject.scene.names:
         return []
-    own = subject.width
+    own = subject.image.shape[1]
     steps = []
     for width in sorted({*widths, own}):
         scene = subject.scene.with_parameters(resolution=width)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -68,36 +69,27 @@ def formula_of(scene: Scene, plan: Plan) -> str | None:
     return name if plan.chart is not None and name in FORMULAS and "chart" not in scene.parameters else None
 
 
-def analytic_reference(scene: Scene, camera: Camera, setup: Setup, resolution: int) -> Reference:
+def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, shape: tuple[int, int]) -> Reference:
     """The chart's formula as irradiance: exact cell means, bands of 1 nm, the lens's fall-off at every sample."""
     plan = make_render_plan(scene, camera, setup.pixel, band_count=REFERENCE_BANDS)
-    name = formula_of(scene, plan)
-    assert name is not None
-    height, width = (resolution * n // max(plan_shape(plan)) for n in plan_shape(plan))
-    picture = FORMULAS[name](height, width)
-    job = Renderer(scene.with_parameters(resolution=resolution), camera, plan, 0)
+    picture = FORMULAS[name](*shape)
+    job = Renderer(scene.with_parameters(resolution=shape[1]), camera, plan, 0)
     pictures = [np.repeat(picture[:, :, None], len(light.pulses), axis=2) for light in plan.lights]
-    image = job.image(pictures, 0)
-    return Reference(image, f"analytic: the formula of the {name} chart, {width} × {height} exact cell means, 1 nm bands", True)
+    told = f"analytic, the formula of the {name} chart: {shape[1]} × {shape[0]} exact cell means, bands of 1 nm"
+    return Reference(job.image(pictures, 0), told, True)
 
 
-def plan_shape(plan: Plan) -> tuple[int, int]:
-    assert plan.chart is not None
-    return plan.chart.shape
-
-
-def rendered_reference(scene: Scene, camera: Camera, setup: Setup, plan: Plan, told: Any = None) -> Reference:
-    """A render with nothing left out, other seeds, and at least 64 times the samples of the plan's, on a film twice as fine
-    where the scene lets its resolution be set."""
-    job = Renderer(scene, camera, plan, 0)
-    width = job.size[1]
-    finer = scene.with_parameters(resolution=2 * width) if "resolution" in scene.names else scene
+def rendered_reference(scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, told: Any = None) -> Reference:
+    """A render with nothing left out, other seeds, and at least `work` times the samples of the plan's, on a film twice as
+    fine where the scene lets its resolution be set."""
+    width = Renderer(scene, camera, plan, 0).size[1]
+    free = "resolution" in scene.names
+    finer = scene.with_parameters(resolution=2 * width) if free else scene
     full = make_render_plan(finer, camera, setup.pixel, full=True)
-    cells = 4 if finer is not scene else 1
-    samples = REFERENCE_WORK * plan.spp * plan.passes / (full.passes * cells)
-    spp = 1 << max(4, int(np.ceil(np.log2(samples))))
+    cells = 4 if free else 1
+    spp = 1 << max(4, math.ceil(math.log2(work * plan.spp * plan.passes / (full.passes * cells))))
     heavy = Renderer(finer, camera, replace(full, spp=spp), setup.seed + REFERENCE_SEED)
     image = heavy.image(*heavy.run(0, told))
-    work = full.passes * spp * cells / (plan.spp * plan.passes)
+    times = full.passes * spp * cells / (plan.spp * plan.passes)
     size = " × ".join(str(n) for n in heavy.size[::-1])
-    return Reference(image, f"a render of {work:.0f} times the work, other seeds: {size}, {full.passes} × {spp} samples", False)
+    return Reference(image, f"a render of {times:.0f} times the work, other seeds: {size}, {full.passes} passes of {spp}", False)

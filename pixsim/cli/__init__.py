@@ -12,12 +12,14 @@ import warnings
 from cyclopts.exceptions import CycloptsError
 from pydantic import ValidationError
 
+# ruff: isort: off  (errors name the commands in this order)
 from pixsim.cli.base import app as app
-from pixsim.cli.render import chart as chart
+from pixsim.cli.charts import chart as chart
 from pixsim.cli.render import plan as plan
 from pixsim.cli.render import run as run
 from pixsim.cli.studies import study as study
 
+# ruff: isort: on
 from pixsim.errors import PixsimError
 from pixsim.messages import explain
 

@@ -1,0 +1,236 @@
+"""`pixsim accuracy`: all of it, within a bounded time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from pixsim import stability
+from pixsim import variant as variants
+from pixsim.accuracy import ladders
+from pixsim.accuracy.budget import MOST_DOTS, Calibration, Effect, calibrate, effects
+from pixsim.accuracy.fits import Order, beaten_by, fit_order
+from pixsim.accuracy.ladders import Clock, Rung, Subject
+from pixsim.accuracy.probe import Setup, pitches_around_optimum_um, probe
+from pixsim.accuracy.reference import REFERENCE_WORK, Reference, analytic_reference, formula_of, rendered_reference
+from pixsim.accuracy.stages import Laps, first_picture, opened, score_in_stages
+from pixsim.accuracy.viewing import raster_rungs, seed_rungs
+from pixsim.parameters import Run
+from pixsim.scene import Scene
+from pixsim.sensor_plan import make_plan
+from pixsim.stability import Case
+
+METRICS = {
+    "error_e": "RMS relative error of mean electrons",
+    "error_delta_e": "error of mean ΔE",
+    "error_optimum_um": "error of the optimal pitch (µm)",
+}
+USUAL_SENSORS = 8  # of a study: what their mean cannot see does not tell settings apart
+SCALAR = "scalar_spectral"
+FINER = 2  # the analytic reference's film, of the scene's
+FEWEST_TIMES = 4.0  # the work of the shipped settings: less is no reference
+COARSEST = 64  # film width down to which a scene without a formula is looked at, where its reference would take too long
+Stage = Callable[[str], Callable[..., None]]
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How much is measured: seconds in all, and of them for a rendered reference; independent renders of each rung; settings."""
+
+    seconds: float
+    reference_s: float
+    runs: int
+    pitches: int
+    spp: int
+    films: tuple[int, ...]  # by powers of two from the scene's own
+    bands: tuple[int, ...]
+    lens: tuple[int, ...]
+    plain: tuple[int, ...]
+    pool: int
+    dots: tuple[float, ...]  # times the display's
+
+
+FULL = Depth(
+    240.0, 100.0, 2, 6, 64, (-3, -2, -1, 1), (1, 2, 4, 8, 16, 96), (4, 16, 64), (4, 16, 64), 16, (1 / 8, 1 / 4, 1 / 2, 2, 4)
+)
+QUICK = Depth(40.0, 12.0, 1, 5, 64, (-2, -1), (2, 8), (4, 16), (4,), 8, (1 / 4, 1 / 2, 2))
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What was measured. `notes` say what was made smaller to stay within the time."""
+
+    name: str
+    reference: str
+    analytic: bool
+    shipped: Rung
+    rungs: tuple[Rung, ...] = field(repr=False)
+    stage_seconds: dict[str, float]
+    calibration: Calibration
+    budget: dict[str, Effect]
+    cases: tuple[Case, ...] = field(repr=False)
+    header: dict[str, Any] = field(repr=False)
+    setup: Setup = field(repr=False)
+    notes: tuple[str, ...]
+    seconds: float
+
+    def ladder(self, name: str) -> list[Rung]:
+        """Its rungs that were measured, by their number."""
+        return sorted((each for each in self.rungs if each.ladder == name and not each.left_out), key=lambda each: each.value)
+
+    @property
+    def names(self) -> list[str]:
+        return list(dict.fromkeys(each.ladder for each in self.rungs))
+
+    def order(self, name: str, metric: str) -> Order | None:
+        """Of a ladder whose settings are numbers."""
+        if name in ("methods", "sampler"):
+            return None
+        found = [each for each in self.ladder(name) if "pinhole" not in each.setting and "planned" not in each.setting]
+        return fit_order([each.value for each in found], [getattr(each, metric) for each in found])
+
+    def rivals(self, metric: str) -> list[Rung]:
+        """Measured settings of the render, the shipped one first, once: those of seeds and raster have references of their own."""
+        others = [each for each in self.rungs if not (each.left_out or each.shipped) and each.ladder not in ("seeds", "raster")]
+        return [each for each in (self.shipped, *others) if math.isfinite(getattr(each, metric))]
+
+    def beaten(self, metric: str) -> Rung | None:
+        """The setting that is clearly faster and nearer than the shipped one, if there is one.
+
+        Nearer by what a study of eight sensors could see, for ΔE and the optimum.
+        """
+        rivals = self.rivals(metric)
+        if not rivals or rivals[0] is not self.shipped:
+            return None
+        sensor = self.calibration.sensor
+        visible = {"error_delta_e": sensor.delta_e, "error_optimum_um": sensor.optimum_um}.get(metric, 0.0)
+        margin = visible / math.sqrt(USUAL_SENSORS) if math.isfinite(visible) else 0.0
+        index = beaten_by(0, [each.seconds for each in rivals], [getattr(each, metric) for each in rivals], margin)
+        return None if index is None else rivals[index]
+
+    def as_dict(self) -> dict[str, Any]:
+        """summary.json; JSON knows no NaN."""
+        return {
+            "scene": self.name,
+            "reference": self.reference,
+            "analytic": self.analytic,
+            "shipped": _plain(asdict(self.shipped)),
+            "ladders": {name: [_plain(asdict(each)) for each in self.rungs if each.ladder == name] for name in self.names},
+            "orders": {
+                name: {metric: asdict(order) for metric in METRICS if (order := self.order(name, metric))} for name in self.names
+            },
+            "shipped_on_front": {metric: self.beaten(metric) is None for metric in METRICS if self.rivals(metric)},
+            "stage_seconds": self.stage_seconds,
+            "error_budget": {name: _plain(asdict(each)) for name, each in self.budget.items()},
+            "stability": [_plain(case.as_dict()) for case in self.cases],
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
+
+
+def survey(
+    source: str, settings: Run, *, quick: bool = False, sensor: str | None = None, variant: str | None = None, progress: Stage
+) -> Accuracy:
+    """Measure a scene's errors against run time, its error budget, and the stability cases.
+
+    Raises PixsimError for a scene that cannot be rendered or sensed.
+    """
+    start, depth, laps = time.perf_counter(), QUICK if quick else FULL, Laps()
+    progress("parse and render")
+    scene, camera, plan = opened(source, settings, sensor, variant, laps)
+    setup = Setup.of(settings, camera)
+    image = first_picture(scene, camera, plan, laps)
+    score_in_stages(image, setup, laps)
+    subject, reference, notes = referred(Subject(scene, camera, plan, setup, image), laps.seconds["render"], depth, progress)
+    progress("error budget")
+    calibration = calibrate(subject.scene, camera, subject.plan, setup)
+    cases, _ = stability.all_cases(progress("stability"))
+    clock = Clock(start + depth.seconds, depth.runs)
+    shipped, rungs = climbed(subject, depth, clock, progress)
+    return Accuracy(
+        name=scene.path.stem,
+        reference=reference.told,
+        analytic=reference.analytic,
+        shipped=shipped,
+        rungs=tuple(rungs),
+        stage_seconds=laps.seconds,
+        calibration=calibration,
+        budget=effects(calibration, calibration.width, calibration.noise, plan.bound_e, 1),
+        cases=tuple(cases),
+        header=image.header,
+        setup=subject.setup,
+        notes=tuple(notes),
+        seconds=time.perf_counter() - start,
+    )
+
+
+def referred(subject: Subject, render_s: float, depth: Depth, progress: Stage) -> tuple[Subject, Reference, list[str]]:
+    """The subject with what is right for it. A scene without a formula is looked at on a film so coarse that a render of 64
+    times its work can be waited for; `notes` say so."""
+    told, notes = progress("reference"), []
+    scene, camera, plan, setup = subject.scene, subject.camera, subject.plan, subject.setup
+    name = formula_of(scene, plan)
+    if name:
+        height, width = subject.image.shape
+        reference = analytic_reference(scene, camera, setup, name, (FINER * height, FINER * width))
+    else:
+        width, expected_s = subject.image.shape[1], REFERENCE_WORK * render_s
+        while expected_s > depth.reference_s and width > COARSEST and "resolution" in scene.names:
+            width, expected_s = width // 2, expected_s / 4
+        if width < subject.image.shape[1]:
+            notes.append(f"looked at {width} samples wide instead of {subject.image.shape[1]}, to afford the reference")
+            scene = scene.with_parameters(resolution=width)
+            plan = make_plan(scene, camera, setup.pixel, tolerance_e=plan.tolerance_e)
+            image = first_picture(scene, camera, plan, Laps())
+            subject = replace(subject, scene=scene, plan=plan, image=image)
+        work = min(REFERENCE_WORK, max(FEWEST_TIMES, REFERENCE_WORK * depth.reference_s / expected_s))
+        if work < REFERENCE_WORK:
+            notes.append(f"the reference has {work:.0f} times the work of the shipped settings only, of {REFERENCE_WORK}")
+        reference = rendered_reference(scene, camera, setup, plan, work, told)
+    white = {key: value for key, value in subject.image.header.items() if key == "luminance_cd_per_m2"}
+    reference.image.header |= white
+    setup = setup.around(pitches_around_optimum_um(reference.image, setup, depth.pitches))
+    return replace(subject, setup=setup, white=white, truth=probe(reference.image, setup)), reference, notes
+
+
+def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tuple[Rung, list[Rung]]:
+    """The shipped settings, then all ladders, in the order of what a user would ask first."""
+    told, scene = progress("ladders"), subject.scene
+    own = ladders.Step("as shipped", subject.plan.spp, ladders.rendered(scene, subject.camera, subject.plan), 1.0, True)
+    began = time.perf_counter()
+    shipped = ladders.measure("methods", own, subject, clock.runs)
+    clock.probe_s = (time.perf_counter() - began) / clock.runs
+    clock.render_s = max(shipped.seconds - subject.truth.seconds, 0.05)
+    width = subject.image.shape[1]
+    films = [max(8, int(width * 2.0**k)) for k in depth.films]
+    climbs = {
+        "methods": ladders.method_steps(subject, depth.plain, other_variant(scene)),
+        "spp": ladders.sample_steps(subject, depth.spp),
+        "film": ladders.film_steps(subject, films),
+        "sampler": ladders.sampler_steps(subject),
+        "lens": ladders.lens_steps(subject, depth.lens),
+        "bands": ladders.band_steps(subject, depth.bands),
+    }
+    rungs: list[Rung] = []
+    for number, (name, steps) in enumerate(climbs.items()):
+        told(number / (len(climbs) + 1), f": {name}")
+        rungs += ladders.climb(name, steps, subject, clock, shipped)
+    told(len(climbs) / (len(climbs) + 1), ": sensors and display")
+    rungs += seed_rungs(subject.image, subject.setup, shipped.seconds, depth.pool)
+    dots = [max(8, int(subject.setup.display.dots * times)) for times in depth.dots]
+    rungs += raster_rungs(subject.image, subject.setup, clock.render_s, [each for each in dots if each <= MOST_DOTS])
+    return shipped, rungs
+
+
+def other_variant(scene: Scene) -> Scene | None:
+    """The same scene for the scalar variant, where it is not that already."""
+    if scene.choice.variant == SCALAR:
+        return None
+    return replace(scene, choice=variants.choose(SCALAR))
