@@ -6,6 +6,8 @@ known number, never a measured maximum.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -48,14 +50,25 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     """Photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
     Its spectrum is that of the scene's lamps where they share one, else D65.
+
+    Raises PixsimError where the eye or the sensor sees nothing of it: there is no picture to show then.
     """
     factor_sr = optics.irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
     white_lx = white_cd_per_m2(irradiance, display) * float(factor_sr)
     spectrum = white_spectrum(irradiance)
     if spectrum is None:
         spectrum = irradiance.band_mean(d65)
-    electrons, lux = electrons_per_joule(physics, irradiance) * spectrum, irradiance.luminous_weight() * spectrum
-    return float(electrons.sum() / lux.sum() * white_lx * M2_PER_UM2)
+    electrons = float((electrons_per_joule(physics, irradiance) * spectrum).sum())
+    lux = float((irradiance.luminous_weight() * spectrum).sum())
+    rate = electrons / lux * white_lx * M2_PER_UM2 if lux > 0 else math.nan
+    if not 0 < rate < math.inf:
+        raise refuse(
+            "the scene's white",
+            f"{electrons:.3g} electrons and {lux:.3g} lx of its light in all bands",
+            "light that both the sensor and the eye see",
+            "Take a lamp within the sensor's response and within 360-830 nm, or another technology or infrared cut.",
+        )
+    return rate
 
 
 def dot_edges_um(length_um: float, die_um: float, pitch_um: float, display: Display) -> Array:

@@ -28,19 +28,22 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
     tan_field : tangent of the field angle seen from the lens centre
     magnification : image over object size; its absolute value is taken
 
-    Raises PixsimError for f-numbers that are not positive or steeper than A = 1.
+    Raises PixsimError for f-numbers that are not positive or steeper than A = 1, and for tangents that are no numbers.
     """
-    f_number = np.asarray(f_number, float)
-    # Divided before squaring, so that neither f/1e-200 nor f/1e200 overflows on the way.
+    f_number, tan_field = np.asarray(f_number, float), np.asarray(tan_field, float)
+    if np.isnan(tan_field).any():
+        raise refuse("tan_field", "nan", "a number, or infinity for light along the sensor")
+    # Divided before squaring, so that neither f/1e-200 nor f/1e200 overflows on the way. What overflows is grazing light,
+    # which brings nothing.
     with np.errstate(divide="ignore", over="ignore"):
         tan_alpha = 0.5 / (f_number * (1 + np.abs(magnification)))
-    if not np.all((f_number > 0) & (tan_alpha <= 1)):
-        raise refuse("f-number", f_number, "N (1 + |m|) ≥ 0.5", "A thin lens in air cannot be faster than f/0.5.")
-    a = tan_alpha**2
-    t = np.asarray(tan_field, float) ** 2
-    p = (1 - a) + t
-    q = np.sqrt(p**2 + 4 * a)
-    return 2 * np.pi * a / (q * (q + p))
+        if not np.all((f_number > 0) & (tan_alpha <= 1)):
+            raise refuse("f-number", f_number, "N (1 + |m|) ≥ 0.5", "A thin lens in air cannot be faster than f/0.5.")
+        a = tan_alpha**2
+        t = tan_field**2
+        p = (1 - a) + t
+        q = np.sqrt(p**2 + 4 * a)
+        return 2 * np.pi * a / (q * (q + p))
 
 
 def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float, magnification: float) -> Array:
@@ -51,17 +54,26 @@ def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: flo
 
 
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
-    """1/(λ N_w), the highest frequency that a diffraction-limited lens passes."""
-    return NM_PER_MM / (np.asarray(wavelength_nm, float) * f_number)
+    """1/(λ N_w), the highest frequency that a diffraction-limited lens passes: 0 for a pinhole, N_w = infinity.
+
+    Raises PixsimError for wavelengths or f-numbers that are not positive: the OTF would exceed 1.
+    """
+    wavelength_nm = np.asarray(wavelength_nm, float)
+    if not (np.all(wavelength_nm > 0) and f_number > 0):
+        raise refuse("wavelength and working f-number", f"{wavelength_nm} nm, {f_number}", "numbers above 0")
+    with np.errstate(over="ignore", divide="ignore"):  # to a cut-off at 0 or at infinity
+        return NM_PER_MM / (wavelength_nm * f_number)
 
 
 def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_number: float) -> Array:
     """OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
 
     `f_number` is the working one, N(1+|m|). Frequencies and wavelengths broadcast. Isoplanatic: off axis the tangential
-    cut-off really falls as cos³θ. Goodman, Introduction to Fourier Optics, 3rd ed., eq. (6-31).
+    cut-off really falls as cos³θ. Goodman, Introduction to Fourier Optics, 3rd ed., eq. (6-31). Frequency 0 always passes.
     """
-    x = np.abs(np.asarray(frequency_cy_per_mm, float)) / cutoff_cy_per_mm(wavelength_nm, f_number)
+    frequency = np.abs(np.asarray(frequency_cy_per_mm, float))
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # 0/0: a pinhole, settled in the next line
+        x = np.where(frequency == 0, 0.0, frequency / cutoff_cy_per_mm(wavelength_nm, f_number))
     x = np.minimum(x, 1.0)
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt((1 - x) * (1 + x)))
 
@@ -92,7 +104,8 @@ def diffract_sum(
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
     radius = np.hypot(fx[None, :], fy[:, None])
     highest = min(radius[-1, -1], cutoff_cy_per_mm(wavelength_nm.min(), f_number))
-    table = np.linspace(0.0, max(highest, np.finfo(float).tiny), OTF_TABLE_SIZE)
+    lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a table that ends below it would only hold steps too small to divide by
+    table = np.linspace(0.0, max(highest, lowest), OTF_TABLE_SIZE)
     total: Array | None = None
     for picture, weight in pictures:
         if np.any(weight):
@@ -103,8 +116,14 @@ def diffract_sum(
 
 
 def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:
-    """Convolve a picture (H, W) with the white-light diffraction PSF of light in the shares `weight`; see `diffract_sum`."""
-    share = weight / weight.sum()
+    """Convolve a picture (H, W) with the white-light diffraction PSF of light in the shares `weight`; see `diffract_sum`.
+
+    Raises PixsimError where the weights (B,) add up to 0: no light has no shape.
+    """
+    total = weight.sum()
+    if total == 0:
+        raise refuse("weight", "a sum of 0", "weights that do not cancel", "Unscaled weights are for `diffract_sum`.")
+    share = weight / total
     return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number, workers)
 
 

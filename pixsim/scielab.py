@@ -46,6 +46,7 @@ ZHANG1996_GAUSSIANS = (
     ((0.567885, 0.092), (0.432115, 0.6451)),
 )
 ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
+ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)  # its kernels are a degree long: beyond, they are one sample, or fill the memory
 # CIELAB's f(t) is the cube root above a threshold, and slope t + 16/116 up to it, where L* is dark_slope Y/Yn.
 CIE_LAB = (216 / 24389, 841 / 108, 24389 / 27)  # [CIE]: (6/29)^3, (29/6)^2 / 3, (29/3)^3
 ZHANG1996_LAB = (0.008856, 7.787, 903.3)  # [1996]
@@ -67,6 +68,8 @@ def delta_e_map(
     white_xyz: (3,) XYZ of the white that the viewer is adapted to.
     samples_per_deg: image samples per degree of visual angle.
     filters, workers: see `filtered_lab`; formula: see `delta_e`.
+    Multiplying both images and the white by one number changes nothing, whatever its size. XYZ slightly below zero, as noise
+    leaves it, is kept: CIELAB's linear branch goes on through zero, with no clipping and no step; see `filtered_lab`.
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
     reference, test = _checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
@@ -88,11 +91,12 @@ def filtered_lab(
     filters: "published" is [ZW] as defined in frequency, with unit gain at zero, so that a uniform image has its plain
     CIELAB; "zhang1996" follows [1996], sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg.
     workers: threads of the transforms; the result does not depend on it.
-    XYZ below zero (noise, the filters' negative lobe) follows CIELAB's linear branch on, so L* may be negative.
+    XYZ below zero (noise, the filters' negative lobe) follows CIELAB's linear branch on, so L* may be negative: clipping
+    before the eye's blur would make noise around black brighter on average than it is.
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
-    white = _checked_view(filters, white_xyz, samples_per_deg)
-    planes = np.ascontiguousarray(np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0))
+    white, exponent = _checked_view(filters, white_xyz, samples_per_deg)
+    planes = np.ldexp(np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0), -exponent, order="C")
     spectrum = scipy.fft.dctn(_combine(OPPONENT_FROM_XYZ, planes), axes=(1, 2), overwrite_x=True, workers=workers)
     return _seen(spectrum, white, filters, float(samples_per_deg), workers)
 
@@ -110,7 +114,7 @@ def filtered_grey_lab(
     Its opponent channels are multiples of one picture, so that one transform serves all three on the way in; each is
     blurred in its own way, so grey gains chroma and all three are needed on the way out.
     """
-    white = _checked_view(filters, white_xyz, samples_per_deg)
+    white, _ = _checked_view(filters, white_xyz, samples_per_deg)
     grey = np.asarray(luminance, np.float64)
     if grey.ndim != 2 or grey.size == 0 or not np.isfinite(grey).all():
         raise refuse("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
@@ -119,13 +123,21 @@ def filtered_grey_lab(
     return _seen(spectrum, white, filters, float(samples_per_deg), workers)
 
 
-def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: float) -> Floats:
+def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: float) -> tuple[Floats, int]:
+    """The white over a power of two that brings its Y to 0.5 … 1, and that power's exponent.
+
+    Powers of two round nothing, and sums over an image neither overflow nor vanish, whatever the unit.
+    """
     _check_choice("filters", filters, get_args(Filters))
     white = _checked_white(white_xyz)
     if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
         mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
         raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
-    return white
+    low, high = ZHANG1996_SAMPLES_PER_DEG
+    if filters == "zhang1996" and not low <= samples_per_deg <= high:
+        raise refuse("samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or take 'published'.")
+    exponent = math.frexp(white[1])[1]
+    return np.ldexp(white, -exponent), exponent
 
 
 def _seen(spectrum: Floats, white: Floats, filters: Filters, samples_per_deg: float, workers: int) -> Floats:
@@ -192,7 +204,8 @@ def _published_terms(channel: int, samples: int, samples_per_deg: float) -> list
     frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
     gaussians = PUBLISHED_GAUSSIANS[channel]
     gain = sum(weight for weight, _ in gaussians)
-    return [(weight / gain, np.exp(-((np.pi * s_deg * frequency_cy_per_deg) ** 2))) for weight, s_deg in gaussians]
+    with np.errstate(over="ignore"):  # exp(-infinity): from so far away only the mean is seen
+        return [(weight / gain, np.exp(-((np.pi * s_deg * frequency_cy_per_deg) ** 2))) for weight, s_deg in gaussians]
 
 
 def _zhang1996_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:

@@ -98,8 +98,10 @@ class SpectralImage:
             self.data = np.ascontiguousarray(data, np.float32)
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
                 raise refuse("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
-        if not (self.pitch_um > 0 and self.wavelength_nm.size and np.all(self.band_width_nm > 0)):
-            raise refuse("sampling", f"pitch {pitch_um} µm, bands {self.band_width_nm} nm", "positive pitch and band widths")
+        positive = (self.wavelength_nm > 0) & (self.band_width_nm > 0)
+        if not (self.pitch_um > 0 and positive.size and positive.all()):
+            got = f"pitch {pitch_um} µm, bands {self.band_width_nm} nm at {self.wavelength_nm} nm"
+            raise refuse("sampling", got, "positive pitch and band widths, at positive wavelengths")
         if within is None:
             within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
         self.within = np.asarray(within[0], float), np.asarray(within[1], float)

@@ -32,6 +32,8 @@ class Spectrum:
         x = self.nodes_nm
         if x.size < 2 or x.shape != self.values.shape or not np.all(np.diff(x) >= 0):
             raise refuse("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in rising order")
+        if not (np.isfinite(x).all() and np.isfinite(self.values).all()):
+            raise refuse("spectrum", "nan or infinity among its wavelengths or values", "finite numbers")
 
     def at(self, wavelength_nm: Array) -> Array:
         return np.interp(wavelength_nm, self.nodes_nm, self.values, left=0.0, right=0.0)
