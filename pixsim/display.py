@@ -6,8 +6,6 @@ known number, never a measured maximum.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -22,6 +20,7 @@ from pixsim.spectral import Array, SpectralImage, d65
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
 SMOOTH_CELLS = 5  # three second differences
+WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # so that pictures over white, of any sensor and exposure, stay in the range of float64
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3}
 
 
@@ -51,7 +50,7 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
 
     Its spectrum is that of the scene's lamps where they share one, else D65.
 
-    Raises PixsimError where the eye or the sensor sees nothing of it: there is no picture to show then.
+    Raises PixsimError where the eye or the sensor sees nothing of it: no picture can be shown over it.
     """
     factor_sr = optics.irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
     white_lx = white_cd_per_m2(irradiance, display) * float(factor_sr)
@@ -60,13 +59,14 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
         spectrum = irradiance.band_mean(d65)
     electrons = float((electrons_per_joule(physics, irradiance) * spectrum).sum())
     lux = float((irradiance.luminous_weight() * spectrum).sum())
-    rate = electrons / lux * white_lx * M2_PER_UM2 if lux > 0 else math.nan
-    if not 0 < rate < math.inf:
+    rate = electrons / lux * white_lx * M2_PER_UM2 if lux > 0 else 0.0
+    low, high = WHITE_E_PER_S_UM2
+    if not low < rate < high:
         raise refuse(
             "the scene's white",
-            f"{electrons:.3g} electrons and {lux:.3g} lx of its light in all bands",
-            "light that both the sensor and the eye see",
-            "Take a lamp within the sensor's response and within 360-830 nm, or another technology or infrared cut.",
+            f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx of its light in all bands)",
+            f"light that both the sensor and the eye see, {low:g} to {high:g}",
+            "Take a lamp within the sensor's response and within 360-830 nm, or another technology, infrared cut or white.",
         )
     return rate
 

@@ -58,8 +58,11 @@ def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
 
 
 def pixel_count(length_um: float, pitch_um: float) -> int:
-    """⌊length/pitch⌋; a pitch that divides the length but for rounding counts as dividing it."""
-    return math.floor(length_um / pitch_um * (1 + 1e-9))
+    """⌊length/pitch⌋; a pitch that divides the length but for rounding counts as dividing it. At most `MOST_PIXELS`."""
+    pixels = length_um / pitch_um * (1 + 1e-9)
+    if pixels > MOST_PIXELS:
+        raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
+    return math.floor(pixels)
 
 
 def pixels_along(length_um: float, pitch_um: float) -> int:
