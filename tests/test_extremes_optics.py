@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -32,9 +33,8 @@ def cases(room: str) -> dict[str, stability.Case]:
 @pytest.mark.parametrize("tan_field", [1e8, 1e76, 1e100, 1e200, np.inf])
 def test_grazing_light_fades_without_a_warning(tan_field):
     # πA/T² for T >> 1: below the smallest number beyond tan θ = 1e77.
-    assert optics.irradiance_factor(4.0, tan_field) == pytest.approx(
-        np.pi / 64 / tan_field**2 / tan_field**2, rel=1e-12, abs=1e-300
-    )
+    faint = np.pi / 64 / tan_field / tan_field / tan_field / tan_field
+    assert optics.irradiance_factor(4.0, tan_field) == pytest.approx(faint, rel=1e-12, abs=1e-300)
 
 
 def test_a_field_that_is_no_number_is_refused():
@@ -46,7 +46,7 @@ def test_a_field_that_is_no_number_is_refused():
     ("nm", "f_number"), [(550.0, -4.0), (550.0, 0.0), (550.0, np.nan), (-550.0, 4.0), (0.0, 4.0), (np.nan, 4.0)]
 )
 def test_a_lens_that_would_amplify_is_refused(nm, f_number):
-    with pytest.raises(PixsimError, match="wavelength and working f-number: got .*above 0"):
+    with pytest.raises(PixsimError, match=r"wavelength and working f-number: got .*above 0"):
         optics.diffraction_otf(100.0, nm, f_number)
 
 
@@ -118,7 +118,7 @@ def test_black_padding_fails(monkeypatch):
 @pytest.mark.parametrize("pitch_um", [1e-310, 1e-12, 1e-5])
 def test_more_pixels_than_any_memory_holds_are_refused(pitch_um):
     # 1e-310 µm was an OverflowError: infinity has no integer.
-    with pytest.raises(PixsimError, match="pixel.pitch_um: got .*at most"):
+    with pytest.raises(PixsimError, match=r"pixel.pitch_um: got .*at most"):
         pixel_count(2713.6, pitch_um)
 
 
@@ -159,7 +159,7 @@ def test_frames_of_one_pixel_or_one_row_are_shown(interpolation, shape):
     assert shown.shape[1] == 64
     assert np.all(np.isfinite(shown))
     if interpolation != "cubic":  # a cubic overshoots; the others neither gain nor lose light
-        assert shown.mean() == pytest.approx(dn.mean() / 1000, rel=1e-12 if interpolation == "linear" else 1e-12)
+        assert shown.mean() == pytest.approx(dn.mean() / 1000, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ SHORT_NM = np.array([365.0, 375.0, 385.0])  # below the 0.35 µm process's respo
 )
 def test_a_white_that_gives_no_electrons_is_refused(image):
     # Before: division by zero, and a map of NaN or a picture cast from it.
-    with pytest.raises(PixsimError, match="the scene's white: got .*both the sensor and the eye see"):
+    with pytest.raises(PixsimError, match=r"the scene's white: got .*both the sensor and the eye see"):
         evaluate(image, Camera(die_mm=0.12), Pixel(pitch_um=10.0))
 
 
@@ -218,11 +218,12 @@ def test_whites_beyond_the_range_of_numbers_are_refused(white):
         white_rate(image, Camera(die_mm=0.12), derive(Pixel(pitch_um=10.0)), Display(white_cd_per_m2=white))
 
 
-@pytest.mark.filterwarnings("ignore:.*brighter than display white")
 @pytest.mark.parametrize("white", [1e-30, 1e-3, 1e30])
 def test_whites_of_any_other_size_are_shown(white):
     image = even(np.array([550.0]), np.full(1, 1e-3))
-    score = evaluate(image, Camera(die_mm=0.12), Pixel(pitch_um=10.0), display=Display(white_cd_per_m2=white))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*brighter than display white")
+        score = evaluate(image, Camera(die_mm=0.12), Pixel(pitch_um=10.0), display=Display(white_cd_per_m2=white))
     assert np.all(np.isfinite(score.delta_e))
 
 
@@ -242,7 +243,7 @@ def test_a_spectrum_of_no_numbers_is_refused(values):
 
 @pytest.mark.parametrize("nm", [0.0, -550.0, np.nan])
 def test_a_wavelength_that_is_not_positive_is_refused(nm):
-    with pytest.raises(PixsimError, match="sampling: got .*positive wavelengths"):
+    with pytest.raises(PixsimError, match=r"sampling: got .*positive wavelengths"):
         SpectralImage([nm], 10.0, 1.0, data=np.ones((2, 2, 1)))
 
 

@@ -72,16 +72,23 @@ def _irradiance() -> Iterator[Case]:
     )
 
 
+@cache
+def gauss(count: int) -> tuple[Array, Array]:
+    """Nodes and weights of Gauss-Legendre quadrature from 0 to 1."""
+    x, weight = np.polynomial.legendre.leggauss(count)
+    return (x + 1) / 2, weight / 2
+
+
 def solid_angle_integral(tan_alpha: float, tan_field: float) -> float:
     """∫ cos θ₁ cos θ₂/r² over a disc of radius tan α at distance 1, seen tan θ off its axis.
 
     Gauss-Legendre along the radius, the trapezoidal rule around: for periodic functions it converges exponentially.
     """
-    x, weight = np.polynomial.legendre.leggauss(60)
-    radius = tan_alpha * (x + 1) / 2
+    share, weight = gauss(60)
+    radius = tan_alpha * share
     angle = 2 * np.pi * np.arange(128) / 128
     distance2 = 1 + radius[:, None] ** 2 + tan_field**2 - 2 * radius[:, None] * tan_field * np.cos(angle)
-    return float((tan_alpha / 2 * weight * radius * (1 / distance2**2).mean(axis=1)).sum() * 2 * np.pi)
+    return float((tan_alpha * weight * radius * (1 / distance2**2).mean(axis=1)).sum() * 2 * np.pi)
 
 
 def foote_in_digits(f_number: float, tan_field: float, magnification: float) -> float:
@@ -97,9 +104,8 @@ def foote_in_digits(f_number: float, tan_field: float, magnification: float) -> 
 
 def power_on_the_plane(f_number: float) -> float:
     """∫ E/L over the plane at distance 1, over π: ∫ E/L dT with T = tan²θ = s/(1-s)."""
-    x, weight = np.polynomial.legendre.leggauss(200)
-    s = (x + 1) / 2
-    return float((weight / 2 * irradiance_factor(f_number, np.sqrt(s / (1 - s))) / (1 - s) ** 2).sum())
+    s, weight = gauss(200)
+    return float((weight * irradiance_factor(f_number, np.sqrt(s / (1 - s))) / (1 - s) ** 2).sum())
 
 
 # --- the diffraction OTF ----------------------------------------------------------------------------------------------
@@ -129,15 +135,9 @@ def _otf() -> Iterator[Case]:
     )
 
 
-@cache
-def _nodes() -> tuple[Array, Array]:
-    x, weight = np.polynomial.legendre.leggauss(60)
-    return (x + 1) / 2, weight / 2
-
-
 def pupil_overlap(gap: float) -> float:
     """(4/π) ∫ √(1-u²) du from 1 - gap to 1, with u = 1 - gap s²: what two unit discs share, over π."""
-    s, weight = _nodes()
+    s, weight = gauss(60)
     return float(4 / np.pi * 2 * gap**1.5 * (weight * s**2 * np.sqrt(2 - gap * s**2)).sum())
 
 

@@ -167,6 +167,11 @@ def _threshold() -> Iterator[Case]:
     yield compare(
         "L* on either side of CIELAB's threshold, Y/Yn = 216/24389", 8.0, lightness, 1e-14, "116 · 6/29 - 16 = 8: no step"
     )
+    around = threshold * (1 + np.array([-0.5, -1e-2, -1e-4, -1e-8, 1e-8, 1e-4, 1e-2, 0.5]))[:, None] * np.array([1.0, 1.05, 0.95])
+    found = xyz_to_lab(around * WHITE, WHITE)
+    yield compare(
+        "CIELAB from 0.5 to 1.5 of its threshold", lab_of(around), found, 1e-12, "CIE 15, branch by branch; ΔE", scale=1.0
+    )
     step = 1e-6 * threshold
     near = threshold + step * np.array([-1.0, 0.0, 1.0])
     slope = np.diff(xyz_to_lab(near[:, None] * WHITE, WHITE)[:, 0]) / step
