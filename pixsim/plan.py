@@ -159,7 +159,7 @@ def make_render_plan(
     if not lamps:
         raise refuse("scene", "no emitter that shines", "a lamp, a chart or a sky with light", "Is its scale above 0?")
     integrator, met, bounces = decide_bounces(state, bodies, full)
-    lights, bands, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
+    lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
     by_index, tables = decide_tables(state, full)
     lens, focus = decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
     # Out of focus a chart is not the picture, and the lens takes samples of its own.
@@ -182,7 +182,7 @@ def make_render_plan(
         diffraction=diffraction.kept,
         regular_tables=by_index,
         decisions=(*spectral, tables, bounces, focus, samples, diffraction),
-        full_passes=sum(len(spectral_bands.every_band(lamp.spectrum, bands)[1]) for lamp in lamps),
+        full_passes=full_passes,
         full_spp=most,
         chart=chart,
         tolerance_e=tolerance_e,
@@ -228,15 +228,18 @@ def _lights(
     tolerance_e: float,
     full: bool,
     band_count: int | None,
-) -> tuple[list[Light], Bands, list[Decision]]:
+) -> tuple[list[Light], Bands, int, list[Decision]]:
+    """What to render of each lamp, in which bands, how many passes all bands would take, and why."""
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
     if band_count:
         bands = spectral_bands.equal_bands(band_count, spectra)
     else:
         bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE)
-    lights, error, reasons = [], 0.0, []
+    lights, error, reasons, most = [], 0.0, [], 0
     for lamp in lamps:
+        every, passes = spectral_bands.every_band(lamp.spectrum, bands)
+        most += len(passes)
         known = lamp.spectrum if surfaces.spectra is not None or bounces == 0 else None
         found: Fit | None = None
         if known and not full:
@@ -246,7 +249,6 @@ def _lights(
             error = max(error, found.error)
             reasons.append(f"{len(found.pulses)} pulse{'s' * (len(found.pulses) > 1)}")
         else:
-            every, passes = spectral_bands.every_band(lamp.spectrum, bands)
             lights.append(Light(lamp, every.pulses, every.spectra, _tuples(passes)))
             reasons.append(f"{len(every.pulses)} bands")
     widths = bands.width_nm
@@ -260,10 +262,7 @@ def _lights(
         + ", lamp-shaped: no line is missed",
         bound_e=alone,
     )
-    fewest, most = (
-        sum(len(light.passes) for light in lights),
-        sum(len(spectral_bands.every_band(each.spectrum, bands)[1]) for each in lamps),
-    )
+    fewest = sum(len(light.passes) for light in lights)
     rank = Decision(
         "spectral rank",
         fewest >= most,
@@ -272,7 +271,7 @@ def _lights(
         max(0.0, error - alone),  # the fit's error includes that of its bands
         bounded=all(lamp.spectrum is not None for lamp in lamps) and (surfaces.spectra is not None or bounces == 0),
     )
-    return lights, bands, [placing, rank]
+    return lights, bands, most, [placing, rank]
 
 
 def _band_error(bands: Bands, lamp: Lamp, met: Array, witnesses: list[Witness]) -> float:
