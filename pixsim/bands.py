@@ -112,9 +112,10 @@ def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness]
     That is so where lamps with lines at different places share a band, or a surface and a response both change in it.
     """
     edges = BAND_EDGES_NM
+    resolved = [_resolved(lamp, surfaces) for lamp in lamps]
     while True:
         bands = _shaped(edges, lamps)
-        errors = [band_errors(bands, lamp, surfaces, witnesses) for lamp in lamps]
+        errors = [_errors(bands, *each, witnesses) for each in resolved]
         worst = max((float(np.abs(each.sum(axis=2)).max()) for each in errors), default=0.0)
         if worst <= tolerance or edges.size > MOST_BANDS:
             return bands
@@ -136,7 +137,10 @@ def band_errors(bands: Bands, lamp: Spectrum, surfaces: Array, witnesses: list[W
 
     (witnesses, 1 + n, B), relative to what the witness tolerates.
     """
-    light, at, families = _resolved(lamp, surfaces)
+    return _errors(bands, *_resolved(lamp, surfaces), witnesses)
+
+
+def _errors(bands: Bands, light: Array, at: Array, families: Array, witnesses: list[Witness]) -> Array:
     first = np.searchsorted(at, bands.edges_nm[:-1])
     energy = np.add.reduceat(families * light, first, axis=1)
     errors = []
