@@ -35,8 +35,9 @@ class Chart:
     def picture(self, shape: tuple[int, int]) -> Array:
         """Cell means on a film of that shape, 0 … brightest texel; the middle of the chart where it is larger."""
         values = np.ones((1, 1)) if self.texels is None else self.texels
-        for axis, (count, film) in enumerate(zip(shape, self.shape, strict=True)):
-            n = values.shape[axis]
+        # First along the axis that shrinks more: the other then has less to do.
+        for axis in sorted((0, 1), key=lambda axis: shape[axis] / values.shape[axis]):
+            count, film, n = shape[axis], self.shape[axis], values.shape[axis]
             covered = min(self.texels_per_sample[axis] * film, n) if self.texels is not None else n
             edges = (n - covered) / 2 + covered * np.arange(count + 1) / count
             running = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
@@ -93,18 +94,14 @@ def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
 
 def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
     """Mean over samples at fractions (v, u) of cells at `corner` texels, (cells,)."""
+    from scipy.ndimage import map_coordinates  # 0.05 s, for charts only
+
     assert chart.texels is not None
-    texels, at, index = chart.texels, [], []
-    for axis, fraction in enumerate((v, u)):
-        place = corner[axis][:, None] + fraction * chart.texels_per_sample[axis] - 0.5
-        place = np.clip(place, 0, texels.shape[axis] - 1)
-        low = np.minimum(place.astype(int), max(texels.shape[axis] - 2, 0))
-        index.append((low, np.minimum(low + 1, texels.shape[axis] - 1)))
-        at.append(place - low)
-    (y0, y1), (x0, x1) = index
-    top = texels[y0, x0] * (1 - at[1]) + texels[y0, x1] * at[1]
-    bottom = texels[y1, x0] * (1 - at[1]) + texels[y1, x1] * at[1]
-    return np.asarray((top * (1 - at[0]) + bottom * at[0]).mean(axis=1))
+    at = [
+        first[:, None] + fraction * size - 0.5
+        for first, fraction, size in zip(corner, (v, u), chart.texels_per_sample, strict=True)
+    ]
+    return np.asarray(map_coordinates(chart.texels, at, order=1, mode="nearest").mean(axis=1))
 
 
 def diffraction_effect(chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float) -> float:
