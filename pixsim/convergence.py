@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 
 from pixsim.parameters import Camera, Exposure, Pixel
-from pixsim.pixel import derive
+from pixsim.pixel import PixelPhysics, derive
 from pixsim.plan import Plan
-from pixsim.renderer import LEVEL_FACTOR, Renderer, assemble
+from pixsim.renderer import LEVEL_FACTOR, Renderer
 from pixsim.scene import Scene
 from pixsim.sensor import frame_variance_dn2, ideal_rate, integrate_pixels, integration_time_s
 from pixsim.spectral import Array, SpectralImage
@@ -89,9 +89,7 @@ def render_until(
             halves[number] = half
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
-        mean = [(even + odd) / (2 * weight) for even, odd in zip(*halves, strict=True)]
-        difference = [(even - odd) / (2 * weight) for even, odd in zip(*halves, strict=True)]
-        fraction, relative = noise_of(job, mean, difference, pixels, exposure)
+        fraction, relative = noise_of(job, halves, weight, pixels, exposure)
         much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
         up = much and at_level >= PAIRS_A_LEVEL and spp < MOST_SPP
         level, at_level = (level + 1, 0) if up else (level, at_level)
@@ -110,7 +108,10 @@ def render_until(
             "Raise --max-seconds, or allow more with --render-noise",
             stacklevel=2,
         )
-    return job.image(mean, samples, render_noise=_header(found)), found
+    for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
+        mean += odd
+        mean /= 2 * weight
+    return job.image(halves[0], samples, render_noise=_header(found)), found
 
 
 def _told(progress: Told | None, number: int, found: RenderNoise) -> Callable[[float], None] | None:
@@ -124,19 +125,18 @@ def _header(noise: RenderNoise) -> dict[str, Any]:
 
 
 def noise_of(
-    job: Renderer, mean: list[Array], difference: list[Array], pixels: Sequence[Pixel], exposure: Exposure
+    job: Renderer, halves: list[list[Array]], weight: float, pixels: Sequence[Pixel], exposure: Exposure
 ) -> tuple[float, float]:
-    """(fraction of sensor noise, relative) of a mean of renders whose standard error is `difference`, the greatest over pixels.
+    """(fraction of sensor noise, relative), the greatest over the pixels, of the mean of two halves of that weight each.
 
     Diffraction is left out: it would average over a little more than a pixel, and so lower the noise a little.
     """
-    images = [assemble(job.plan, pictures, job.camera, job.pitch_um, {}) for pictures in (mean, difference)]
     worst = worst_relative = 0.0
     for pixel in pixels:
         physics = derive(pixel)
         side = physics.pitch_um, physics.photodiode_side_um
-        rate, error_rate = (integrate_pixels(ideal_rate(image, physics), image.pitch_um, *side) for image in images)
-        rate = np.maximum(rate, 0.0)
+        even, odd = (integrate_pixels(_rate(job, half, physics), job.pitch_um, *side) / weight for half in halves)
+        rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
         time_s = integration_time_s(exposure, physics, float(rate.max()))
         variance_e2 = frame_variance_dn2(rate * time_s, time_s, physics, fixed_pattern=False) / physics.dn_per_e**2
         error_e = error_rate * time_s
@@ -144,3 +144,12 @@ def noise_of(
         power = float(np.mean((rate * time_s) ** 2))
         worst_relative = max(worst_relative, math.sqrt(float(np.mean(error_e**2)) / power) if power else 0.0)
     return worst, worst_relative
+
+
+def _rate(job: Renderer, pictures: list[Array], physics: PixelPhysics) -> Array:
+    """`ideal_rate` of the pictures' image, straight from the pulses: it is linear, and the bands would fill the memory."""
+    units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
+    rate = np.zeros(job.size)
+    for picture, unit in zip(pictures, units, strict=True):
+        rate += np.einsum("ijp,p->ij", picture, unit)
+    return rate * job.fall_off

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,6 +97,9 @@ class Renderer:
             if not low <= value <= high:
                 raise refuse(name, value, f"{low} to {high}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
+        self.on_axis = float(optics.irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
+        factor = optics.field_factor(self.size, self.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+        self.fall_off = factor * (camera.transmittance / self.on_axis)  # of irradiance, relative to that on the axis
         self.scalar = scene.choice.variant.startswith("scalar")
         with self._mitsuba() as mi:
             self.sensor = self._sensor(node)
@@ -169,36 +172,40 @@ class Renderer:
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
         """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | more
-        return assemble(self.plan, pictures, self.camera, self.pitch_um, header, checked)
+        if self.plan.factored:
+            planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
+            stored = np.empty((len(planes), *self.size), np.float32)
+            store(stored, (plane * self.fall_off for plane in planes))
+            return self._image(header, factors=(self.spectra, stored))
+        data = np.empty((*self.size, self.plan.bands.width_nm.size), np.float32)
+        store(np.moveaxis(data, 2, 0), self._bands(pictures))
+        return self._image(header, data=data)
 
+    def _bands(self, pictures: Sequence[Picture]) -> Iterator[Array]:
+        """The irradiance in each band, one after the other: all of them in float64 would fill the memory."""
+        factor = self.on_axis * self.fall_off
+        for band in range(self.plan.bands.width_nm.size):
+            total = np.zeros(self.size)
+            for light, planes in zip(self.plan.lights, pictures, strict=True):
+                for pulse in np.flatnonzero(light.spectra[:, band]):
+                    total += light.spectra[pulse, band] * planes[:, :, pulse]
+            yield total * factor
 
-def assemble(
-    plan: Plan,
-    pictures: Sequence[Picture],
-    camera: Camera,
-    pitch_um: float,
-    header: dict[str, Any],
-    check: Callable[[Array], NDArray[np.float32]] | None = None,
-) -> SpectralImage:
-    """Radiance of pulses → irradiance in bands. Without `check`, pictures may be differences of renders."""
-    height, width = pictures[0].shape[:2] if pictures else (1, 1)
-    finish = check or (lambda values: values.astype(np.float32))
-    factor = optics.field_factor((height, width), pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-    on_axis = float(optics.irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
-    relative = factor * (camera.transmittance / on_axis)
-    bands = plan.bands
-    where: dict[str, Any] = {"within": (bands.nodes_nm, bands.shares), "header": header}
-    sampling = bands.wavelength_nm, bands.width_nm, pitch_um
-    if plan.factored:
-        spectra = np.vstack([light.spectra for light in plan.lights] or [np.zeros((1, bands.width_nm.size))])
-        planes = np.concatenate([np.moveaxis(each, 2, 0) for each in pictures] or [np.zeros((1, height, width))])
-        return SpectralImage(*sampling, factors=(spectra * on_axis, finish(planes * relative)), **where)
-    data = np.zeros((height, width, bands.width_nm.size))
-    for light, planes in zip(plan.lights, pictures, strict=True):
-        for pulse, spectrum in enumerate(light.spectra):
-            for band in np.flatnonzero(spectrum):
-                data[:, :, band] += spectrum[band] * planes[:, :, pulse]
-    return SpectralImage(*sampling, data=finish(data * (on_axis * relative)[:, :, None]), **where)
+    @property
+    def spectra(self) -> Array:
+        """Irradiance on the axis, (pulses, B) W m⁻² nm⁻¹, for each unit of each pulse's picture."""
+        return np.vstack([light.spectra for light in self.plan.lights]) * self.on_axis
+
+    @property
+    def units(self) -> SpectralImage:
+        """An image of one sample for each pulse: a unit of its picture, on the axis."""
+        spectra = self.spectra
+        return self._image({}, factors=(spectra, np.eye(len(spectra))[:, None, :]))
+
+    def _image(self, header: dict[str, Any], **light: Any) -> SpectralImage:
+        bands = self.plan.bands
+        within = bands.nodes_nm, bands.shares
+        return SpectralImage(bands.wavelength_nm, bands.width_nm, self.pitch_um, within=within, header=header, **light)
 
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
@@ -224,24 +231,16 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     return header
 
 
-def checked(values: Array) -> NDArray[np.float32]:
-    """float32 for storage; PixsimError where the picture is not finite, negative or all black."""
-    if not np.isfinite(values).all() or values.min() < 0:
-        raise refuse(
-            "rendered picture",
-            "NaN, infinite or negative values",
-            "finite light",
-            "Check the scene's spectra and textures.",
-        )
-    if not values.any():
-        raise refuse(
-            "rendered picture",
-            "black everywhere",
-            "some light",
-            "Lamps and charts shine to one side only: is the "
-            "chart turned away, behind the camera, hidden by hide_emitters, or unlit?",
-        )
-    return values.astype(np.float32)
+def store(out: NDArray[np.float32], planes: Iterable[Array]) -> None:
+    """Planes into (planes, H, W) float32; PixsimError where the picture is not finite, negative or all black."""
+    for place, values in zip(out, planes, strict=True):
+        if not np.isfinite(values).all() or values.min() < 0:
+            mend = "Check the scene's spectra and textures."
+            raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", mend)
+        place[:] = values
+    if not out.any():
+        where = "is the chart turned away, behind the camera, hidden by hide_emitters, or unlit?"
+        raise refuse("rendered picture", "black everywhere", "some light", f"Lamps and charts shine to one side only: {where}")
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:

@@ -242,6 +242,18 @@ def test_the_picture_is_the_mean_of_its_renders():
     np.testing.assert_allclose(until(LOOSE)[0].factors[1], (both[0] + both[1]) / 2, rtol=1e-6)
 
 
+@pytest.mark.parametrize("full", [False, True])
+def test_electrons_come_straight_from_the_pulses(full):
+    """As from the image's bands: factors of macbeth, or every band of it."""
+    scene, camera, _ = prepared("macbeth")
+    job = Renderer(scene, camera, make_plan(scene, camera, PIXEL, full=full), 0)
+    pictures, spp = job.run(0)
+    image = job.image(pictures, spp)
+    assert (image.factors is None) == full
+    rate = convergence._rate(job, pictures, derive(PIXEL))
+    np.testing.assert_allclose(rate, ideal_rate(image, derive(PIXEL)), rtol=1e-6)
+
+
 def test_a_scene_without_noise():
     image, noise = until(1e-3, name="flat")
     assert 0 <= noise.fraction < 1e-4  # float32
