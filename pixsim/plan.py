@@ -97,8 +97,9 @@ class Plan:
 
     @property
     def factored(self) -> bool:
-        """Fewer pictures than bands."""
-        return sum(len(light.pulses) for light in self.lights) < self.bands.width_nm.size
+        """Fewer pictures than bands; or a fitted lamp beside others, whose share of a band may be a little below zero."""
+        fewer = sum(len(light.pulses) for light in self.lights) < self.bands.width_nm.size
+        return fewer or any(bool(light.spectra.min() < 0) for light in self.lights)
 
     def as_dict(self) -> dict[str, Any]:
         return {

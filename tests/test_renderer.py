@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import END, edited
 
 import pixsim
 from pixsim import charts, cli, optics, sensor, spectral
@@ -443,6 +444,21 @@ def test_a_second_lamp_of_another_spectrum(tmp_path):
     # 45 bands).
     assert np.all(np.abs(smooth.mean(axis=(0, 1))) < 4e-3 + 5 * noise)
     assert noise.max() < 4e-3  # so that the gate means something
+
+
+def test_a_fitted_lamp_beside_one_whose_colours_vary(tmp_path):
+    """The weights of a fit have both signs: its bands alone may be a little below zero, its pictures never."""
+    rgb = np.random.default_rng(0).uniform(0, 1, (3, 4, 4))
+    spectral.write_channels(tmp_path / "sky.exr", dict(zip("RGB", rgb, strict=True)), {})
+    sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="1e-6"/></emitter>'
+    path = edited(tmp_path, "macbeth", (END, sky))
+    scene = pixsim.load_scene(path, lamp="spectra/fl11.spd", resolution=32, variant="scalar_spectral")
+    plan = make_render_plan(scene)
+    assert [bool(light.spectra.min() < 0) for light in plan.lights] == [True, False]
+    image = pixsim.render(scene, plan=plan)
+    assert image.data.min() < 0 <= image.factors[1].min()
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    np.testing.assert_array_equal(pixsim.read_irradiance(tmp_path / "image.exr").data, image.data)
 
 
 def test_a_black_picture_is_refused(tmp_path):
