@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -164,6 +164,9 @@ class Renderer:
             values = np.asarray(strip, float)
             if values.shape[2] != len(job.responses):
                 raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
+            if not np.isfinite(values).all() or values.min() < 0:
+                mend = "Check the scene's spectra and textures."
+                raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", mend)
             total[top:bottom] += values / job.renders
             if progress:
                 progress((index + 1) / count)
@@ -171,14 +174,20 @@ class Renderer:
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
         """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
+        if not any(picture.any() for picture in pictures):
+            where = "is the chart turned away, behind the camera, hidden by hide_emitters, or unlit?"
+            mend = f"Lamps and charts shine to one side only: {where}"
+            raise refuse("rendered picture", "black everywhere", "some light", mend)
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored = np.empty((len(planes), *self.size), np.float32)
-            store(stored, (plane * self.fall_off for plane in planes))
+            for place, plane in zip(stored, planes, strict=True):
+                place[:] = plane * self.fall_off
             return self._image(header, factors=(self.spectra, stored))
         data = np.empty((*self.size, self.plan.bands.width_nm.size), np.float32)
-        store(np.moveaxis(data, 2, 0), self._bands(pictures))
+        for band, values in enumerate(self._bands(pictures)):
+            data[:, :, band] = values
         return self._image(header, data=data)
 
     def _bands(self, pictures: Sequence[Picture]) -> Iterator[Array]:
@@ -229,18 +238,6 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
         header["luminance_cd_per_m2"] = float(f"{white:.9g}")
     return header
-
-
-def store(out: NDArray[np.float32], planes: Iterable[Array]) -> None:
-    """Planes into (planes, H, W) float32; PixsimError where the picture is not finite, negative or all black."""
-    for place, values in zip(out, planes, strict=True):
-        if not np.isfinite(values).all() or values.min() < 0:
-            mend = "Check the scene's spectra and textures."
-            raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", mend)
-        place[:] = values
-    if not out.any():
-        where = "is the chart turned away, behind the camera, hidden by hide_emitters, or unlit?"
-        raise refuse("rendered picture", "black everywhere", "some light", f"Lamps and charts shine to one side only: {where}")
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:

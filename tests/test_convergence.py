@@ -177,6 +177,17 @@ def test_the_worst_pixel_counts():
     assert max(each) > 1.05 * min(each)
 
 
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -1e-6])
+def test_what_is_no_light_is_refused_at_once(monkeypatch, wrong):
+    import mitsuba
+
+    told: list[float] = []
+    monkeypatch.setattr(mitsuba, "render", lambda *_, sensor, **__: np.full((*sensor.film().crop_size(), 1), wrong))
+    with pytest.raises(pixsim.PixsimError, match="rendered picture: got NaN, infinite or negative"):
+        until(0.2, progress=lambda done, note: told.append(done))
+    assert not told
+
+
 def test_runs_end_it(monkeypatch):
     Noisy(monkeypatch, 0.1)
     monkeypatch.setattr(convergence, "MOST_RUNS", 6)
