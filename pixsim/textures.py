@@ -22,27 +22,23 @@ EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 
 def texture_files(state: Any, folder: Path) -> list[Path]:
     """Files that nodes name; PixsimError for one that is missing."""
-    files = []
-    for node in state.nodes:
-        if "filename" in node.props:
-            name = str(node.props["filename"])
-            found = next((path for path in (folder / name, Path(name)) if path.is_file()), None)
-            if found is None:
-                raise refuse("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
-            files.append(found)
-    return files
+    return [_file_of(node, folder) for node in state.nodes if "filename" in node.props]
+
+
+def _file_of(node: Any, folder: Path) -> Path:
+    name = str(node.props["filename"])
+    found = next((path for path in (folder / name, Path(name)) if path.is_file()), None)
+    if found is None:
+        raise refuse("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
+    return found
 
 
 def check_textures(state: Any, folder: Path) -> None:
     """Refuse NaN, infinite and negative texels: Mitsuba lets them pass, and spreads them over their neighbours."""
     maps = _maps(state)
-    raw = {
-        path
-        for index, node in nodes_of(state, "Texture")
-        if is_neutral(node) and "filename" in node.props and index not in maps
-        for path in (folder / str(node.props["filename"]), Path(str(node.props["filename"])))
-    }
-    numbers = {folder / str(state.nodes[index].props["filename"]) for index in maps if "filename" in state.nodes[index].props}
+    files = {index: _file_of(node, folder) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
+    raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
+    numbers = {path for index, path in files.items() if index in maps}
     for path in texture_files(state, folder):
         if path in numbers and path not in raw:
             continue
@@ -69,13 +65,13 @@ def check_textures(state: Any, folder: Path) -> None:
 
 def _maps(state: Any) -> set[int]:
     """Textures that only steer: normals, bumps, opacity, weights, roughness."""
-    steering: set[int] = set()
+    maps: set[int] = set()
     others: set[int] = set()
     for node in state.nodes:
         for name, index in children(node, state).items():
             steers = node.props.plugin_name() in MAPS or name in MAP_NAMES
-            (steering if steers else others).add(index)
-    return {index for index in steering - others if state.nodes[index].type.name == "Texture"}
+            (maps if steers else others).add(index)
+    return {index for index in maps - others if state.nodes[index].type.name == "Texture"}
 
 
 def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:

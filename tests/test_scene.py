@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import END, edited
 
 import pixsim
 from pixsim import charts, optics, spectral
@@ -411,6 +412,19 @@ def test_texels_that_mitsuba_would_spread_are_refused_with_their_place(tmp_path,
     pixsim.write_chart(tmp_path / "chart.exr", texels)
     with pytest.raises(PixsimError, match=rf"chart\.exr': got {bad} at row 2, column 5 of channel Y; allowed: finite texels"):
         load("flat", chart=str(tmp_path / "chart.exr"))
+
+
+def test_maps_may_be_below_zero_wherever_they_lie(tmp_path, monkeypatch):
+    """Beside the scene, or where the command runs."""
+    bump = '<texture type="bitmap"><boolean name="raw" value="true"/><string name="filename" value="bump.exr"/></texture>'
+    ball = f'<shape type="sphere"><bsdf type="bumpmap">{bump}<bsdf type="diffuse"/></bsdf></shape>'
+    for here in (False, True):
+        folder = tmp_path / str(here)
+        folder.mkdir()
+        path = edited(folder, "macbeth", (END, ball))
+        monkeypatch.chdir(tmp_path)
+        spectral.write_channels((tmp_path if here else folder) / "bump.exr", {"Y": np.full((4, 4), -1.0)}, {})
+        pixsim.load_scene(path)
 
 
 def test_a_missing_or_damaged_texture_is_refused(tmp_path):
