@@ -269,13 +269,14 @@ def _regular(low_nm: float, high_nm: float, values: Array) -> dict[str, Any]:
 def _load(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, regular_tables: bool) -> Any:
     """The scene with the emitters of one light only, each as its neutral picture or relative power: the spectrum is in the
     pulses. Emitters whose colours vary stay as they are, and the pulses are flat."""
-    for index, node in nodes_of(state, "Emitter"):
-        if index not in light.lamp.pictures:
-            for parent in state.nodes:
-                for name, child in children(parent, state).items():
-                    if child == index:
-                        del parent.props[name]
-        elif light.lamp.spectrum is not None:
+    emitters = nodes_of(state, "Emitter")
+    dark = {index for index, _ in emitters} - light.lamp.pictures.keys()
+    for parent in state.nodes if dark else ():
+        for name, child in children(parent, state).items():
+            if child in dark:
+                del parent.props[name]
+    for index, node in emitters:
+        if index in light.lamp.pictures and light.lamp.spectrum is not None:
             name, picture = light.lamp.pictures[index]
             if isinstance(picture, int):
                 node.props[name] = mi.Properties.ResolvedReference(picture)
