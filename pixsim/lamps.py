@@ -136,22 +136,28 @@ def is_neutral(texture: Any) -> bool:
     return texture.props.plugin_name() == "bitmap" and bool(texture.props.get("raw", False))
 
 
+def numbers(text: object) -> list[float]:
+    """Those in a property: "1 2 3", "1, 2, 3", "[1, 2, 3]"."""
+    return [float(each) for each in str(text).strip("[]").replace(",", " ").split()]
+
+
+def parsed_table(value: Any) -> Spectrum:
+    """A spectrum that the parser keeps as a table."""
+    return Spectrum(np.array(value.wavelengths, float), np.array(value.values, float))
+
+
 def table_of(node: Any) -> Spectrum | None:
     """The table of a `regular` or `irregular` spectrum that is written out."""
     props, plugin = node.props, node.props.plugin_name()
-
-    def numbers(name: str) -> list[float]:
-        return [float(each) for each in str(props[name]).replace(",", " ").split()]
-
     try:
         if plugin == "irregular":
-            return Spectrum(np.array(numbers("wavelengths")), np.array(numbers("values")))
+            return Spectrum(np.array(numbers(props["wavelengths"])), np.array(numbers(props["values"])))
         if plugin == "regular":
-            values = np.array(numbers("values"))
+            values = np.array(numbers(props["values"]))
             if "wavelength_min" in props:
                 low, high = float(props["wavelength_min"]), float(props["wavelength_max"])
             else:
-                low, high = (float(each) for each in str(props["range"]).replace(",", " ").split())
+                low, high = numbers(props["range"])
             return Spectrum(np.linspace(low, high, values.size), values)
     except (KeyError, ValueError):
         return None
@@ -165,6 +171,5 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
     if key[0] == "uniform":
         return tabulated(np.ones(grid_nm().size))
     if key[0] == "rgb":
-        value = [float(each) for each in str(key[1]).strip("[]").replace(",", " ").split()]
-        return tabulated(evaluate_emitter({"type": "rgb", "value": value}, variant))
+        return tabulated(evaluate_emitter({"type": "rgb", "value": numbers(key[1])}, variant))
     return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pixsim.geometry import FLAT, Body, face_one_way, greatest_blur_um
+from pixsim.lamps import parsed_table
 from pixsim.mitsuba_xml import children, nodes_of
 from pixsim.needs import SAMPLE_COUNTS, Chart, diffraction_effect, samples_needed
 from pixsim.parameters import Camera, Pixel
@@ -86,8 +87,7 @@ def irregular_tables(state: Any) -> dict[tuple[int, str], tuple[Spectrum, Array]
             continue
         for name in node.props.keys():  # noqa: SIM118  (Properties is no dict)
             if node.props.type(name).name == "Spectrum" and not node.props[name].is_uniform():
-                value = node.props[name]
-                table = Spectrum(np.array(value.wavelengths, float), np.array(value.values, float))
+                table = parsed_table(node.props[name])
                 regular = regular_values(table)
                 if regular is not None:
                     found[index, name] = table, regular

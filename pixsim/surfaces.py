@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.evaluation import evaluate_reflection, evaluate_spectrum, spectrum_dict
-from pixsim.lamps import is_neutral, table_of
+from pixsim.lamps import is_neutral, numbers, parsed_table, table_of
 from pixsim.mitsuba_xml import children, nodes_of, plain
 from pixsim.spectral import Array
 from pixsim.spectrum import HIGH_NM, LOW_NM, Spectrum, grid_nm
@@ -102,13 +102,13 @@ def _property(state: Any, node: Any, name: str, variant: str, short: set[str]) -
     if kind in ("Float", "Integer"):
         return []
     if kind == "Color":
-        value = [float(each) for each in node.props.as_string(name).strip("[]").replace(",", " ").split()]
+        value = numbers(node.props.as_string(name))
         return [evaluate_spectrum({"type": "rgb", "value": value}, variant)] if np.ptp(value) else []
     if kind == "Spectrum":
         value = node.props[name]
         if value.is_uniform():
             return []
-        return [_table(Spectrum(np.array(value.wavelengths, float), np.array(value.values, float)), short)]
+        return [_table(parsed_table(value), short)]
     if kind not in ("Reference", "ResolvedReference"):
         return None
     texture = state.nodes[children(node, state)[name]]
