@@ -125,10 +125,10 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
 def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibration:
     job = Renderer(scene, camera, plan, setup.seed)
     (first, spp), (second, _) = job.run(0), job.run(1)
-    mean = [(a.astype(float) + b) / 2 for a, b in zip(first, second, strict=True)]
-    difference = [(a.astype(float) - b) / 2 for a, b in zip(first, second, strict=True)]
-    noise = noise_of(job, mean, difference, [setup.pixel], setup.exposure)[0]
-    image = job.image(mean, 2 * spp)
+    noise = noise_of(job, [[each.astype(float) for each in half] for half in (first, second)], 1.0, [setup.pixel], setup.exposure)[
+        0
+    ]
+    image = job.image([(a.astype(float) + b) / 2 for a, b in zip(first, second, strict=True)], 2 * spp)
     setup = setup.around(pitches_around_optimum_um(image, setup, PITCHES))
     own, halves = probe(image, setup), [probe(job.image(each, spp), setup) for each in (first, second)]
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if min(image.shape) >= 4 * factor]

@@ -18,7 +18,10 @@ from pixsim.scene import Scene
 from pixsim.spectral import SpectralImage
 
 Picture = Callable[[int], SpectralImage]  # seed -> irradiance
-MOST_SPP, MOST_WIDTH = 4096, 8192
+LONG_S = 3.0
+# Times the work of a pass of the shipped plan, roughly: a lens and paths for a pinhole and one bounce; 31 bands in one film;
+# a scalar variant. Only to tell beforehand whether a rung fits into the time.
+FULL_WORK, PLAIN_WORK, SCALAR_WORK = 3.0, 2.5, 12.0
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,13 @@ class Clock:
     render_s: float = 0.0
     probe_s: float = 0.0
 
+    def warms_up(self, work: float) -> bool:
+        """Whether a first render, which compiles, is made only to be thrown away; in a long one it hardly matters."""
+        return work * self.render_s < LONG_S
+
     def expected_s(self, work: float) -> float:
-        """Of a rung of so many times the work of the shipped one; its first render only compiles."""
-        return (self.runs + 1) * work * self.render_s + self.runs * self.probe_s
+        """Of a rung of so many times the work of the shipped one."""
+        return (self.runs + self.warms_up(work)) * work * self.render_s + self.runs * self.probe_s
 
     def room_for(self, seconds: float) -> bool:
         return time.perf_counter() + seconds < self.end
@@ -67,7 +74,7 @@ NOTHING = Probe(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 class Subject:
     """What is measured, and against what.
 
-    image : of the shipped settings; white : header entries that every picture of the scene is to share
+    image : of the shipped settings, rendered in render_s; white : header entries that every picture of the scene is to share
     """
 
     scene: Scene
@@ -75,6 +82,7 @@ class Subject:
     plan: Plan
     setup: Setup
     image: SpectralImage = field(repr=False)
+    render_s: float
     truth: Probe = field(default=NOTHING, repr=False)
     white: dict[str, float] = field(default_factory=dict)
 
@@ -100,12 +108,13 @@ def rendered(scene: Scene, camera: Camera, plan: Plan) -> Callable[[], Picture]:
     return loaded
 
 
-def measure(ladder: str, step: Step, subject: Subject, runs: int) -> Rung:
-    """Time and errors of a setting, over independent renders; one more comes first where only it would tell the time."""
+def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
+    """Time and errors of a setting, over independent renders."""
     picture = step.picture()
-    picture(runs)  # compiles
+    if clock.warms_up(step.work):
+        picture(clock.runs)
     seconds, electrons, delta_e, optimum = [], [], [], []
-    for seed in range(runs):
+    for seed in range(clock.runs):
         start = time.perf_counter()
         image = picture(seed)
         image.header |= subject.white
@@ -130,7 +139,7 @@ def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, sh
         if step.shipped:
             yield replace(shipped, ladder=ladder, setting=step.setting, value=step.value)
         elif clock.room_for(expected):
-            yield measure(ladder, step, subject, clock.runs)
+            yield measure(ladder, step, subject, clock)
         else:
             yield Rung(ladder, step.setting, step.value, left_out=f"about {expected:.0f} s")
 
@@ -208,12 +217,12 @@ def method_steps(subject: Subject, counts: Sequence[int], other: Scene | None) -
     work = full.passes * full.spp / (plan.passes * plan.spp)
     steps = [
         Step("pixsim, pruned", plan.spp, rendered(scene, camera, plan), 1.0, True),
-        Step("pixsim, --full", full.spp, rendered(scene, camera, full), 1.5 * work),
+        Step("pixsim, --full", full.spp, rendered(scene, camera, full), FULL_WORK * work),
     ]
     for count in counts:
         for sampler in ("independent", "multijitter"):
             made = plain_picture(scene, camera, plan, sampler, count)
-            steps.append(Step(f"Mitsuba, {sampler}, {count} spp", count, made, 8 * count / plan.spp))
+            steps.append(Step(f"Mitsuba, {sampler}, {count} spp", count, made, PLAIN_WORK * count / plan.spp))
     if other is not None:
-        steps.append(Step(f"pixsim, pruned, {other.choice.variant}", plan.spp, rendered(other, camera, plan), 12.0))
+        steps.append(Step(f"pixsim, pruned, {other.choice.variant}", plan.spp, rendered(other, camera, plan), SCALAR_WORK))
     return steps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -50,13 +50,38 @@ class Depth:
     lens: tuple[int, ...]
     plain: tuple[int, ...]
     pool: int
+    seeds_move_the_optimum: bool
     dots: tuple[float, ...]  # times the display's
 
 
 FULL = Depth(
-    240.0, 100.0, 2, 6, 64, (-3, -2, -1, 1), (1, 2, 4, 8, 16, 96), (4, 16, 64), (4, 16, 64), 16, (1 / 8, 1 / 4, 1 / 2, 2, 4)
+    seconds=230.0,
+    reference_s=90.0,
+    runs=2,
+    pitches=6,
+    spp=64,
+    films=(-3, -2, -1, 1),
+    bands=(1, 2, 4, 8, 16, 96),
+    lens=(4, 16, 64),
+    plain=(4, 16, 64),
+    pool=16,
+    seeds_move_the_optimum=True,
+    dots=(1 / 8, 1 / 4, 1 / 2, 2, 4),
 )
-QUICK = Depth(40.0, 12.0, 1, 5, 64, (-2, -1), (2, 8), (4, 16), (4,), 8, (1 / 4, 1 / 2, 2))
+QUICK = Depth(
+    seconds=42.0,
+    reference_s=12.0,
+    runs=1,
+    pitches=5,
+    spp=64,
+    films=(-2, -1),
+    bands=(2, 8),
+    lens=(4, 16),
+    plain=(4,),
+    pool=8,
+    seeds_move_the_optimum=False,
+    dots=(1 / 4, 1 / 2, 2),
+)
 
 
 @dataclass(frozen=True)
@@ -148,7 +173,7 @@ def survey(
     setup = Setup.of(settings, camera)
     image = first_picture(scene, camera, plan, laps)
     score_in_stages(image, setup, laps)
-    subject, reference, notes = referred(Subject(scene, camera, plan, setup, image), laps.seconds["render"], depth, progress)
+    subject, reference, notes = referred(Subject(scene, camera, plan, setup, image, laps.seconds["render"]), depth, progress)
     progress("error budget")
     calibration = calibrate(subject.scene, camera, subject.plan, setup)
     cases, _ = stability.all_cases(progress("stability"))
@@ -171,7 +196,7 @@ def survey(
     )
 
 
-def referred(subject: Subject, render_s: float, depth: Depth, progress: Stage) -> tuple[Subject, Reference, list[str]]:
+def referred(subject: Subject, depth: Depth, progress: Stage) -> tuple[Subject, Reference, list[str]]:
     """The subject with what is right for it. A scene without a formula is looked at on a film so coarse that a render of 64
     times its work can be waited for; `notes` say so."""
     told, notes = progress("reference"), []
@@ -181,51 +206,56 @@ def referred(subject: Subject, render_s: float, depth: Depth, progress: Stage) -
         height, width = subject.image.shape
         reference = analytic_reference(scene, camera, setup, name, (FINER * height, FINER * width))
     else:
-        width, expected_s = subject.image.shape[1], REFERENCE_WORK * render_s
+        width, expected_s = subject.image.shape[1], REFERENCE_WORK * subject.render_s
         while expected_s > depth.reference_s and width > COARSEST and "resolution" in scene.names:
             width, expected_s = width // 2, expected_s / 4
         if width < subject.image.shape[1]:
             notes.append(f"looked at {width} samples wide instead of {subject.image.shape[1]}, to afford the reference")
             scene = scene.with_parameters(resolution=width)
             plan = make_plan(scene, camera, setup.pixel, tolerance_e=plan.tolerance_e)
-            image = first_picture(scene, camera, plan, Laps())
-            subject = replace(subject, scene=scene, plan=plan, image=image)
+            laps = Laps()
+            image = first_picture(scene, camera, plan, laps)
+            subject = replace(subject, scene=scene, plan=plan, image=image, render_s=laps.seconds["render"])
         work = min(REFERENCE_WORK, max(FEWEST_TIMES, REFERENCE_WORK * depth.reference_s / expected_s))
         if work < REFERENCE_WORK:
             notes.append(f"the reference has {work:.0f} times the work of the shipped settings only, of {REFERENCE_WORK}")
         reference = rendered_reference(scene, camera, setup, plan, work, told)
     white = {key: value for key, value in subject.image.header.items() if key == "luminance_cd_per_m2"}
     reference.image.header |= white
-    setup = setup.around(pitches_around_optimum_um(reference.image, setup, depth.pitches))
+    setup = setup.around(pitches_around_optimum_um(subject.image, setup, depth.pitches))
     return replace(subject, setup=setup, white=white, truth=probe(reference.image, setup)), reference, notes
 
 
 def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tuple[Rung, list[Rung]]:
-    """The shipped settings, then all ladders, in the order of what a user would ask first."""
-    told, scene = progress("ladders"), subject.scene
-    own = ladders.Step("as shipped", subject.plan.spp, ladders.rendered(scene, subject.camera, subject.plan), 1.0, True)
+    """The shipped settings, then all ladders; those that take longest come last, where time may be up."""
+    told = progress("ladders")
+    own = ladders.Step("as shipped", subject.plan.spp, ladders.rendered(subject.scene, subject.camera, subject.plan), 1.0, True)
     began = time.perf_counter()
-    shipped = ladders.measure("methods", own, subject, clock.runs)
-    clock.probe_s = (time.perf_counter() - began) / clock.runs
-    clock.render_s = max(shipped.seconds - subject.truth.seconds, 0.05)
+    shipped = ladders.measure("methods", own, subject, clock)
+    whole_s = time.perf_counter() - began - (clock.runs + 1) * subject.render_s
+    clock.render_s, clock.probe_s = subject.render_s, max(whole_s, 0.0) / clock.runs
     width = subject.image.shape[1]
     films = [max(8, int(width * 2.0**k)) for k in depth.films]
-    climbs = {
-        "methods": ladders.method_steps(subject, depth.plain, other_variant(scene)),
-        "spp": ladders.sample_steps(subject, depth.spp),
-        "film": ladders.film_steps(subject, films),
-        "sampler": ladders.sampler_steps(subject),
-        "lens": ladders.lens_steps(subject, depth.lens),
-        "bands": ladders.band_steps(subject, depth.bands),
+    viewer = replace(subject.setup, pitches_um=subject.setup.pitches_um if depth.seeds_move_the_optimum else ())
+    dots = [each for times in depth.dots if 8 <= (each := int(subject.setup.display.dots * times)) <= MOST_DOTS]
+
+    def climb(name: str, steps: list[ladders.Step]) -> Iterator[Rung]:
+        return ladders.climb(name, steps, subject, clock, shipped)
+
+    climbs: dict[str, Callable[[], Iterator[Rung]]] = {
+        "seeds": lambda: seed_rungs(subject.image, viewer, shipped.seconds, depth.pool),
+        "raster": lambda: raster_rungs(subject.image, subject.setup, clock.render_s, dots),
+        "spp": lambda: climb("spp", ladders.sample_steps(subject, depth.spp)),
+        "film": lambda: climb("film", ladders.film_steps(subject, films)),
+        "bands": lambda: climb("bands", ladders.band_steps(subject, depth.bands)),
+        "sampler": lambda: climb("sampler", ladders.sampler_steps(subject)),
+        "lens": lambda: climb("lens", ladders.lens_steps(subject, depth.lens)),
+        "methods": lambda: climb("methods", ladders.method_steps(subject, depth.plain, other_variant(subject.scene))),
     }
     rungs: list[Rung] = []
-    for number, (name, steps) in enumerate(climbs.items()):
-        told(number / (len(climbs) + 1), f": {name}")
-        rungs += ladders.climb(name, steps, subject, clock, shipped)
-    told(len(climbs) / (len(climbs) + 1), ": sensors and display")
-    rungs += seed_rungs(subject.image, subject.setup, shipped.seconds, depth.pool)
-    dots = [max(8, int(subject.setup.display.dots * times)) for times in depth.dots]
-    rungs += raster_rungs(subject.image, subject.setup, clock.render_s, [each for each in dots if each <= MOST_DOTS])
+    for number, (name, rise) in enumerate(climbs.items()):
+        told(number / len(climbs), f": {name}")
+        rungs += rise()
     return shipped, rungs
 
 

@@ -18,6 +18,7 @@ from pixsim.cli.charts import chart as chart
 from pixsim.cli.render import plan as plan
 from pixsim.cli.render import run as run
 from pixsim.cli.studies import study as study
+from pixsim.cli.worth import accuracy as accuracy
 
 # ruff: isort: on
 from pixsim.errors import PixsimError

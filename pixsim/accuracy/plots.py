@@ -1,0 +1,211 @@
+"""The figures of a survey."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.accuracy.fits import pareto
+from pixsim.accuracy.ladders import Rung
+from pixsim.accuracy.survey import METRICS, Accuracy
+from pixsim.figures import COLOURS, new_figure
+from pixsim.plates import Column, Plate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe and Ito's other colours, for more than four kinds of points.
+MORE_COLOURS = (*COLOURS, "#56B4E9", "#E69F00", "#000000", "#999999")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<")
+RENDERED = ("methods", "spp", "film", "sampler", "lens", "bands")
+AXES = {
+    "error_e": "error of mean electrons (RMS, relative)",
+    "error_delta_e": "error of mean ΔE",
+    "error_optimum_um": "error of the optimum (µm)",
+}
+SETTINGS = {
+    "spp": "samples a film cell", "film": "film width (samples)", "lens": "lens samples", "bands": "bands",
+    "seeds": "sensors averaged", "raster": "display dots across",
+}  # fmt: skip
+
+
+def plates_of(found: Accuracy) -> list[Plate]:
+    return [work_precision(found), convergence(found), viewing(found), stages(found), budget(found)]
+
+
+def shown_metrics(found: Accuracy) -> list[str]:
+    return [metric for metric in METRICS if found.rivals(metric)]
+
+
+def style(name: str, names: list[str]) -> dict[str, Any]:
+    index = names.index(name)
+    return {"color": MORE_COLOURS[index % len(MORE_COLOURS)], "marker": MARKERS[index % len(MARKERS)]}
+
+
+def finite(rungs: list[Rung], metric: str) -> list[Rung]:
+    return [each for each in rungs if math.isfinite(getattr(each, metric)) and getattr(each, metric) > 0]
+
+
+def work_precision(found: Accuracy) -> Plate:
+    """Error against wall time of every setting of the render, with the Pareto front and the shipped one."""
+    metrics = shown_metrics(found)
+    figure = new_figure(3.6 * len(metrics), 4.6)
+    names = [name for name in RENDERED if name in found.names]
+    for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
+        draw_front(axes, found, metric)
+        for name in names:
+            own = sorted(finite([each for each in found.ladder(name) if not each.shipped], metric), key=lambda each: each.seconds)
+            join = "" if name in ("methods", "sampler") else "-"
+            axes.plot(
+                [e.seconds for e in own], [getattr(e, metric) for e in own], ls=join, lw=0.7, ms=5, label=name, **style(name, names)
+            )
+            if name == "methods":
+                for each in own:
+                    axes.annotate(
+                        short(each.setting),
+                        (each.seconds, getattr(each, metric)),
+                        xytext=(4, 3),
+                        textcoords="offset points",
+                        fontsize=5.5,
+                    )
+        if math.isfinite(value := getattr(found.shipped, metric)):
+            axes.plot(found.shipped.seconds, value, "*", ms=15, mfc="white", mec="black", mew=1.3, label="as shipped", zorder=5)
+        log_axes(axes, "seconds, render and score, warm", AXES[metric])
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8, frameon=False)
+    caption = (
+        "Error against run time; down and left is better. One setting is moved at a time, everything else as shipped (star). "
+        f"Grey: the Pareto front, settings that no other beats in both. Reference: {found.reference}."
+    )
+    return Plate("work_precision", caption, figure, table(found, names))
+
+
+def short(setting: str) -> str:
+    return (
+        setting.replace("pixsim, ", "").replace("_spectral", "").replace("independent", "indep.").replace("multijitter", "multij.")
+    )
+
+
+def draw_front(axes: Axes, found: Accuracy, metric: str) -> None:
+    rivals = found.rivals(metric)
+    seconds, errors = [each.seconds for each in rivals], [getattr(each, metric) for each in rivals]
+    front = pareto(seconds, errors)
+    axes.step(
+        [seconds[k] for k in front], [errors[k] for k in front], where="post", color="0.75", lw=5, zorder=0, label="Pareto front"
+    )
+
+
+def log_axes(axes: Axes, x: str, y: str) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.grid(which="major", alpha=0.25)
+
+
+def convergence(found: Accuracy) -> Plate:
+    """Error against the setting itself, with the fitted orders."""
+    names = [name for name in SETTINGS if len(found.ladder(name)) > 1]
+    columns = 3
+    rows = -(-len(names) // columns)
+    figure = new_figure(3.5 * columns, 2.9 * rows)
+    grid = np.atleast_1d(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axes, name in zip(grid, names, strict=False):
+        for metric, colour, marker in zip(METRICS, COLOURS, MARKERS, strict=False):
+            own = finite(found.ladder(name), metric)
+            order = found.order(name, metric)
+            label = AXES[metric].removeprefix("error of ").split(" (")[0] + (f": order {order}" if order else "")
+            if own:
+                axes.plot([e.value for e in own], [getattr(e, metric) for e in own], marker, ms=4.5, color=colour, label=label)
+                shipped = [e for e in own if e.shipped]
+                axes.plot([e.value for e in shipped], [getattr(e, metric) for e in shipped], marker, ms=9, mfc="none", mec="black")
+            if order:
+                line = np.array(sorted(e.value for e in own))
+                axes.plot(line, [order.at(x) for x in line], color=colour, lw=0.8)
+        log_axes(axes, SETTINGS[name], "error")
+        axes.set_title(name, fontsize=9)
+        axes.legend(fontsize=6, frameon=False)
+    for axes in grid[len(names) :]:
+        axes.set_visible(False)
+    caption = (
+        "Error against each setting. A line is the fitted power law, error ∝ setting^-order, with the order's standard error; "
+        "points near a ladder's floor, where other errors are left, are not fitted. Circled: as shipped. Electrons are relative, "
+        "the optimum in µm. Seeds and raster have references of their own: other sensors, and the finest display."
+    )
+    return Plate("convergence", caption, figure, table(found, names))
+
+
+def viewing(found: Accuracy) -> Plate:
+    """Error against wall time of what needs no render."""
+    names = [name for name in ("seeds", "raster") if found.ladder(name)]
+    metrics = [m for m in ("error_delta_e", "error_optimum_um") if any(finite(found.ladder(n), m) for n in names)] or [
+        "error_delta_e"
+    ]
+    figure = new_figure(4.2 * len(metrics), 3.6)
+    for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
+        for name in names:
+            own = sorted(finite(found.ladder(name), metric), key=lambda each: each.seconds)
+            axes.plot(
+                [e.seconds for e in own], [getattr(e, metric) for e in own], "-", lw=0.7, ms=5, label=name, **style(name, names)
+            )
+            for each in own:
+                axes.annotate(
+                    each.setting, (each.seconds, getattr(each, metric)), xytext=(4, 3), textcoords="offset points", fontsize=6
+                )
+            shipped = [each for each in own if each.shipped]
+            axes.plot([e.seconds for e in shipped], [getattr(e, metric) for e in shipped], "*", ms=13, mfc="white", mec="black")
+        log_axes(axes, "seconds, render and score, warm", AXES[metric])
+        axes.legend(fontsize=8, frameon=False)
+    caption = (
+        "Sensors and display. Seeds: the mean over so many individual sensors against that over others. Raster: the same picture at "
+        "the same angle on a display of so many dots, against the finest; a display is part of what is asked, so that this is no error "
+        "of the computation. Star: as shipped."
+    )
+    return Plate("viewing", caption, figure, table(found, names))
+
+
+def stages(found: Accuracy) -> Plate:
+    """Wall time of a first run by stage."""
+    names, seconds = list(found.stage_seconds), list(found.stage_seconds.values())
+    figure = new_figure(7.0, 2.6)
+    axes = figure.subplots()
+    axes.barh(names, seconds, color=[COLOURS[1] if each == max(seconds) else COLOURS[0] for each in seconds])
+    for row, each in enumerate(seconds):
+        axes.annotate(f"{each:.2f} s", (each, row), xytext=(4, -3), textcoords="offset points", fontsize=8)
+    axes.invert_yaxis()
+    axes.margins(x=0.12)
+    axes.set_xlabel("seconds of one result in a fresh process, without imports")
+    caption = (
+        "Where the time goes: the longest bar is what to speed up next. Compile: what a first render takes longer than a second."
+    )
+    return Plate("stages", caption, figure, {"stage": names, "seconds": seconds})
+
+
+def budget(found: Accuracy) -> Plate:
+    """The error budget, in ΔE and in µm."""
+    names = list(found.budget)
+    columns = {"delta_e": "mean ΔE", "optimum_um": "optimal pitch (µm)"}
+    figure = new_figure(8.4, 2.4)
+    for axes, (key, label) in zip(figure.subplots(1, 2, sharey=True), columns.items(), strict=True):
+        values = np.array([getattr(found.budget[name], key) for name in names])
+        axes.barh(names, np.where(np.isfinite(values), values, 0.0), color=COLOURS[0])
+        if np.any(np.isfinite(values) & (values > 0)):
+            axes.set_xscale("log")
+        axes.set_xlabel(f"error of {label}")
+        axes.grid(axis="x", alpha=0.25)
+    figure.axes[0].invert_yaxis()
+    caption = (
+        "What the error of one result is made of, with the shipped settings. Seeds: 95 % of individual sensors lie so near their mean. "
+        "Display raster: what a display of twice the dots would change."
+    )
+    return Plate(
+        "budget", caption, figure, {"source": names, **{key: [getattr(found.budget[n], key) for n in names] for key in columns}}
+    )
+
+
+def table(found: Accuracy, names: list[str]) -> dict[str, Column]:
+    rungs = [each for name in names for each in found.rungs if each.ladder == name]
+    fields = ("ladder", "setting", "value", "shipped", "seconds", *METRICS, "left_out")
+    return {name: [getattr(each, name) for each in rungs] for name in fields}
