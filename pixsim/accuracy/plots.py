@@ -130,9 +130,9 @@ def convergence(found: Accuracy) -> Plate:
     for axes in grid[len(names) :]:
         axes.set_visible(False)
     caption = (
-        "Error against each setting. A line is the fitted power law, error ∝ setting^-order, with the order's standard error; "
-        "points near a ladder's floor, where other errors are left, are not fitted. Circled: as shipped. Electrons are relative, "
-        "the optimum in µm. Seeds and raster have references of their own: other sensors, and the finest display."
+        "Error against each setting. A line is the fitted power law, error ∝ setting^-order ± its standard error; "
+        "points near a ladder's floor, where other errors are left, are not fitted. Circled: as shipped. Electrons are "
+        "relative, the optimum in µm. Seeds and raster have references of their own: other sensors, and the finest display."
     )
     return Plate("convergence", caption, figure, table(found, names))
 
