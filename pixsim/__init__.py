@@ -67,7 +67,7 @@ _HOME = {
     "evaluate": "score",
     "study": "sweep",
 }
-_MODULES = ("optics", "pixel", "sensor", "display", "scielab", "charts", "parameters", "spectral")
+_MODULES = ("optics", "photodiode", "pixel", "sensor", "display", "scielab", "charts", "parameters", "spectral")
 
 __all__ = [*_HOME, "optics"]
 

@@ -125,6 +125,12 @@ class PixelOptions(Record):
     capacitance: Literal["mosis", "paper"] = Field(
         "mosis", description="junction capacitance of the process, or 2.6 fF + 0.22 fF/µm² and a swing of 1 V"
     )
+    well_limit: Literal["swing", "diode"] = Field(
+        "swing", description="what fills the well: the voltage swing (hard clip), or the diode turning forward (soft, about twice)"
+    )
+    conversion: Literal["linear", "junction"] = Field(
+        "linear", description="charge to voltage: proportional, or by the junction's capacitance, which grows as it discharges"
+    )
     response: Literal["scaled", "literal"] = Field(
         "scaled", description="reading of the response curve: A/W scaled to the measured peak, or literally a QE"
     )

@@ -11,18 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.errors import refuse
+from pixsim.junction import BOLTZMANN_J_PER_K as BOLTZMANN_J_PER_K
+from pixsim.junction import C_PER_FF_V as C_PER_FF_V
+from pixsim.junction import ELECTRON_C as ELECTRON_C
+from pixsim.junction import Diode
 from pixsim.parameters import Pixel
 from pixsim.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S, Array
-from pixsim.technology import Junction, Technology, load_technology, with_fill_factor_law
+from pixsim.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.wells import mean_junction_ff as mean_junction_ff
+from pixsim.wells import photodiode_capacitance_ff as photodiode_capacitance_ff
+from pixsim.wells import reset_capacitance_ff as reset_capacitance_ff
+from pixsim.wells import reset_noise_e as reset_noise_e
+from pixsim.wells import well as well
 
-ELECTRON_C = 1.602176634e-19  # SI 2019, exact
-BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, where dark currents are quoted
-C_PER_FF_V = 1e-15
 A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
 
-# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the authors' habitual 1 V.
-PAPER_NODE_FF, PAPER_FF_PER_UM2, PAPER_SWING_V = 2.6, 0.22, 1.0
 # Peak quantum efficiency of the chip whose response curve is packaged (0.35 µm).
 RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
@@ -51,37 +55,6 @@ def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> floa
     # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
     root = limit**2 * inset_um**2 + (limit - fill_factor) * limit * p0_um * (p0_um - 2 * inset_um)
     return (limit * inset_um + math.sqrt(root)) / (limit - fill_factor)
-
-
-def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, high_v: float, low_v: float) -> float:
-    """Mean over a reverse-bias range of C0 (1 + V/PB)^-M: what turns a swing into a charge."""
-
-    def charge(v: float) -> float:
-        return built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading)
-
-    return zero_bias_ff * (charge(high_v) - charge(low_v)) / (high_v - low_v)
-
-
-def photodiode_capacitance_ff(area_um2: float, junction: Junction) -> float:
-    """Mean capacitance of a square photodiode and its node over the swing: area, sidewall and fixed parts."""
-    t = junction
-    high_v, low_v = t.reset_voltage_v, t.reset_voltage_v - t.voltage_swing_v
-    area_ff = mean_junction_ff(t.cj_ff_per_um2 * area_um2, t.pb_v, t.mj, high_v, low_v)
-    side_ff = mean_junction_ff(t.cjsw_ff_per_um * 4 * math.sqrt(area_um2), t.pbsw_v, t.mjsw, high_v, low_v)
-    return area_ff + side_ff + t.node_capacitance_ff
-
-
-def reset_capacitance_ff(area_um2: float, junction: Junction) -> float:
-    """Capacitance at the reset voltage, where the reset transistor opens and kTC noise freezes."""
-    j, v = junction, junction.reset_voltage_v
-    area_ff = j.cj_ff_per_um2 * area_um2 * (1 + v / j.pb_v) ** -j.mj
-    side_ff = j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
-    return area_ff + side_ff + j.node_capacitance_ff
-
-
-def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
-    """√(n kTC)/q, standard deviation."""
-    return math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * C_PER_FF_V) / ELECTRON_C
 
 
 @lru_cache
@@ -127,6 +100,7 @@ class PixelPhysics:
     dsnu: float
     offset_fpn_e: float
     column_fpn_e: float
+    diode: Diode | None = None  # None: pinned
 
     @property
     def pitch_um(self) -> float:
@@ -190,34 +164,6 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
 
 
-@dataclass(frozen=True)
-class Well:
-    """Where the charge is kept. Capacitances are None for a pinned photodiode, whose well is given."""
-
-    full_well_e: float
-    mean_ff: float | None = None  # over the swing: what the charge sees
-    reset_ff: float | None = None  # at the reset voltage: what kTC noise sees
-
-
-def well(pixel: Pixel, technology: Technology, area_um2: float) -> Well:
-    """C V_s/q from the junction or the paper's capacitance, or the given density."""
-    if technology.full_well_e_per_um2 is not None:
-        if pixel.capacitance == "paper":
-            raise refuse(
-                "pixel.capacitance", f"'paper' for {technology.name}", "3T technologies: a pinned photodiode's well is given"
-            )
-        return Well(technology.full_well_e_per_um2 * area_um2)
-    junction = technology.junction
-    assert junction is not None  # the record's validator
-    if pixel.capacitance == "paper":
-        mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
-        swing_v = PAPER_SWING_V
-    else:
-        mean_ff, reset_ff = photodiode_capacitance_ff(area_um2, junction), reset_capacitance_ff(area_um2, junction)
-        swing_v = junction.voltage_swing_v
-    return Well(mean_ff * C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff)
-
-
 def derive(pixel: Pixel) -> PixelPhysics:
     """Fill in from the technology what the pixel leaves open.
 
@@ -237,18 +183,19 @@ def derive(pixel: Pixel) -> PixelPhysics:
         )
     fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
     area_um2 = fill_factor * pixel.pitch_um**2
-    kept = well(pixel, technology, area_um2)
-    full_well_e = given(pixel.full_well_e, kept.full_well_e)
     factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
     warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
     dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * warmth
+    dark_current_e_per_s = given(pixel.dark_current_e_per_s, dark_e_per_s)
+    kept = well(pixel, technology, area_um2, dark_current_e_per_s)
+    full_well_e = given(pixel.full_well_e, kept.full_well_e)
     return PixelPhysics(
         pixel=pixel,
         technology=technology,
         fill_factor=fill_factor,
         capacitance_ff=None if kept.mean_ff is None else kept.mean_ff * full_well_e / kept.full_well_e,
         full_well_e=full_well_e,
-        dark_current_e_per_s=given(pixel.dark_current_e_per_s, dark_e_per_s),
+        dark_current_e_per_s=dark_current_e_per_s,
         # A given well is a larger or smaller capacitance with the same swing.
         reset_noise_e=reset_noise_e((kept.reset_ff or 0.0) * full_well_e / kept.full_well_e, pixel.temperature_k, factor),
         read_noise_e=given(pixel.read_noise_e, technology.read_noise_e),
@@ -256,4 +203,5 @@ def derive(pixel: Pixel) -> PixelPhysics:
         dsnu=given(pixel.dsnu, technology.dsnu),
         offset_fpn_e=given(pixel.offset_fpn, technology.offset_fpn) * full_well_e,
         column_fpn_e=given(pixel.column_fpn, technology.column_fpn) * full_well_e,
+        diode=None if kept.diode is None else kept.diode.scaled(full_well_e / kept.full_well_e),
     )
