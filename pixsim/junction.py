@@ -20,6 +20,7 @@ BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 C_PER_FF_V = 1e-15
 E_PER_FC = C_PER_FF_V / ELECTRON_C
 FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
+INVERSION_STEPS = 100  # of Newton; found: 4 to 9, since Q(V) is nearly straight
 
 
 def junction_ff(bias_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
@@ -99,6 +100,25 @@ class Diode:
         area, side = self.junctions
         fixed_fc = self.node_capacitance_ff * np.asarray(drop_v, float)
         return E_PER_FC * (fixed_fc + junction_charge_fc(high_v, drop_v, *area) + junction_charge_fc(high_v, drop_v, *side))
+
+    def drop_v(self, charge_e: ArrayLike) -> Array:
+        """Fall of the reverse bias from the reset on that a charge ≥ 0 makes: the inverse of `charge_e`.
+
+        Newton from the capacitance at reset, the least of all: it comes down to the root without ever passing it.
+        """
+        charge = np.asarray(charge_e, float)
+        drop = charge / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v))
+        for _ in range(INVERSION_STEPS):
+            excess_e = self.charge_e(self.reset_voltage_v, drop) - charge
+            if np.all(np.abs(excess_e) <= 1e-15 * charge):
+                break
+            drop = np.maximum(drop - excess_e / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v - drop)), 0.0)
+        return drop
+
+    @property
+    def constant(self) -> bool:
+        """Whether the capacitance does not depend on the bias."""
+        return not any(zero_bias_ff * grading for zero_bias_ff, _, grading in self.junctions)
 
     def open_circuit_v(self, photocurrent_e_per_s: float) -> float:
         """Reverse bias at which the forward diode carries a photocurrent, -V_T ln(1 + i/I_s); -∞ without diode current."""

@@ -24,6 +24,7 @@ from pixsim.pixel_grid import pixel_count as pixel_count
 from pixsim.pixel_grid import pixels_along as pixels_along
 from pixsim.pixel_grid import point_values as point_values
 from pixsim.pixel_grid import running_integral as running_integral
+from pixsim.saturation import kept_level_e
 from pixsim.spectral import Array, SpectralImage
 
 # Above this mean NumPy's Poisson is wrong (variance +3.5 % at 1e15) and a rounded normal differs from it by less than
@@ -106,7 +107,11 @@ class Frame:
 
     @property
     def electrons(self) -> Array:
-        """Estimate of the photo-electrons: black level and expected dark charge (numbers, no dark frame) subtracted."""
+        """Estimate of the photo-electrons: black level and expected dark charge (numbers, no dark frame) subtracted.
+
+        It takes the response for a straight line, as a camera without a linearisation does: with `conversion = "junction"`
+        it is off by up to 1.8 % of a 0.35 µm pixel's swing, at every level, and in soft saturation it falls short.
+        """
         return (self.dn.astype(float) - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
 
     @property
@@ -131,15 +136,16 @@ def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
 def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
     """One frame from the mean photo-electrons of each pixel: (rows, columns) int32 DN.
 
-    PRNU and dark charge → Poisson → well → reset and read noise (one normal) → fixed offsets → gain → black → ADC.
-    A stage whose parameter is zero costs nothing. `frame_mean_dn` and `frame_variance_dn2` are its closed forms.
+    PRNU and dark charge → Poisson → well and conversion (`pixsim.saturation`) → reset and read noise (one normal) → fixed
+    offsets → gain → black → ADC. A stage whose parameter is zero costs nothing. `frame_mean_dn` and `frame_variance_dn2` are
+    its closed forms.
     """
     p = sensor.physics
     charge = mean_e if sensor.gain is None else mean_e * sensor.gain
     mean_dark_e = p.dark_current_e_per_s * integration_s
     if mean_dark_e:
         charge = charge + (mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain)
-    level = np.minimum(shot_noise(charge, rng), p.full_well_e)
+    level = kept_level_e(shot_noise(charge, rng), integration_s, p)
     temporal_e = math.hypot(p.reset_noise_e, p.read_noise_e)
     if temporal_e:
         level += temporal_e * rng.standard_normal(level.shape)
@@ -150,7 +156,10 @@ def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.G
 
 
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
-    """Expected DN over sensors and frames, valid 6σ and more away from 0, from the well and from the top code."""
+    """Expected DN over sensors and frames, valid 6σ and more away from 0, from the well and from the top code.
+
+    Of the linear law: with `well_limit = "diode"` below `linear_limit_e`, and not with `conversion = "junction"`.
+    """
     dark_e = physics.dark_current_e_per_s * integration_s
     return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.pixel.black_level_dn
 

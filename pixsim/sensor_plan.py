@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from pixsim import optics
-from pixsim.parameters import Camera, Pixel
+from pixsim.parameters import Camera, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.plan import Plan, make_render_plan
 from pixsim.rules import TOLERANCE_E, Decision
+from pixsim.saturation import LINEAR_WITHIN, linear_limit_e
 from pixsim.scene import Scene, film_size, sensor_node
 
 GREEN_NM = 550.0
@@ -22,6 +23,7 @@ def make_plan(
     camera: Camera | None = None,
     pixel: Pixel | None = None,
     *,
+    exposure: Exposure | None = None,
     tolerance_e: float = TOLERANCE_E,
     full: bool = False,
 ) -> Plan:
@@ -32,6 +34,7 @@ def make_plan(
     scene : from `load_scene`
     camera : None takes what the file says
     pixel : None takes the default one
+    exposure : None takes the default one; its longest time says from which charge on a photodiode saturates
     tolerance_e : relative error of the mean electrons that all decisions may cost together
     full : leave nothing out
 
@@ -43,11 +46,19 @@ def make_plan(
     state = scene.for_camera(camera)
     _, width = film_size(state, sensor_node(state, scene.sensor_id)[1])
     free = "resolution" in scene.names and "resolution" not in scene.parameters
+    exposure = exposure or Exposure()
+    longest_s = exposure.integration_s or exposure.max_integration_s
     resolution, sampling = decide_oversampling(plan, camera, physics, max(1, width), full, free)
     return replace(
         plan,
         resolution=resolution,
-        decisions=(*plan.decisions, sampling, decide_noise(physics, full), decide_transforms(full)),
+        decisions=(
+            *plan.decisions,
+            sampling,
+            decide_saturation(physics, longest_s),
+            decide_noise(physics, full),
+            decide_transforms(full),
+        ),
     )
 
 
@@ -77,6 +88,24 @@ def _fall_off_error(camera: Camera, width: int) -> float:
     middle, parts = (optics.field_factor((n, n), 1e3 * camera.die_mm / n, *lens) for n in (width, 2 * width))
     means = parts.reshape(width, 2, width, 2).mean(axis=(1, 3))
     return float(4 / 3 * np.abs(middle / means - 1).max())  # the error goes with the square of the width
+
+
+def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
+    """Which law turns generated into kept charge, from which charge on it counts, and whether V(Q) is bent.
+
+    The bound is on pictures that stay below the limit: 1e-6 of the well, relative to the limit itself.
+    """
+    pixel, diode = physics.pixel, physics.diode
+    bent = pixel.conversion == "junction" and diode is not None and not diode.constant
+    conversion = "; V(Q) by the junction, at every level" if bent else ""
+    if pixel.well_limit == "swing" or diode is None:
+        return Decision("saturation", True, f"a hard clip at the well, {physics.full_well_e:.3g} e-{conversion}")
+    limit_e = linear_limit_e(diode, physics.full_well_e, integration_s)
+    told = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / physics.full_well_e:.0%} of the well)"
+    if bent:
+        return Decision("saturation", True, f"the diode turns forward above {told}{conversion}")
+    reason = f"linear for pictures whose brightest pixel stays below {told}; others by the diode's table"
+    return Decision("saturation", False, reason, "the table", LINEAR_WITHIN * physics.full_well_e / limit_e)
 
 
 def decide_noise(physics: PixelPhysics, full: bool) -> Decision:

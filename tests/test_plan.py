@@ -167,6 +167,7 @@ SUBJECTS = [
     "texture samples",
     "diffraction",
     "oversampling",
+    "saturation",
     "noise stages",
     "repeated transforms",
 ]
