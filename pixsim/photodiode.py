@@ -82,11 +82,12 @@ def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode
 
     `a` below I_s e^(-V_0/V_T), which only a negative photocurrent gives, would charge the diode: 0 there.
     """
-    with np.errstate(over="ignore", divide="ignore"):
+    with np.errstate(over="ignore"):
         generated = np.minimum(total_e_per_s * integration_s, np.finfo(float).max)
-        log_ratio = np.log(total_e_per_s) - np.log(diode.saturation_current_e_per_s)
     if not diode.saturation_current_e_per_s:
         return generated
+    with np.errstate(divide="ignore"):
+        log_ratio = np.log(total_e_per_s) - np.log(diode.saturation_current_e_per_s)
     result = np.where(reset_to_equilibrium(log_ratio, diode) > 0, generated, 0.0)
     turning = np.flatnonzero((result > charge_before_turning_e(log_ratio, diode)).ravel())
     for some in np.array_split(turning, -(-turning.size // BLOCK)) if turning.size else ():

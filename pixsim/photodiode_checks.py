@@ -81,7 +81,7 @@ def solve_ode(
             found = solve_ivp(slope, (0.0, u_of(integration_s)), [reset_v], method=method, **tolerances)
     except CapReached:
         reached_s, step_s = max(asked), (asked[-1] - asked[-1 - SIX_STAGES]) if most > SIX_STAGES else 0.0
-        told = f"{most} evaluations end at {reached_s:.2g} s of {integration_s:.2g} s, in steps of {abs(step_s):.1g} s"
+        told = f"{most} evaluations end at {reached_s:.2g} s of {integration_s:.2g} s; steps: {abs(step_s):.1g} s"
         return math.nan, len(asked), told
     if not found.success or not np.isfinite(found.y[0, -1]):
         return math.nan, len(asked), str(found.message)

@@ -24,7 +24,7 @@ LINEAR_WITHIN = 1e-6  # of the well: what the linear law may be off below `linea
 LINEAR_SHARE = 0.9  # of `linear_limit_e`, where a table begins: the diode has taken 1e-8 of the well
 TABLE_WITHIN = 8e-7  # of the well, between two entries
 FIRST_ENTRIES = 129  # below and beyond the knee, before intervals are halved
-KNEE_BELOW = 4.0  # wells
+MOST_KEPT = 4.0  # wells: levels end there, beyond the ADC's top code whatever the offsets; all knees are below
 MOST_GENERATED = 1e20  # of the well, where the table ends: 1e17 e-/s fill 1e3 e- so often in 10 h
 SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well, for the limit
 
@@ -99,13 +99,14 @@ def level_table(diode: Diode, full_well_e: float, integration_s: float | None, b
     def level(log_generated: Array) -> Array:
         generated_e = np.exp(log_generated)
         kept = generated_e if integration_s is None else kept_charge_e(generated_e, integration_s, diode)
+        kept = np.minimum(kept, MOST_KEPT * full_well_e)
         return converted_e(kept, full_well_e, diode) if bent else kept
 
     first_e, last_e = LINEAR_WITHIN * full_well_e, full_well_e
     if integration_s is not None:
         last_e = MOST_GENERATED * full_well_e
         first_e = first_e if bent else LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
-    knee = np.linspace(np.log(first_e), np.log(min(KNEE_BELOW * full_well_e, last_e)), FIRST_ENTRIES)
+    knee = np.linspace(np.log(first_e), np.log(min(MOST_KEPT * full_well_e, last_e)), FIRST_ENTRIES)
     beyond = np.linspace(knee[-1], np.log(last_e), FIRST_ENTRIES)[1:] if last_e > full_well_e else knee[:0]
     return LevelTable(*refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e)
 
