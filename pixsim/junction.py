@@ -20,7 +20,7 @@ BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 C_PER_FF_V = 1e-15
 E_PER_FC = C_PER_FF_V / ELECTRON_C
 FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
-INVERSION_STEPS = 100  # of Newton; found: 4 to 9, since Q(V) is nearly straight
+INVERSION_STEPS = 100  # of Newton; found: 2 to 7, since Q(V) is nearly straight
 
 
 def junction_ff(bias_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from edits import decision
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import e as electron
@@ -413,6 +414,16 @@ def test_the_plan_says_which_law_holds():
     paper = decide_saturation(derive(pixel(capacitance="paper", conversion="junction")), 0.1)
     assert "at every level" not in paper.reason
     assert "hard clip" in decide_saturation(derive(Pixel(technology="4t-bsi", pitch_um=2.8)), 0.1).reason
+
+
+def test_the_plan_takes_the_longest_exposure():
+    scene = pixsim.load_scene("flat")
+    reasons = [
+        decision(pixsim.make_plan(scene, pixel=pixel(well_limit="diode"), exposure=exposure), "saturation").reason
+        for exposure in (None, Exposure(max_integration_s=1.0), Exposure(integration_s=3600))
+    ]
+    for reason, told in zip(reasons, ("in 0.1 s (86%", "in 1 s (83%", "in 3.6e+03 s (73%"), strict=True):
+        assert told in reason
 
 
 def test_digital_numbers_against_light():
