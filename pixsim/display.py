@@ -14,7 +14,7 @@ from pixsim import optics
 from pixsim.errors import refuse
 from pixsim.parameters import Camera, Display
 from pixsim.pixel import PixelPhysics
-from pixsim.sensor import M2_PER_UM2, Frame, electrons_per_joule, ideal_rate, pixel_count, point_values
+from pixsim.sensor import M2_PER_UM2, Frame, electrons_per_joule, ideal_rate, pixels_along, point_values
 from pixsim.spectral import Array, SpectralImage, d65
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
@@ -78,7 +78,7 @@ def dot_edges_um(length_um: float, die_um: float, pitch_um: float, display: Disp
     """
     if display.raster == "fixed_size":
         return np.linspace(0.0, length_um, max(1, round(display.dots * length_um / die_um)) + 1)
-    return pixel_edges_um(length_um, pixel_count(length_um, pitch_um), pitch_um)
+    return pixel_edges_um(length_um, pixels_along(length_um, pitch_um), pitch_um)
 
 
 def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:

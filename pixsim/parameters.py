@@ -11,20 +11,26 @@ import math
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from pixsim import bounds
 from pixsim.config import merge
 
 FASTEST_WORKING_F_NUMBER = 0.5
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
 class Record(BaseModel):
     """A frozen set of parameters; an unknown name is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth_for_a_number(cls, value: Any, info: ValidationInfo) -> Any:
+        """Pydantic takes true for 1: `bits = true` would be a sensor of one bit."""
+        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
+            raise ValueError(f"got {value}; allowed: a number or a name")
+        return value
 
     @property
     def content_hash(self) -> str:
@@ -43,11 +49,11 @@ class Camera(Record):
     With u the object distance: magnification m = f/(u - f), image distance v = f(1 + m), aperture radius f/2N.
     """
 
-    focal_length_mm: Positive = Field(3.86, description="focal length")
-    f_number: Positive = Field(4.0, description="f-number as engraved: focal length over entrance pupil diameter")
-    die_mm: Annotated[float, Field(gt=0, le=1000)] = Field(2.7136, description="width of the die; 512 pixels of 5.3 µm by default")
-    object_distance_m: Positive = Field(1.0, description="from the lens to the plane in focus")
-    transmittance: Fraction = Field(1.0, description="of the lens")
+    focal_length_mm: bounds.FocalLength = Field(3.86, description="focal length")
+    f_number: bounds.FNumber = Field(4.0, description="f-number as engraved: focal length over entrance pupil diameter")
+    die_mm: bounds.DieWidth = Field(2.7136, description="width of the die; 512 pixels of 5.3 µm by default")
+    object_distance_m: bounds.Distance = Field(1.0, description="from the lens to the plane in focus")
+    transmittance: bounds.Fraction = Field(1.0, description="of the lens")
 
     @model_validator(mode="after")
     def _in_front_of_the_focus(self) -> Self:
@@ -109,11 +115,11 @@ class Camera(Record):
 class CameraOptions(Record):
     """Camera fields that replace what the scene says; None leaves the scene's own."""
 
-    focal_length_mm: Positive | None = Field(None, description=Camera.model_fields["focal_length_mm"].description)
-    f_number: Positive | None = Field(None, description=Camera.model_fields["f_number"].description)
-    die_mm: Positive | None = Field(None, description=Camera.model_fields["die_mm"].description)
-    object_distance_m: Positive | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
-    transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
+    focal_length_mm: bounds.FocalLength | None = Field(None, description=Camera.model_fields["focal_length_mm"].description)
+    f_number: bounds.FNumber | None = Field(None, description=Camera.model_fields["f_number"].description)
+    die_mm: bounds.DieWidth | None = Field(None, description=Camera.model_fields["die_mm"].description)
+    object_distance_m: bounds.Distance | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
+    transmittance: bounds.Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
     def over(self, camera: Camera) -> Camera:
         return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True))
@@ -134,24 +140,28 @@ class PixelOptions(Record):
     response: Literal["scaled", "literal"] = Field(
         "scaled", description="reading of the response curve: A/W scaled to the measured peak, or literally a QE"
     )
-    quantum_efficiency: Fraction | None = Field(None, description="of the photodiode at every wavelength; None: the response curve")
-    infrared_cut_nm: Positive | None = Field(None, description="no response beyond this wavelength")
+    quantum_efficiency: bounds.Fraction | None = Field(
+        None, description="of the photodiode at every wavelength; None: the response curve"
+    )
+    infrared_cut_nm: bounds.Wavelength | None = Field(None, description="no response beyond this wavelength")
     fill_factor_law: Literal["technology", "inset", "inset_unlimited"] = Field(
         "technology", description="photodiode area against pitch: the technology's, or another fit to the paper's numbers"
     )
-    fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area")
-    full_well_e: Positive | None = Field(None, description="charge that the ADC's top code stands for")
-    dark_current_e_per_s: NonNegative | None = Field(None, description="per pixel")
-    read_noise_e: NonNegative | None = Field(None, description="temporal, beside the reset noise")
-    reset_noise_factor: NonNegative | None = Field(
+    fill_factor: bounds.Fraction | None = Field(None, description="photodiode area over pixel area")
+    full_well_e: bounds.Well | None = Field(None, description="charge that the ADC's top code stands for")
+    dark_current_e_per_s: bounds.Current | None = Field(None, description="per pixel")
+    read_noise_e: bounds.NoiseElectrons | None = Field(None, description="temporal, beside the reset noise")
+    reset_noise_factor: bounds.ResetFactor | None = Field(
         None, description="n in the variance n kTC/q²: 1 in the paper, ½ soft reset, 2 hard with delta double sampling"
     )
-    prnu: NonNegative | None = Field(None, description="standard deviation of the gain over its mean")
-    dsnu: NonNegative | None = Field(None, description="standard deviation of the dark signal over its mean")
-    offset_fpn: NonNegative | None = Field(None, description="per pixel, fraction of the full well")
-    column_fpn: NonNegative | None = Field(None, description="per column, fraction of the full well")
+    prnu: bounds.GainSpread | None = Field(None, description="standard deviation of the gain over its mean")
+    dsnu: bounds.DarkSpread | None = Field(None, description="standard deviation of the dark signal over its mean")
+    offset_fpn: bounds.OffsetSpread | None = Field(None, description="per pixel, fraction of the full well")
+    column_fpn: bounds.OffsetSpread | None = Field(None, description="per column, fraction of the full well")
     bits: Annotated[int, Field(ge=1, le=24)] = Field(10, description="of the ADC")
-    black_level_dn: NonNegative = Field(0.0, description="added before the ADC; at least 6 σ of the dark for data sheets")
+    black_level_dn: Annotated[float, Field(ge=0, lt=2**24)] = Field(
+        0.0, description="added before the ADC; at least 6 σ of the dark for data sheets"
+    )
     temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(300.15, description="of dark current and reset noise")
 
     @model_validator(mode="after")
@@ -165,15 +175,15 @@ class Pixel(PixelOptions):
     """One pixel of a sensor; `pixsim.pixel.derive` fills in what is left at None."""
 
     technology: str = Field("0.35um", description="a packaged technology, or the path of a TOML file")
-    pitch_um: Positive = Field(6.5, description="centre to centre")
+    pitch_um: bounds.Pitch = Field(6.5, description="centre to centre")
 
 
 class Exposure(Record):
     """Manual where `integration_s` is given, else automatic: the brightest pixel's mean at `well_target` of the well."""
 
-    integration_s: Positive | None = Field(None, description="manual")
-    max_integration_s: Positive = Field(0.1, description="automatic: never longer")
-    well_target: Fraction = Field(0.95, description="automatic: the brightest pixel's mean, of the full well")
+    integration_s: bounds.Seconds | None = Field(None, description="manual")
+    max_integration_s: bounds.Seconds = Field(0.1, description="automatic: never longer")
+    well_target: bounds.Fraction = Field(0.95, description="automatic: the brightest pixel's mean, of the full well")
 
 
 class Display(Record):
@@ -183,15 +193,15 @@ class Display(Record):
         "fixed_size", description="the die fills `dots` display dots, or one pixel is one dot"
     )
     dots: Annotated[int, Field(ge=8, le=4096)] = Field(512, description="across the die, for fixed_size")
-    samples_per_deg: Annotated[float, Field(gt=0, le=1e5)] = Field(
+    samples_per_deg: Annotated[float, Field(ge=1e-3, le=1e5)] = Field(
         23.0, description="display dots per degree of visual angle; 72 dpi at 18 inch"
     )
     interpolation: Literal["linear", "nearest", "cubic"] = Field(
         "linear", description="between pixel centres, before averaging over dots"
     )
-    gamma: Positive = Field(2.2, description="light = counts^gamma")
+    gamma: Annotated[float, Field(ge=0.01, le=100)] = Field(2.2, description="light = counts^gamma")
     bits: Annotated[int, Field(ge=1, le=16)] = Field(8, description="of the digital counts")
-    white_cd_per_m2: Positive | None = Field(
+    white_cd_per_m2: bounds.Luminance | None = Field(
         None, description="scene luminance shown as display white; None: that of texel value 1 of an emissive chart"
     )
     filters: Literal["published", "zhang1996"] = Field("published", description="of S-CIELAB")
@@ -204,20 +214,24 @@ class Effort(Record):
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
         1e-3, description="relative error of the mean electrons that all that is left out may cost together"
     )
-    tolerance_delta_e: Positive | None = Field(
+    tolerance_delta_e: Annotated[float, Field(ge=1e-9, le=1e3)] | None = Field(
         None, description="error of mean ΔE; picks film, render noise, tolerance_e and sensors by a short, cached calibration"
     )
-    render_noise: Positive = Field(0.2, description="noise of the render, as a fraction of the sensor's temporal noise")
-    max_seconds: Positive = Field(120.0, description="of rendering; if they end it, a warning says so, and what noise was reached")
+    render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
+        0.2, description="noise of the render, as a fraction of the sensor's temporal noise"
+    )
+    max_seconds: bounds.Seconds = Field(
+        120.0, description="of rendering; if they end it, a warning says so, and what noise was reached"
+    )
 
 
 class PitchRange(Record):
     """Pitches at equal ratios, from the pitch with `min_fill_factor` to `max_um`; or the list `values_um`."""
 
-    min_fill_factor: Fraction = 0.05
-    max_um: Positive = 15.0
+    min_fill_factor: bounds.Fraction = 0.05
+    max_um: bounds.Pitch = 15.0
     count: Annotated[int, Field(ge=5, le=1000)] = 24
-    values_um: tuple[Positive, ...] | None = None
+    values_um: tuple[bounds.Pitch, ...] | None = None
 
 
 class StudyScene(Record):
@@ -234,11 +248,11 @@ class Study(Effort):
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = ("0.35um",)
     pitch: PitchRange = PitchRange()
     repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="individual sensors for each pitch")
-    target_ci_um: Positive | None = Field(
+    target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
         None, description="add sensors until the 95 % interval of every optimum is this narrow (half width)"
     )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(32, description="at most so many for target_ci_um")
-    iso_delta_e: Positive = Field(3.0, description="level of the iso-ΔE curves")
+    iso_delta_e: Annotated[float, Field(gt=0, le=1e6)] = Field(3.0, description="level of the iso-ΔE curves")
     paper: bool = Field(False, description="compare with the statements of Chen et al. (2000); needs the csf scene and 0.35um")
     scene: StudyScene = StudyScene()
     camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")

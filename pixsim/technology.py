@@ -8,23 +8,29 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from pixsim import bounds
 from pixsim.config import packaged, read_toml
 from pixsim.errors import PixsimError, refuse
-from pixsim.parameters import Fraction, NonNegative, Positive, Record
+from pixsim.parameters import Record
+
+Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
+Grading = Annotated[float, Field(ge=0, le=0.99)]  # ½ abrupt, ⅓ linear
+Capacitance = Annotated[float, Field(ge=0, le=1e9)]
+LEAST_FF = 1e-6  # an electron would swing it by 160 V
 
 
 class Junction(Record):
     """An n+/psub photodiode of a 3T pixel, with SPICE's names; capacitances are zero-bias."""
 
-    reset_voltage_v: Positive
-    voltage_swing_v: Positive
-    cj_ff_per_um2: NonNegative
-    pb_v: Positive
-    mj: Annotated[float, Field(ge=0, lt=1)]
-    cjsw_ff_per_um: NonNegative
-    pbsw_v: Positive
-    mjsw: Annotated[float, Field(ge=0, lt=1)]
-    node_capacitance_ff: NonNegative
+    reset_voltage_v: Volts
+    voltage_swing_v: Volts
+    cj_ff_per_um2: Capacitance
+    pb_v: Volts
+    mj: Grading
+    cjsw_ff_per_um: Capacitance
+    pbsw_v: Volts
+    mjsw: Grading
+    node_capacitance_ff: Capacitance
 
     @model_validator(mode="after")
     def _swing_below_reset(self) -> Self:
@@ -32,33 +38,55 @@ class Junction(Record):
             raise ValueError(f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}")
         return self
 
+    @model_validator(mode="after")
+    def _keeps_charge(self) -> Self:
+        if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < LEAST_FF:
+            raise ValueError(
+                f"no capacitance keeps a charge: one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff "
+                f"must be at least {LEAST_FF:g}"
+            )
+        return self
+
 
 class Technology(Record):
     """A CMOS process, as a pixel sees it. Lengths of the fill-factor law are in units of the feature size."""
 
     name: str
-    feature_size_um: Positive
+    feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3)]
     junction: Junction | None = Field(None, description="3T: the well is the junction's capacitance times the swing")
-    full_well_e_per_um2: Positive | None = Field(None, description="4T: the well of a pinned photodiode, per its area")
-    reset_noise_factor: NonNegative = Field(1.0, description="n in the variance n kTC/q²; 0 for charge transfer with true CDS")
+    full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
+        None, description="4T: the well of a pinned photodiode, per its area"
+    )
+    reset_noise_factor: bounds.ResetFactor = Field(
+        1.0, description="n in the variance n kTC/q²; 0 for charge transfer with true CDS"
+    )
     response_curve: Literal["hp_mosis", "silicon"] = "hp_mosis"
-    dark_current_na_per_cm2: NonNegative
-    dark_doubling_k: Positive
-    peak_quantum_efficiency: Fraction
-    prnu: NonNegative
-    dsnu: NonNegative
-    offset_fpn: NonNegative
-    column_fpn: NonNegative
-    read_noise_e: NonNegative
-    fill_factor_limit: Fraction
-    fill_factor_zero_pitch_features: Positive
-    fill_factor_inset_features: NonNegative = 0.0
+    dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)]
+    dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)]  # 4 to 12 in silicon
+    peak_quantum_efficiency: bounds.Fraction
+    prnu: bounds.GainSpread
+    dsnu: bounds.DarkSpread
+    offset_fpn: bounds.OffsetSpread
+    column_fpn: bounds.OffsetSpread
+    read_noise_e: bounds.NoiseElectrons
+    fill_factor_limit: bounds.Fraction
+    fill_factor_zero_pitch_features: Annotated[float, Field(gt=0, le=1e6)]
+    fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
 
     @model_validator(mode="after")
     def _one_kind_of_well(self) -> Self:
         if (self.junction is None) == (self.full_well_e_per_um2 is None):
             raise ValueError(f"a technology needs either full_well_e_per_um2 or all of {', '.join(Junction.model_fields)}")
+        return self
+
+    @model_validator(mode="after")
+    def _photodiode_inside_the_pixel(self) -> Self:
+        if self.fill_factor_inset_features > self.fill_factor_zero_pitch_features:
+            raise ValueError(
+                f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds fill_factor_zero_pitch_features = "
+                f"{self.fill_factor_zero_pitch_features:g}: larger pixels would have negative photodiodes"
+            )
         return self
 
 
