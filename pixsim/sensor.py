@@ -67,7 +67,9 @@ def draw_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Ge
     """
     p = physics
     gain = np.maximum(1 + p.prnu * rng.standard_normal(shape), 0.0) if p.prnu else None
-    dark_gain = rng.gamma(p.dsnu**-2, p.dsnu**2, shape) if p.dsnu and p.dark_current_e_per_s else None
+    # A spread below the rounding of 1 leaves a map of ones; 1/dsnu² would overflow.
+    uneven_dark = p.dsnu > np.finfo(float).eps and p.dark_current_e_per_s > 0
+    dark_gain = rng.gamma(p.dsnu**-2, p.dsnu**2, shape) if uneven_dark else None
     offset_e = p.offset_fpn_e * rng.standard_normal(shape) if p.offset_fpn_e else None
     column_offset_e = p.column_fpn_e * rng.standard_normal((1, shape[1])) if p.column_fpn_e else None
     return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
