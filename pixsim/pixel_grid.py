@@ -66,6 +66,12 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
     return count
 
 
+def refuse_too_many(shape: Iterable[int], pitch_um: float) -> None:
+    """PixsimError for more pixels than memory holds."""
+    if (pixels := math.prod(shape)) > MOST_PIXELS:
+        raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
+
+
 def running_integral(samples: Array, axis: int) -> BSpline:
     """Quintic spline through the running sum of a line of cell means, which is exact at cell borders."""
     n = samples.shape[axis]
@@ -102,9 +108,7 @@ def integrate_pixels(rate: Array, sample_pitch_um: float, pitch_um: float, photo
     Returns (rows, columns), rows = ⌊H · sample pitch / pitch⌋. Raises PixsimError where not one pixel fits.
     """
     result = rate
-    pixels = math.prod(pixel_count(n * sample_pitch_um, pitch_um) for n in rate.shape)
-    if pixels > MOST_PIXELS:
-        raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
+    refuse_too_many([pixel_count(n * sample_pitch_um, pitch_um) for n in rate.shape], pitch_um)
     for axis, n in enumerate(rate.shape):
         length_um = n * sample_pitch_um
         count = pixels_along(length_um, pitch_um)

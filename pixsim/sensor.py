@@ -23,6 +23,7 @@ from pixsim.pixel_grid import mean_signal_rate as mean_signal_rate
 from pixsim.pixel_grid import pixel_count as pixel_count
 from pixsim.pixel_grid import pixels_along as pixels_along
 from pixsim.pixel_grid import point_values as point_values
+from pixsim.pixel_grid import refuse_too_many as refuse_too_many
 from pixsim.pixel_grid import running_integral as running_integral
 from pixsim.saturation import kept_level_e
 from pixsim.spectral import Array, SpectralImage
@@ -80,10 +81,13 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 
 
     `aspect` is width over height: 1 for the square die of the packaged scenes, else that of the film.
 
-    Raises PixsimError for a pitch that is too small for the technology or larger than the die.
+    Raises PixsimError for a pitch that is too small for the technology, larger than the die, or makes too many pixels.
     """
+    if not 0 < aspect < math.inf:
+        raise refuse("aspect", aspect, "width over height, a finite number above 0")
     physics, die_um = derive(pixel), 1e3 * camera.die_mm
     shape = pixels_along(die_um / aspect, pixel.pitch_um), pixels_along(die_um, pixel.pitch_um)
+    refuse_too_many(shape, pixel.pitch_um)
     return draw_sensor(physics, shape, np.random.default_rng(seed))
 
 
