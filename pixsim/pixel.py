@@ -10,6 +10,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pixsim.bounds import SMALLEST_FRACTION
 from pixsim.errors import refuse
 from pixsim.junction import BOLTZMANN_J_PER_K as BOLTZMANN_J_PER_K
 from pixsim.junction import C_PER_FF_V as C_PER_FF_V
@@ -174,14 +175,15 @@ def derive(pixel: Pixel) -> PixelPhysics:
     def given(value: float | None, otherwise: float) -> float:
         return otherwise if value is None else value
 
-    if pixel.fill_factor is None and pixel.pitch_um <= smallest_pitch_um(technology):
+    fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
+    if fill_factor < SMALLEST_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
+        usual = min(0.05, technology.fill_factor_limit / 2)
         raise refuse(
             "pixel.pitch_um",
             f"{pixel.pitch_um:g}",
             f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel",
-            f"5 % fill factor is reached at {pitch_for_fill_factor_um(0.05, technology):.4g} µm.",
+            f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm.",
         )
-    fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
     area_um2 = fill_factor * pixel.pitch_um**2
     factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
     warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
