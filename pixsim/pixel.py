@@ -157,7 +157,11 @@ class PixelPhysics:
         return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
     def snr_db(self, signal_e: float, integration_s: float) -> float:
-        """Eq. (2) of Chen et al. (2000), for a signal charge."""
+        """Eq. (2) of Chen et al. (2000), for a signal charge; -inf without one. PixsimError for one that is negative."""
+        if signal_e <= 0:
+            if signal_e < 0:
+                raise refuse("signal_e", signal_e, "0 or more electrons")
+            return -math.inf
         dark_e = self.dark_current_e_per_s * integration_s
         return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
 
