@@ -6,6 +6,8 @@ known number, never a measured maximum.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter, minimum_filter

@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from pixsim import optics
 from pixsim.errors import refuse
+from pixsim.light import refuse_impossible_light
 from pixsim.parameters import Camera
 from pixsim.pixel import PixelPhysics
 from pixsim.spectral import Array, SpectralImage, photons_per_joule
@@ -120,5 +121,6 @@ def integrate_pixels(rate: Array, sample_pitch_um: float, pitch_um: float, photo
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
     """Mean photo-electrons a second of every pixel, (rows, columns), before any non-uniformity."""
+    refuse_impossible_light(irradiance)
     rate = diffracted_rate(irradiance, camera, physics, workers)
     return np.maximum(integrate_pixels(rate, irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um), 0.0)
