@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pixsim import optics
 from pixsim.errors import refuse
@@ -84,11 +85,35 @@ def running_integral(samples: Array, axis: int) -> BSpline:
 def integrate_axis(samples: Array, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int) -> Array:
     """Integral of a line of cell means between pairs of positions, along one axis, in (sample unit) · µm.
 
-    What lies between neighbouring edges is counted once and only once, so the sum is conserved.
+    What lies between neighbouring edges is counted once and only once, so the sum is conserved. Where light, which is not
+    negative, comes out negative, the spline rang at an edge of great contrast, and is limited.
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
-    low, high = np.split(running_integral(samples, axis)(edges), 2, axis)
+    running = running_integral(samples, axis)(edges)
+    low, high = np.split(running, 2, axis)
+    if samples.min() >= 0 and (high - low).min() < 0:
+        low, high = np.split(without_ringing(running, samples, edges, axis), 2, axis)
+        return np.maximum(high - low, 0.0) * sample_pitch_um
     return (high - low) * sample_pitch_um
+
+
+def without_ringing(running: Array, samples: Array, edges: Array, axis: int) -> Array:
+    """The running integral at `edges` (in samples), limited to what the light within each cell can be.
+
+    A cell's light lies within the range of itself and its neighbours, by half of that range on either side (so that the
+    crests of what the grid resolves stay as they are), and not below zero. Cell borders stay exact.
+    """
+    cell = np.minimum(edges.astype(int), samples.shape[axis] - 1)
+    part = (edges - cell).reshape([-1 if along == axis else 1 for along in range(samples.ndim)])
+    lowest, highest = (each(samples, 3, axis=axis, mode="nearest") for each in (minimum_filter1d, maximum_filter1d))
+    slack = (highest - lowest) / 2
+    before = np.cumsum(samples, axis) - samples
+    start, own, least, most = (
+        np.take(each, cell, axis) for each in (before, samples, np.maximum(lowest - slack, 0.0), highest + slack)
+    )
+    from_below = np.maximum(part * least, own - (1 - part) * most)
+    from_above = np.minimum(part * most, own - (1 - part) * least)
+    return start + np.clip(running - start, from_below, from_above)
 
 
 def point_values(samples: Array, sample_pitch_um: float, y_um: Array, x_um: Array) -> Array:
