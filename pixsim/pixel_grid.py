@@ -19,6 +19,7 @@ from pixsim.spectral import Array, SpectralImage, photons_per_joule
 
 M2_PER_UM2 = 1e-12
 MOST_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
+EDGE_CONTRAST = 100.0  # of neighbouring samples: a step rings by 1 % of its bright side a sample and more away from it
 SPLINE_DEGREE = 5  # of the running integral: 0.02 % contrast error at 60 lp/mm on a 2.65 µm grid; cubic 0.55 %
 
 
@@ -85,16 +86,23 @@ def running_integral(samples: Array, axis: int) -> BSpline:
 def integrate_axis(samples: Array, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int) -> Array:
     """Integral of a line of cell means between pairs of positions, along one axis, in (sample unit) · µm.
 
-    What lies between neighbouring edges is counted once and only once, so the sum is conserved. Where light, which is not
-    negative, comes out negative, the spline rang at an edge of great contrast, and is limited.
+    What lies between neighbouring edges is counted once and only once, so the sum is conserved. At an edge of great contrast
+    the spline would ring into the dark side, and below zero: there it is limited.
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     running = running_integral(samples, axis)(edges)
     low, high = np.split(running, 2, axis)
-    if samples.min() >= 0 and (high - low).min() < 0:
+    if samples.min() >= 0 and ((high - low).min() < 0 or has_steep_edge(samples, axis)):
         low, high = np.split(without_ringing(running, samples, edges, axis), 2, axis)
         return np.maximum(high - low, 0.0) * sample_pitch_um
     return (high - low) * sample_pitch_um
+
+
+def has_steep_edge(samples: Array, axis: int) -> bool:
+    """Whether neighbours along an axis differ by more than `EDGE_CONTRAST` : 1."""
+    line = np.moveaxis(samples, axis, 0)
+    first, second = line[:-1], line[1:]
+    return bool(np.any(first > EDGE_CONTRAST * second) or np.any(second > EDGE_CONTRAST * first))
 
 
 def without_ringing(running: Array, samples: Array, edges: Array, axis: int) -> Array:
