@@ -164,7 +164,7 @@ def _converters() -> Iterator[Case]:
     for each in bits:
         top = 2 ** int(each) - 1
         # 2^18 levels over whole codes in the middle of the range; their steps and the codes have no common divisor.
-        width = min(top, 1 << 16)
+        width = min(top, (1 << 16) - 1)
         level = (top - width) / 2 + width * ((np.arange(1 << 18) + 0.5) / (1 << 18))
         error = sensors.quantise(level, int(each)) - level
         means.append(error.mean())
