@@ -16,7 +16,7 @@ from pixsim import optics
 from pixsim.errors import refuse
 from pixsim.parameters import Camera, Display
 from pixsim.pixel import PixelPhysics
-from pixsim.sensor import M2_PER_UM2, Frame, electrons_per_joule, ideal_rate, pixels_along, point_values
+from pixsim.sensor import M2_PER_UM2, MOST_PIXELS, Frame, electrons_per_joule, ideal_rate, pixels_along, point_values
 from pixsim.spectral import Array, SpectralImage, d65
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
@@ -143,6 +143,9 @@ def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
     for length_um in size_um:
         edges = dot_edges_um(length_um, size_um[1], physics.pitch_um, display)
         centres.append((edges[:-1] + edges[1:]) / 2)
+    if (dots := math.prod(each.size for each in centres)) > MOST_PIXELS:
+        found = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {dots:.3g} dots"
+        raise refuse("display.dots", found, f"at most {MOST_PIXELS:.3g} dots in all")
     cells = ideal_rate(irradiance, physics)
     rate = point_values(cells, irradiance.pitch_um, *centres)
     # A spline rings at an edge: no point is darker or brighter than the cells around it, but where the picture is smooth.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import operator
 import warnings
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,8 +22,8 @@ CLIPPED_WARNING = 0.01
 
 
 def stream(*key: object) -> np.random.Generator:
-    """A random stream that depends on its key only, never on the order or the number of workers."""
-    digest = hashlib.blake2b(json.dumps(key).encode(), digest_size=16).digest()
+    """A random stream that depends on its key only, never on the order or the number of workers; NumPy's integers are integers."""
+    digest = hashlib.blake2b(json.dumps(key, default=operator.index).encode(), digest_size=16).digest()
     return np.random.default_rng(np.random.SeedSequence(int.from_bytes(digest, "little")))
 
 

@@ -83,6 +83,8 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 
 
     Raises PixsimError for a pitch that is too small for the technology, larger than the die, or makes too many pixels.
     """
+    if seed < 0:
+        raise refuse("seed", seed, "an integer of 0 and more")
     if not 0 < aspect < math.inf:
         raise refuse("aspect", aspect, "width over height, a finite number above 0")
     physics, die_um = derive(pixel), 1e3 * camera.die_mm

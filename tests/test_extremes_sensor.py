@@ -169,6 +169,22 @@ def test_more_pixels_than_memory_holds_are_refused_before_they_are_drawn():
         make_sensor(Pixel(pitch_um=1e-3, fill_factor=0.5), Camera(die_mm=1000))
 
 
+def test_more_dots_than_memory_holds_are_refused():
+    tall = image(np.ones((20_000, 1)), pitch_um=10.0)
+    with pytest.raises(
+        PixsimError, match=r"display\.dots: got 512 across a picture of 10 µm × 200000 µm: 5\.24e\+09 dots; allowed"
+    ):
+        pixsim.evaluate(tall, Camera(die_mm=0.01), Pixel())
+
+
+def test_seeds():
+    with pytest.raises(PixsimError, match="seed: got -1; allowed: an integer of 0 and more"):
+        make_sensor(Pixel(), CAMERA, seed=-1)
+    light = image(np.random.default_rng(0).uniform(0.1, 1.0, (8, 8)))
+    one, same = (pixsim.evaluate(light, CAMERA, Pixel(), seed=seed).frame.dn for seed in (7, np.int64(7)))
+    np.testing.assert_array_equal(one, same)
+
+
 @pytest.mark.parametrize("aspect", [0.0, -1.0, math.nan, math.inf])
 def test_an_aspect_that_is_none_is_refused(aspect):
     with pytest.raises(PixsimError, match=r"aspect: got .*; allowed: width over height"):
