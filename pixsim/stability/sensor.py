@@ -139,9 +139,9 @@ def _dark_current() -> Iterator[Case]:
     physics = physics_of(full_well_e=1000, bits=10, dark_current_e_per_s=1e6)
     yield compare("dark charge a thousand wells: every code", 1023.0, frame(physics, 0.0), 0.0, "the top code, exactly")
     lowered = replace(sensors.draw_sensor(physics, (4, 4), np.random.default_rng(0)), offset_e=np.full((4, 4), -400.0))
-    codes = sensors.expose(np.zeros((4, 4)), 1.0, lowered, np.random.default_rng(1))
+    moved = sensors.expose(np.zeros((4, 4)), 1.0, lowered, np.random.default_rng(1))
     yield compare(
-        "the same, offset by -0.4 wells: every code", 614.0, codes, 0.0, "0.6 · 1023, rounded: the well clips before the offset"
+        "the same, offset by -0.4 wells: every code", 614.0, moved, 0.0, "0.6 · 1023, rounded: the well clips before the offset"
     )
     exposed = sensors.integration_time_s(Exposure(max_integration_s=10.0), physics, 0.0)
     yield compare("automatic exposure in the dark: dark charge over the well", 0.95, exposed * 1e6 / 1000, ROUNDING, "well_target")
