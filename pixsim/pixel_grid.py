@@ -93,9 +93,15 @@ def integrate_axis(samples: Array, sample_pitch_um: float, low_um: Array, high_u
     running = running_integral(samples, axis)(edges)
     low, high = np.split(running, 2, axis)
     if samples.min() >= 0 and ((high - low).min() < 0 or has_steep_edge(samples, axis)):
-        low, high = np.split(without_ringing(running, samples, edges, axis), 2, axis)
-        return np.maximum(high - low, 0.0) * sample_pitch_um
+        low, high = np.split(rising(without_ringing(running, samples, edges, axis), edges, axis), 2, axis)
     return (high - low) * sample_pitch_um
+
+
+def rising(running: Array, edges: Array, axis: int) -> Array:
+    """The running integral of what is nowhere negative, never falling from one edge to the next; sums stay as they are."""
+    order = np.argsort(edges, kind="stable")
+    sorted_ = np.maximum.accumulate(np.take(running, order, axis), axis)
+    return np.take(sorted_, np.argsort(order, kind="stable"), axis)
 
 
 def has_steep_edge(samples: Array, axis: int) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pixsim import display as displays
+from pixsim.light import refuse_impossible_light
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab
@@ -132,7 +133,11 @@ class Projection:
 
 
 def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, full: bool = False) -> Projection:
-    """Everything up to the pixels. Only the one_to_one raster, whose dots are pixels, makes it depend on the pitch."""
+    """Everything up to the pixels. Only the one_to_one raster, whose dots are pixels, makes it depend on the pitch.
+
+    PixsimError for light that is negative or not finite.
+    """
+    refuse_impossible_light(irradiance)
     luminance = displays.ideal_luminance(irradiance, camera, physics, display)
     if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
         warnings.warn(

@@ -159,9 +159,9 @@ def viewing(found: Accuracy) -> Plate:
         log_axes(axes, "seconds, render and score, warm", AXES[metric])
         axes.legend(fontsize=8, frameon=False)
     caption = (
-        "Sensors and display. Seeds: the mean over so many individual sensors against that over others. Raster: the same picture at "
-        "the same angle on a display of so many dots, against the finest; a display is part of what is asked, so that this is no error "
-        "of the computation. Star: as shipped."
+        "Sensors and display. Seeds: the mean over so many individual sensors against that over others. Raster: the same picture "
+        "at the same angle on a display of so many dots, against the finest; a display is part of what is asked, so that this is "
+        "no error of the computation. Star: as shipped."
     )
     return Plate("viewing", caption, figure, table(found, names))
 
@@ -197,8 +197,8 @@ def budget(found: Accuracy) -> Plate:
         axes.grid(axis="x", alpha=0.25)
     figure.axes[0].invert_yaxis()
     caption = (
-        "What the error of one result is made of, with the shipped settings. Seeds: 95 % of individual sensors lie so near their mean. "
-        "Display raster: what a display of twice the dots would change."
+        "What the error of one result is made of, with the shipped settings. Seeds: 95 % of individual sensors lie so near their "
+        "mean. Display raster: what a display of twice the dots would change."
     )
     return Plate(
         "budget", caption, figure, {"source": names, **{key: [getattr(found.budget[n], key) for n in names] for key in columns}}

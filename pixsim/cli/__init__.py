@@ -12,15 +12,16 @@ import warnings
 from cyclopts.exceptions import CycloptsError
 from pydantic import ValidationError
 
-# ruff: isort: off  (errors name the commands in this order)
+# Errors name the commands in this order.
+# isort: off
 from pixsim.cli.base import app as app
-from pixsim.cli.charts import chart as chart
-from pixsim.cli.render import plan as plan
 from pixsim.cli.render import run as run
+from pixsim.cli.render import plan as plan
 from pixsim.cli.studies import study as study
 from pixsim.cli.worth import accuracy as accuracy
+from pixsim.cli.charts import chart as chart
 
-# ruff: isort: on
+# isort: on
 from pixsim.errors import PixsimError
 from pixsim.messages import explain
 
