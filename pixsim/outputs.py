@@ -118,7 +118,7 @@ def _prepare(
         settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
         chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
         scene, settings = settled.scene, settings.model_copy(update=chosen)
-    plan = make_plan(scene, camera, settings.pixel, tolerance_e=settings.tolerance_e, full=full)
+    plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e, full=full)
     for note in plan.warnings:
         warnings.warn(note, stacklevel=2)
     if plan.resolution:

@@ -15,9 +15,9 @@ SAME_TIME = 0.9  # wall times of the same work scatter by a tenth
 
 @dataclass(frozen=True)
 class Order:
-    """error ∝ setting^-order, by least squares in logarithms.
+    """error ∝ setting^-order, by weighted least squares in logarithms.
 
-    order_se : standard error of the order from the scatter about the line
+    order_se : standard error of the order, from the scatter about the line and from what the points' own errors allow
     points : that were fitted
     """
 
@@ -33,24 +33,33 @@ class Order:
         return f"{self.order:.2f} ± {self.order_se:.2f}"
 
 
-def fit_order(setting: Sequence[float], error: Sequence[float]) -> Order | None:
+def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence[float] | None = None) -> Order | None:
     """The order at which errors fall; None where fewer than three points lie above the ladder's floor.
 
     The floor is what other settings leave over: points within twice the least error are left out, but for the first of them.
+
+    Parameters
+    ----------
+    spread : standard errors of the logarithms of the errors, where those are estimates; None: the scatter alone tells
     """
-    pairs = sorted((s, e) for s, e in zip(setting, error, strict=True) if s > 0 and e > 0 and math.isfinite(e))
-    if not pairs:
+    own = [0.0] * len(setting) if spread is None else spread
+    points = sorted((s, e, d) for s, e, d in zip(setting, error, own, strict=True) if s > 0 and e > 0 and math.isfinite(e))
+    if not points:
         return None
-    least = min(e for _, e in pairs)
-    first = next(k for k, (_, e) in enumerate(pairs) if e <= FLOOR * least)
-    falling = pairs[: first + 1]
+    least = min(e for _, e, _ in points)
+    first = next(k for k, (_, e, _) in enumerate(points) if e <= FLOOR * least)
+    falling = points if any(own) else points[: first + 1]
     if len(falling) < FEWEST_POINTS:
         return None
-    x, y = np.log([s for s, _ in falling]), np.log([e for _, e in falling])
-    slope, start = np.polyfit(x, y, 1)
-    left = y - (slope * x + start)
-    spread = math.sqrt(float((left**2).sum()) / (len(falling) - 2)) / math.sqrt(float(((x - x.mean()) ** 2).sum()))
-    return Order(-float(slope), spread, math.exp(float(start)), len(falling))
+    x, y = np.log([s for s, _, _ in falling]), np.log([e for _, e, _ in falling])
+    sigma = np.array([d for _, _, d in falling])
+    weight = 1 / sigma**2 if sigma.all() else np.ones(x.size)
+    middle = np.average(x, weights=weight)
+    slope = float((weight * (x - middle) * y).sum() / (weight * (x - middle) ** 2).sum())
+    start = float(np.average(y, weights=weight)) - slope * float(middle)
+    reach = float((weight * (x - middle) ** 2).sum())
+    scatter = float((weight * (y - slope * x - start) ** 2).sum()) / (x.size - 2) / reach
+    return Order(-slope, math.sqrt(max(scatter, 1 / reach if sigma.all() else 0.0)), math.exp(start), x.size)
 
 
 def pareto(seconds: Sequence[float], error: Sequence[float]) -> list[int]:

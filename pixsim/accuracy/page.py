@@ -27,6 +27,8 @@ def write_accuracy(found: Accuracy, out: Path) -> Path:
         rungs = [vars(each) for each in found.rungs]
         write_table(folder / "ladders.csv", rungs)
         write_table(folder / "stability.csv", [case.as_dict() for case in found.cases])
+        if found.solvers:
+            write_table(folder / "solvers.csv", [each.as_dict() for each in found.solvers])
         write_json(folder / "summary.json", found.as_dict())
         metrics = [metric for metric in METRICS if found.rivals(metric)]
         orders = [(name, metric, found.order(name, metric)) for name in found.names for metric in METRICS]

@@ -17,11 +17,11 @@ from pixsim.scene import Scene
 from pixsim.spectral import SpectralImage
 
 BAND_NM = 10.0
-CENTRES_NM = np.arange(400.0, 701.0, BAND_NM)
+CENTRES_NM = np.arange(365.0, 826.0, BAND_NM)
 
 
 def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: int) -> Callable[[], Callable[[int], SpectralImage]]:
-    """31 bands of 10 nm in one specfilm, the scene's own lamps, `path`, a sampled lens: seed -> irradiance."""
+    """47 bands of 10 nm, all of 360-830 nm, in one specfilm, the scene's own lamps, `path`, a sampled lens: seed -> irradiance."""
 
     def loaded() -> Callable[[int], SpectralImage]:
         job = Renderer(scene, camera, plan, 0)

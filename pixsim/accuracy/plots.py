@@ -11,15 +11,18 @@ from pixsim.accuracy.fits import pareto
 from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.survey import METRICS, Accuracy
 from pixsim.figures import COLOURS, new_figure
+from pixsim.photodiode_checks import response_plate
 from pixsim.plates import Column, Plate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Okabe and Ito's other colours, for more than four kinds of points.
-MORE_COLOURS = (*COLOURS, "#56B4E9", "#E69F00", "#000000", "#999999")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<")
+MORE_COLOURS = (*COLOURS, "#56B4E9", "#E69F00", "#000000", "#777777")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 RENDERED = ("methods", "spp", "film", "sampler", "lens", "bands")
+LEGEND_COLUMNS = 6
+JOINED = ("spp", "film")  # ladders that a line makes easier to follow
 AXES = {
     "error_e": "error of mean electrons (RMS, relative)",
     "error_delta_e": "error of mean ΔE",
@@ -32,7 +35,8 @@ SETTINGS = {
 
 
 def plates_of(found: Accuracy) -> list[Plate]:
-    return [work_precision(found), convergence(found), viewing(found), stages(found), budget(found)]
+    response = [response_plate(found.setup.pixel)] if found.solvers else []
+    return [work_precision(found), convergence(found), viewing(found), stages(found), budget(found), *response]
 
 
 def shown_metrics(found: Accuracy) -> list[str]:
@@ -48,44 +52,37 @@ def finite(rungs: list[Rung], metric: str) -> list[Rung]:
     return [each for each in rungs if math.isfinite(getattr(each, metric)) and getattr(each, metric) > 0]
 
 
+def kinds(found: Accuracy) -> dict[str, list[Rung]]:
+    """What is drawn alike: each ladder of the render, and each of the methods."""
+    groups: dict[str, list[Rung]] = {}
+    for name in [each for each in RENDERED if each in found.names]:
+        for rung in found.ladder(name):
+            kind = rung.setting.rsplit(",", rung.setting.count(" spp"))[0] if name == "methods" else name
+            if not rung.shipped or name in JOINED:
+                groups.setdefault(kind, []).append(rung)
+    return groups
+
+
 def work_precision(found: Accuracy) -> Plate:
     """Error against wall time of every setting of the render, with the Pareto front and the shipped one."""
-    metrics = shown_metrics(found)
+    metrics, groups = shown_metrics(found), kinds(found)
     figure = new_figure(3.6 * len(metrics), 4.6)
-    names = [name for name in RENDERED if name in found.names]
     for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
         draw_front(axes, found, metric)
-        for name in names:
-            own = sorted(finite([each for each in found.ladder(name) if not each.shipped], metric), key=lambda each: each.seconds)
-            join = "" if name in ("methods", "sampler") else "-"
-            axes.plot(
-                [e.seconds for e in own], [getattr(e, metric) for e in own], ls=join, lw=0.7, ms=5, label=name, **style(name, names)
-            )
-            if name == "methods":
-                for each in own:
-                    axes.annotate(
-                        short(each.setting),
-                        (each.seconds, getattr(each, metric)),
-                        xytext=(4, 3),
-                        textcoords="offset points",
-                        fontsize=5.5,
-                    )
+        for name, rungs in groups.items():
+            own = finite(rungs, metric)
+            look = style(name, list(groups)) | {"ls": "-" if name in JOINED or "Mitsuba" in name else "", "lw": 0.7, "ms": 5}
+            axes.plot([each.seconds for each in own], [getattr(each, metric) for each in own], label=name, **look)
         if math.isfinite(value := getattr(found.shipped, metric)):
             axes.plot(found.shipped.seconds, value, "*", ms=15, mfc="white", mec="black", mew=1.3, label="as shipped", zorder=5)
         log_axes(axes, "seconds, render and score, warm", AXES[metric])
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS, fontsize=8, frameon=False)
     caption = (
         "Error against run time; down and left is better. One setting is moved at a time, everything else as shipped (star). "
         f"Grey: the Pareto front, settings that no other beats in both. Reference: {found.reference}."
     )
-    return Plate("work_precision", caption, figure, table(found, names))
-
-
-def short(setting: str) -> str:
-    return (
-        setting.replace("pixsim, ", "").replace("_spectral", "").replace("independent", "indep.").replace("multijitter", "multij.")
-    )
+    return Plate("work_precision", caption, figure, table(found, [name for name in RENDERED if name in found.names]))
 
 
 def draw_front(axes: Axes, found: Accuracy, metric: str) -> None:
@@ -97,9 +94,12 @@ def draw_front(axes: Axes, found: Accuracy, metric: str) -> None:
     )
 
 
-def log_axes(axes: Axes, x: str, y: str) -> None:
+def log_axes(axes: Axes, x: str, y: str, ticks: list[float] | None = None) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
+    if ticks:
+        axes.set_xticks(ticks, [f"{each:g}" for each in ticks])
+        axes.minorticks_off()
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(which="major", alpha=0.25)
@@ -124,7 +124,7 @@ def convergence(found: Accuracy) -> Plate:
             if order:
                 line = np.array(sorted(e.value for e in own))
                 axes.plot(line, [order.at(x) for x in line], color=colour, lw=0.8)
-        log_axes(axes, SETTINGS[name], "error")
+        log_axes(axes, SETTINGS[name], "error", sorted({each.value for each in found.ladder(name)}))
         axes.set_title(name, fontsize=9)
         axes.legend(fontsize=6, frameon=False)
     for axes in grid[len(names) :]:

@@ -42,7 +42,7 @@ def opened(source: str, run: Run, sensor: str | None, variant: str | None, laps:
     with laps("parse"):
         scene = load_scene(source, variant=variant, sensor=sensor, **run.scene)
         camera = scene.camera(run.camera)
-        plan = make_plan(scene, camera, run.pixel, tolerance_e=run.tolerance_e)
+        plan = make_plan(scene, camera, run.pixel, exposure=run.exposure, tolerance_e=run.tolerance_e)
     return scene, camera, plan
 
 

@@ -18,7 +18,9 @@ from pixsim.accuracy.probe import Setup, pitches_around_optimum_um, probe
 from pixsim.accuracy.reference import REFERENCE_WORK, Reference, analytic_reference, formula_of, rendered_reference
 from pixsim.accuracy.stages import Laps, first_picture, opened, score_in_stages
 from pixsim.accuracy.viewing import raster_rungs, seed_rungs
-from pixsim.parameters import Run
+from pixsim.parameters import Pixel, Run
+from pixsim.photodiode_checks import Solved, solvers
+from pixsim.pixel import derive
 from pixsim.scene import Scene
 from pixsim.sensor_plan import make_plan
 from pixsim.stability import Case
@@ -30,6 +32,8 @@ METRICS = {
 }
 USUAL_SENSORS = 8  # of a study: what their mean cannot see does not tell settings apart
 SCALAR = "scalar_spectral"
+# (what, photo-charge in full wells, seconds): from a picture's middle grey to a sensor in the sun for hours.
+DISCHARGES = (("half a well", 0.5, 0.03), ("ten wells", 10.0, 0.03), ("1e12 wells in hours", 1e12, 3.6e4))
 FINER = 2  # the analytic reference's film, of the scene's
 FEWEST_TIMES = 4.0  # the work of the shipped settings: less is no reference
 COARSEST = 64  # film width down to which a scene without a formula is looked at, where its reference would take too long
@@ -62,7 +66,7 @@ FULL = Depth(
     spp=64,
     films=(-3, -2, -1, 1),
     bands=(1, 2, 4, 8, 16, 96),
-    lens=(4, 16, 64),
+    lens=(1, 4, 16, 64),
     plain=(4, 16, 64),
     pool=16,
     seeds_move_the_optimum=True,
@@ -85,6 +89,31 @@ QUICK = Depth(
 
 
 @dataclass(frozen=True)
+class Discharge:
+    """One solver on one discharge of the pixel's photodiode."""
+
+    light: str
+    photocurrent_e_per_s: float
+    integration_s: float
+    solved: Solved
+
+    def as_dict(self) -> dict[str, Any]:
+        own = {name: value for name, value in vars(self).items() if name != "solved"}
+        return _plain(own | asdict(self.solved))
+
+
+def discharges(pixel: Pixel) -> Iterator[Discharge]:
+    """Three discharges, from one that any solver can do to one that only an implicit one can; none of a pinned photodiode."""
+    physics = derive(pixel)
+    if physics.diode is None:
+        return
+    for light, wells, time_s in DISCHARGES:
+        current = wells * physics.full_well_e / time_s
+        for solved in solvers(physics.diode, current, time_s):
+            yield Discharge(light, current, time_s, solved)
+
+
+@dataclass(frozen=True)
 class Accuracy:
     """What was measured. `notes` say what was made smaller to stay within the time."""
 
@@ -97,6 +126,7 @@ class Accuracy:
     calibration: Calibration
     budget: dict[str, Effect]
     cases: tuple[Case, ...] = field(repr=False)
+    solvers: tuple[Discharge, ...] = field(repr=False)
     header: dict[str, Any] = field(repr=False)
     setup: Setup = field(repr=False)
     notes: tuple[str, ...]
@@ -115,7 +145,8 @@ class Accuracy:
         if name in ("methods", "sampler"):
             return None
         found = [each for each in self.ladder(name) if "pinhole" not in each.setting and "planned" not in each.setting]
-        return fit_order([each.value for each in found], [getattr(each, metric) for each in found])
+        errors, spread = [getattr(each, metric) for each in found], [each.spread for each in found]
+        return fit_order([each.value for each in found], errors, spread if any(spread) else None)
 
     def rivals(self, metric: str) -> list[Rung]:
         """Measured settings of the render, the shipped one first, once: those of seeds and raster have references of their own."""
@@ -151,6 +182,7 @@ class Accuracy:
             "stage_seconds": self.stage_seconds,
             "error_budget": {name: _plain(asdict(each)) for name, each in self.budget.items()},
             "stability": [_plain(case.as_dict()) for case in self.cases],
+            "solvers": [each.as_dict() for each in self.solvers],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -189,6 +221,7 @@ def survey(
         calibration=calibration,
         budget=effects(calibration, calibration.width, calibration.noise, plan.bound_e, 1),
         cases=tuple(cases),
+        solvers=tuple(discharges(settings.pixel)),
         header=image.header,
         setup=subject.setup,
         notes=tuple(notes),
@@ -212,7 +245,7 @@ def referred(subject: Subject, depth: Depth, progress: Stage) -> tuple[Subject, 
         if width < subject.image.shape[1]:
             notes.append(f"looked at {width} samples wide instead of {subject.image.shape[1]}, to afford the reference")
             scene = scene.with_parameters(resolution=width)
-            plan = make_plan(scene, camera, setup.pixel, tolerance_e=plan.tolerance_e)
+            plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=plan.tolerance_e)
             laps = Laps()
             image = first_picture(scene, camera, plan, laps)
             subject = replace(subject, scene=scene, plan=plan, image=image, render_s=laps.seconds["render"])

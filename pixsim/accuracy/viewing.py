@@ -11,24 +11,29 @@ from pixsim.accuracy.probe import Probe, Setup, minimum_um, probe
 from pixsim.parameters import Display
 from pixsim.spectral import Array, SpectralImage
 
+SENSORS_PER_SWEEP = 4  # at one pitch: they cost so much less
 OTHER_SENSORS = 104729  # beside the user's seed: the reference's sensors are others
 
 
 def seed_rungs(image: SpectralImage, setup: Setup, seconds: float, pool: int) -> Iterator[Rung]:
-    """Means over 1, 2, 4 … sensors against that over `pool` others; RMS over all groups of so many.
+    """Means over 1, 2, 4 … sensors against that over as many others as there are; RMS over all groups of so many.
 
-    The reference's own error is that of `pool` sensors. seconds : of a render and a score.
+    Four times `pool` sensors are scored at the pixel's own pitch, `pool` at every pitch. seconds : of a render and a score
     """
-    own = probe(image, replace(setup, sensors=pool))
-    truth = probe(image, replace(setup, sensors=pool, seed=setup.seed + OTHER_SENSORS))
+    alone = replace(setup, pitches_um=(), sensors=SENSORS_PER_SWEEP * pool)
+    own, truth = (probe(image, replace(alone, seed=seed)) for seed in (setup.seed, setup.seed + OTHER_SENSORS))
+    swept = replace(setup, sensors=pool if setup.pitches_um else 1)
+    curves, true_curve = (probe(image, replace(swept, seed=seed)) for seed in (setup.seed, setup.seed + OTHER_SENSORS))
     count = 1
     while count <= pool // 2:
-        groups = [slice(start, start + count) for start in range(0, pool, count)]
-        delta_e = [float(own.delta_e[each].mean()) - truth.mean_delta_e for each in groups]
-        optimum = [_optimum(own, each) - truth.optimum_um for each in groups] if setup.pitches_um else [math.nan]
+        delta_e = own.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
+        groups = [slice(start, start + count) for start in range(0, swept.sensors, count)]
+        optimum = [_optimum(curves, each) - true_curve.optimum_um for each in groups]
         name = f"{count} sensor{'s' * (count > 1)}"
         time_s = seconds + (count - 1) * own.score_seconds
-        yield Rung("seeds", name, count, count == 1, time_s, math.nan, rms(delta_e), rms(optimum))
+        errors = math.nan, rms(delta_e.tolist()), rms(optimum)
+        # The RMS of G values is known to 1/√(2G).
+        yield Rung("seeds", name, count, count == 1, time_s, *errors, spread=math.sqrt(count / (2 * pool)))
         count *= 2
 
 

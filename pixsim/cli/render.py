@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -109,6 +109,7 @@ def plan(
     define: Define | None = None,
     camera: CameraTable = NO_CAMERA,
     pixel: PixelTable = NO_PIXEL,
+    exposure: ExposureTable = NO_EXPOSURE,
     tolerance_e: Tolerance = None,
     full: Full = False,
     sensor: SensorId = None,
@@ -127,9 +128,11 @@ def plan(
     from pixsim.scene import load_scene
     from pixsim.sensor_plan import make_plan
 
-    chosen = settings_of(config, {"camera": camera, "pixel": pixel}, define, {"tolerance_e": tolerance_e})
+    tables = {"camera": camera, "pixel": pixel, "exposure": exposure}
+    chosen = settings_of(config, tables, define, {"tolerance_e": tolerance_e})
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
-    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, tolerance_e=chosen.tolerance_e, full=full)
+    how: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
+    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **how)
     if json:
         show(made.as_dict(), True, "")
     else:
