@@ -83,14 +83,17 @@ def running_integral(samples: Array, axis: int) -> BSpline:
     return make_interp_spline(np.arange(n + 1, dtype=float), running, k=degree, axis=axis)
 
 
-def integrate_axis(samples: Array, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int) -> Array:
+def integrate_axis(
+    samples: Array, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int, spline: BSpline | None = None
+) -> Array:
     """Integral of a line of cell means between pairs of positions, along one axis, in (sample unit) · µm.
 
     What lies between neighbouring edges is counted once and only once, so the sum is conserved. At an edge of great contrast
-    the spline would ring into the dark side, and below zero: there it is limited.
+    the spline would ring into the dark side, and below zero: there it is limited. `spline`: `running_integral` of the
+    samples, where it is at hand.
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
-    running = running_integral(samples, axis)(edges)
+    running = (spline or running_integral(samples, axis))(edges)
     low, high = np.split(running, 2, axis)
     if samples.min() >= 0 and ((high - low).min() < 0 or has_steep_edge(samples, axis)):
         low, high = np.split(rising(without_ringing(running, samples, edges, axis), edges, axis), 2, axis)
@@ -137,13 +140,16 @@ def point_values(samples: Array, sample_pitch_um: float, y_um: Array, x_um: Arra
     return samples
 
 
-def integrate_pixels(rate: Array, sample_pitch_um: float, pitch_um: float, photodiode_side_um: float) -> Array:
+def integrate_pixels(
+    rate: Array, sample_pitch_um: float, pitch_um: float, photodiode_side_um: float, spline: BSpline | None = None
+) -> Array:
     """Integrate a picture over square, centred photodiodes of an array that is centred on it.
 
     Parameters
     ----------
     rate : (H, W) per µm², means over square cells of `sample_pitch_um`
     pitch_um, photodiode_side_um : of the pixels; the pitch need not divide the picture
+    spline : `running_integral(rate, 0)`, which pixels of all pitches share, where it is at hand
 
     Returns (rows, columns), rows = ⌊H · sample pitch / pitch⌋. Raises PixsimError where not one pixel fits.
     """
@@ -154,7 +160,7 @@ def integrate_pixels(rate: Array, sample_pitch_um: float, pitch_um: float, photo
         count = pixels_along(length_um, pitch_um)
         centre_um = length_um / 2 + (np.arange(count) - (count - 1) / 2) * pitch_um
         half = photodiode_side_um / 2
-        result = integrate_axis(result, sample_pitch_um, centre_um - half, centre_um + half, axis)
+        result = integrate_axis(result, sample_pitch_um, centre_um - half, centre_um + half, axis, spline if axis == 0 else None)
     return result
 
 

@@ -7,16 +7,18 @@ import json
 import operator
 import warnings
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from pixsim import display as displays
 from pixsim.light import refuse_impossible_light
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab
-from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, integrate_pixels
+from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, integrate_pixels, running_integral
 from pixsim.spectral import Array, SpectralImage
 
 CLIPPED_WARNING = 0.01
@@ -131,6 +133,11 @@ class Projection:
     ideal: Array = field(repr=False)
     ideal_lab: Array = field(repr=False)
 
+    @cached_property
+    def running_integral(self) -> BSpline:
+        """Down the picture: it takes longer than all that a pitch adds."""
+        return running_integral(self.rate_e_per_s_um2, 0)
+
 
 def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, full: bool = False) -> Projection:
     """Everything up to the pixels. Only the one_to_one raster, whose dots are pixels, makes it depend on the pitch.
@@ -156,9 +163,9 @@ def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, di
 
 def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure, display: Display, full: bool = False) -> Bench:
     """A pixel of any pitch under a projection for its response."""
-    side_um = physics.pitch_um, physics.photodiode_side_um
+    grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
     return Bench(
-        signal_e_per_s=np.maximum(integrate_pixels(light.rate_e_per_s_um2, light.sample_pitch_um, *side_um), 0.0),
+        signal_e_per_s=np.maximum(integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral), 0.0),
         physics=physics,
         exposure=exposure,
         display=display,

@@ -6,7 +6,7 @@ import math
 
 from pixsim.accuracy.budget import Effect
 from pixsim.accuracy.fits import pareto
-from pixsim.accuracy.survey import METRICS, Accuracy
+from pixsim.accuracy.result import METRICS, Accuracy
 
 SHORT = {"error_e": "electrons", "error_delta_e": "mean ΔE", "error_optimum_um": "optimum"}
 

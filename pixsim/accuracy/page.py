@@ -9,7 +9,7 @@ from typing import Any
 
 from pixsim.accuracy.lines import SHORT, accuracy_lines, errors_told, number, verdict
 from pixsim.accuracy.plots import plates_of
-from pixsim.accuracy.survey import METRICS, Accuracy
+from pixsim.accuracy.result import METRICS, Accuracy
 from pixsim.figures import save_svg
 from pixsim.files import output_folder, replacing
 from pixsim.report import data_uri, versions, write_json, write_page

@@ -9,7 +9,7 @@ import numpy as np
 
 from pixsim.accuracy.fits import pareto
 from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.survey import METRICS, Accuracy
+from pixsim.accuracy.result import METRICS, Accuracy
 from pixsim.figures import COLOURS, new_figure
 from pixsim.photodiode_checks import response_plate
 from pixsim.plates import Column, Plate
