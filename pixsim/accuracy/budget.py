@@ -30,7 +30,7 @@ from pixsim.scene import Scene
 from pixsim.spectral import SpectralImage
 from pixsim.technology import load_technology
 
-SENSORS, PITCHES = 6, 6  # of the calibration: the scatter of six is known to 30 %, and the tolerance takes 95 %
+SENSORS, PITCHES = 5, 5  # of the calibration: the scatter of five is known to 35 %, and the tolerance takes 95 %
 SCALED_BY = 1e-2
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 4.0  # that a coarse film is trusted with
 NORMAL_95 = 1.96

@@ -64,16 +64,16 @@ FULL = Depth(
     dots=(1 / 8, 1 / 4, 1 / 2, 2, 4),
 )
 QUICK = Depth(
-    seconds=42.0,
+    seconds=46.0,
     reference_s=12.0,
     runs=1,
     pitches=5,
-    spp=64,
+    spp=16,
     films=(-2, -1),
     bands=(2, 8),
-    lens=(4, 16),
+    lens=(4,),
     plain=(4,),
-    pool=8,
+    pool=4,
     seeds_move_the_optimum=False,
     dots=(1 / 4, 1 / 2, 2),
 )
