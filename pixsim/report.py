@@ -91,6 +91,7 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float]) -
         "plates": [(plate, data_uri("image/svg+xml", (figures / f"{plate.name}.svg").read_bytes()),
                     data_uri("text/csv", plate.csv.encode())) for plate in plates],
         "findings": rows,
+        "budget": result.budget,
         "header": result.irradiance.header,
         "settings": settings(result),
         "technologies": [load_technology(name) for name in result.study.technologies],

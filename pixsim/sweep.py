@@ -269,12 +269,9 @@ def settled_study(study: Study, variant: str | None) -> tuple[Study, Settled]:
 
 
 def study_budget(settled: Settled, result: StudyResult) -> dict[str, Any]:
-    """The error budget of the first curve at its optimum; its own sensors tell the share of the seeds."""
-    from pixsim.accuracy.budget import Effect
+    """The error budget of the first technology around its optimum."""
     from pixsim.convergence import RenderNoise
 
-    curve, header = result.curves[0], result.irradiance.header
-    near = int(np.argmin(np.abs(curve.pitch_um - curve.optimum.pitch_um)))
-    seeds = Effect(float(mean_and_ci95(curve.delta_e)[1][near]), curve.optimum.ci95_um)
+    header = result.irradiance.header
     bound_e = header["bound_e"] if header["bound_e"] is not None else result.study.tolerance_e
-    return settled.budget(RenderNoise(**header["render_noise"]), bound_e, result.study.repeats, seeds)
+    return settled.budget(RenderNoise(**header["render_noise"]), bound_e, result.study.repeats)

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student_t
 
 import pixsim
 from pixsim import cache
@@ -33,7 +34,7 @@ from pixsim.technology import load_technology
 SENSORS, PITCHES = 5, 5  # of the calibration: the scatter of five is known to 35 %, and the tolerance takes 95 %
 SCALED_BY = 1e-2
 LOWEST_ORDER, HIGHEST_ORDER = 1.0, 4.0  # that a coarse film is trusted with
-NORMAL_95 = 1.96
+SURE_95 = float(student_t.ppf(0.975, SENSORS - 1))  # of a scatter that so few sensors tell: 2.8
 MOST_DOTS = 4096
 MOST_WIDTH = 8192
 # Work in film samples, as `pixsim accuracy csf` measures it (45 ns each): per film cell, of the lens and the ideal image;
@@ -217,7 +218,7 @@ def effects(found: Calibration, width: int, noise: float, bound_e: float, sensor
         found.random.times(part).plus(found.bias.times(part**2)),
         found.per_e.times(bound_e),
         found.film(width),
-        found.sensor.times(NORMAL_95 / math.sqrt(sensors)),
+        found.sensor.times(SURE_95 / math.sqrt(sensors)),
         found.raster,
     )
     return dict(zip(SOURCES, values, strict=True))
@@ -259,7 +260,7 @@ def _option(found: Calibration, width: int, noise_de: float, spectral_de: float,
     noise = float(np.clip(found.noise * part, FINEST_NOISE, COARSEST_NOISE))
     wanted = spectral_de / found.per_e.delta_e if found.per_e.delta_e else math.inf
     tolerance_e = float(np.clip(wanted, TIGHTEST_TOLERANCE_E, LOOSEST_TOLERANCE_E))
-    sensors = max(1, math.ceil((NORMAL_95 * found.sensor.delta_e / seeds_de) ** 2))
+    sensors = max(1, math.ceil((SURE_95 * found.sensor.delta_e / seeds_de) ** 2))
     cells = found.cells * (width / found.width) ** 2
     render = max(found.work * (width / found.width) ** 2, found.work * (found.noise / noise) ** 2)
     left = total(effects(found, width, noise, tolerance_e, sensors)).delta_e

@@ -143,7 +143,7 @@ def viewing(found: Accuracy) -> Plate:
     metrics = [m for m in ("error_delta_e", "error_optimum_um") if any(finite(found.ladder(n), m) for n in names)] or [
         "error_delta_e"
     ]
-    figure = new_figure(4.2 * len(metrics), 3.6)
+    figure = new_figure(8.4, 3.6)
     for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
         for name in names:
             own = sorted(finite(found.ladder(name), metric), key=lambda each: each.seconds)

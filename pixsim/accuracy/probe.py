@@ -92,7 +92,10 @@ def minimum_um(pitch_um: Array, delta_e: Array) -> float:
         return math.nan
     grid, curve = fitted_curve(pitch_um, delta_e)
     best = int(np.argmin(curve))
-    return float(grid[best]) if 0 < best < grid.size - 1 else math.nan
+    if not 0 < best < grid.size - 1:
+        return math.nan
+    left, middle, right = curve[best - 1 : best + 2]  # between the grid's steps: small shifts are what is looked for
+    return float(grid[best] * (grid[best + 1] / grid[best]) ** ((left - right) / (2 * (left - 2 * middle + right))))
 
 
 def relative_rms(got: Array, reference: Array) -> float:

@@ -23,13 +23,10 @@ class Settled:
     calibration: Calibration
     choice: Choice
 
-    def budget(self, noise: RenderNoise, bound_e: float, sensors: int, seeds: Effect | None = None) -> dict[str, Any]:
-        """What stands in score.json and summary.json: the error of each source, as it came out.
-
-        seeds : measured by the result itself, in place of the calibration's
-        """
+    def budget(self, noise: RenderNoise, bound_e: float, sensors: int) -> dict[str, Any]:
+        """What stands in score.json and summary.json: the error of each source, with what came out."""
         width = self.choice.width
-        found = effects(self.calibration, width, noise.fraction, bound_e, sensors) | ({"seeds": seeds} if seeds else {})
+        found = effects(self.calibration, width, noise.fraction, bound_e, sensors)
         whole = total(found)
         rows = {name: _finite(each) for name, each in found.items()}
         return {
