@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
-
-from pixsim.files import replacing
 
 Kept = TypeVar("Kept")
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
@@ -31,15 +30,18 @@ def kept(
     path = folder() / kind / f"{key}.json"
     try:
         return read(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         found = make()
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         warnings.warn(f"cache entry '{path}' is damaged ({error}) and is made again", stacklevel=2)
         found = make()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as partial:
+        # In a folder of its own, so that two processes with the same key do not write to one file.
+        with tempfile.TemporaryDirectory(prefix=".", dir=path.parent) as own:
+            partial = Path(own) / path.name
             partial.write_text(json.dumps(write(found), sort_keys=True), encoding="utf-8")
+            partial.replace(path)
     except OSError as error:
         warnings.warn(f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}", stacklevel=2)
     return found

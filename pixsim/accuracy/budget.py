@@ -2,28 +2,37 @@
 
 A short calibration renders a scene twice at its own settings and moves each source of error by a known amount:
 
-* render noise: two halves and their mean. Noise raises ΔE by what is quadratic in it, so that half of the difference between
-  the halves' ΔE and the mean's is the mean's own bias; what the halves differ among each other is random.
+* render noise: two halves and their mean. Noise raises ΔE by what is quadratic in it, so that what the halves' ΔE has more
+  than the mean's is the mean's own bias; what the halves differ among each other is random.
 * spectral quadrature: the plan bounds the error of mean electrons; all electrons scaled by 1 % tell what an error of them does.
-* oversampling: film cells averaged 2 × 2 and 4 × 4 are the cells of coarser films; the differences give the order.
+* oversampling: film cells averaged 2 × 2 and 4 × 4 are the cells of coarser films; the differences give the order. What is
+  finer than the film is not in them: the error that they tell is taken times a factor of safety, the larger the less the
+  order is to be believed (Roache, J. Fluids Eng. 116 (1994) 405).
 * seeds: sensors scatter.
 * display raster: a display of twice the dots at the same angle.
+
+A difference of ΔE is the RMS over the set-up's pixel and the pitches around the optimum: one of them alone may change its
+sign just there and look small.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.stats import t as student_t
 
 import pixsim
 from pixsim import cache
-from pixsim.accuracy.probe import Probe, Setup, pitches_around_optimum_um, probe
+from pixsim.accuracy.probe import Probe, Setup, pitches_around_optimum_um, probe, unheard
 from pixsim.accuracy.viewing import finer, spread
 from pixsim.convergence import noise_of
+from pixsim.errors import refuse
+from pixsim.outputs import measured_white
 from pixsim.parameters import Camera, content_hash
 from pixsim.plan import Plan
 from pixsim.renderer import Renderer
@@ -33,15 +42,12 @@ from pixsim.technology import load_technology
 
 SENSORS, PITCHES = 5, 5  # of the calibration: the scatter of five is known to 35 %, and the tolerance takes 95 %
 SCALED_BY = 1e-2
-LOWEST_ORDER, HIGHEST_ORDER = 1.0, 4.0  # that a coarse film is trusted with
-SURE_95 = float(student_t.ppf(0.975, SENSORS - 1))  # of a scatter that so few sensors tell: 2.8
+LOWEST_ORDER, HIGHEST_ORDER = 1.0, 2.0  # of cell means as a picture: at edges, and where it is smooth
+SAFE, UNSURE = 1.25, 3.0  # factors of safety, where the order is within these bounds and where it is not
+NORMAL_95 = 1.96
+STUDENT_95 = float(student_t.ppf(0.975, SENSORS - 1))  # of a scatter that so few sensors tell: 2.8
 MOST_DOTS = 4096
-MOST_WIDTH = 8192
-# Work in film samples, as `pixsim accuracy csf` measures it (45 ns each): per film cell, of the lens and the ideal image;
-# per dot, of one sensor's frame and its ΔE.
-CELL_WORK, DOT_WORK = 6.0, 8.0
-COARSEST_NOISE, FINEST_NOISE = 1.0, 1e-3  # of the sensor's
-LOOSEST_TOLERANCE_E, TIGHTEST_TOLERANCE_E = 2e-2, 1e-5
+FEWEST_CELLS = 4
 SOURCES = ("render noise", "spectral quadrature", "oversampling", "seeds", "display raster")
 
 
@@ -64,11 +70,11 @@ class Calibration:
     """How mean ΔE and the optimum answer to each setting of one scene, camera, pixel and viewer.
 
     width : of the film, in samples; noise : of the mean of two renders, as a fraction of the sensor's
-    random, bias : of render noise of that size; they go with the noise and with its square
+    random, bias : of render noise of that size, standard deviation and mean; they go with the noise and with its square
     per_e : of a relative error of the mean electrons, for each unit
     films : error of films of a quarter and a half of that width, and of its own, which goes on with width^-order
     sensor : standard deviation between sensors; raster : between the display and one of twice the dots
-    work : samples of the two renders
+    work : samples of the two renders; planes : pictures that an image of the scene holds, of its bands or pulses
     """
 
     width: int
@@ -82,15 +88,15 @@ class Calibration:
     sensor: Effect
     raster: Effect
     work: float
+    planes: int
     dots: int
     mean_delta_e: float
     optimum_um: float
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Calibration:
-        """TypeError for what is no calibration."""
-        fields: dict[str, Any] = {key: Effect(**value) if isinstance(value, dict) else value for key, value in values.items()}
-        return cls(**fields | {"films": tuple(Effect(**each) for each in values["films"])})
+        """ValueError for what is no calibration."""
+        return TypeAdapter(cls).validate_python(values)
 
     def film(self, width: int) -> Effect:
         """Error of a film: measured where it is coarser by 2 or 4, else by the order."""
@@ -100,22 +106,10 @@ class Calibration:
         return self.films[-1].times((self.width / width) ** self.order)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Settings, and the error that they are expected to leave."""
-
-    width: int
-    render_noise: float
-    tolerance_e: float
-    sensors: int
-    expected_delta_e: float
-    met: bool
-
-
 def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibration:
     """Measure the calibration, or take it from the cache."""
     key = content_hash(
-        [scene.content_hash, scene.parameters, scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
+        [scene.content_hash, scene.parameters, scene.sensor_id, scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
          load_technology(setup.pixel.technology).model_dump(exclude={"sources"}), setup.exposure.model_dump(),
          setup.display.model_dump(), setup.seed, setup.at_optimum, plan.spp, plan.tolerance_e, plan.lens,
          plan.passes, pixsim.__version__]
@@ -126,13 +120,16 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
 def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibration:
     job = Renderer(scene, camera, plan, setup.seed)
     (first, spp), (second, _) = job.run(0), job.run(1)
-    noise = noise_of(job, [[each.astype(float) for each in half] for half in (first, second)], 1.0, [setup.pixel], setup.exposure)[
-        0
-    ]
-    image = job.image([(a.astype(float) + b) / 2 for a, b in zip(first, second, strict=True)], 2 * spp)
+    both = [[each.astype(float) for each in half] for half in (first, second)]
+    noise = noise_of(job, both, 1.0, [setup.pixel], setup.exposure)[0]
+    image = job.image([(one + other) / 2 for one, other in zip(*both, strict=True)], 2 * spp)
+    parts = [job.image(half, spp) for half in (first, second)]
+    white = white_of(image, camera, setup)
+    for each in (image, *parts):
+        each.header |= white
     setup = setup.around(pitches_around_optimum_um(image, setup, PITCHES))
-    own, halves = probe(image, setup), [probe(job.image(each, spp), setup) for each in (first, second)]
-    coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if min(image.shape) >= 4 * factor]
+    own, halves = probe(image, setup), [probe(each, setup) for each in parts]
+    coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
     films, order = film_errors(own, coarse)
     scaled = difference_of(probe(brighter(image, 1 + SCALED_BY), setup), own)
     sensors = probe(image, replace(setup, sensors=SENSORS))
@@ -148,14 +145,25 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
         sensor=Effect(spread(sensors.delta_e), spread(np.array([sensors.optimum_of(k) for k in range(SENSORS)]))),
         raster=raster_effect(image, setup, own),
         work=2.0 * spp * plan.passes * job.size[0] * job.size[1],
+        planes=len(image.factors[0]) if image.factors else image.wavelength_nm.size,
         dots=setup.display.dots,
         mean_delta_e=own.mean_delta_e,
         optimum_um=own.optimum_um,
     )
 
 
+def white_of(image: SpectralImage, camera: Camera, setup: Setup) -> dict[str, Any]:
+    """Header entries with the white of a scene that tells none, as `pixsim run` takes it."""
+    if setup.display.white_cd_per_m2 or "luminance_cd_per_m2" in image.header:
+        return {}
+    with unheard():  # the run itself says so
+        return measured_white(image, camera)
+
+
 def difference_of(one: Probe, other: Probe) -> Effect:
-    return Effect(abs(one.mean_delta_e - other.mean_delta_e), abs(one.optimum_um - other.optimum_um))
+    sweep = (one.sweep_delta_e - other.sweep_delta_e).mean(axis=1)
+    gaps = np.append(sweep, one.mean_delta_e - other.mean_delta_e)
+    return Effect(math.sqrt(float(np.mean(gaps**2))), abs(one.optimum_um - other.optimum_um))
 
 
 def _between(one: Probe, other: Probe) -> Probe:
@@ -164,16 +172,17 @@ def _between(one: Probe, other: Probe) -> Probe:
 
 
 def film_errors(own: Probe, coarse: list[Probe]) -> tuple[tuple[Effect, ...], float]:
-    """Errors of the coarser films and of the film itself, and their order (Richardson)."""
+    """Errors of the coarser films and of the film itself, and their order (Richardson), with a factor of safety."""
     if not coarse:
         return (Effect(math.nan, math.nan),), LOWEST_ORDER
     near = difference_of(coarse[0], own)
-    order = LOWEST_ORDER
-    if len(coarse) > 1:
+    order, safety = LOWEST_ORDER, UNSURE
+    if len(coarse) > 1 and near.delta_e > 0:
         far = difference_of(coarse[1], coarse[0])
-        order = math.log2(far.delta_e / near.delta_e) if near.delta_e and far.delta_e else HIGHEST_ORDER
-        order = min(max(order, LOWEST_ORDER), HIGHEST_ORDER)
-    last = near.times(1 / (2**order - 1))
+        seen = math.log2(far.delta_e / near.delta_e) if far.delta_e > 0 else -math.inf
+        order = min(max(seen, LOWEST_ORDER), HIGHEST_ORDER)
+        safety = SAFE if order == seen else UNSURE
+    last = near.times(safety / (2**order - 1))
     return (*(difference_of(each, own).plus(last) for each in reversed(coarse)), last), order
 
 
@@ -183,42 +192,47 @@ def raster_effect(image: SpectralImage, setup: Setup, own: Probe) -> Effect:
     return difference_of(probe(image, replace(setup, display=finer(setup.display, 2 * setup.display.dots))), own)
 
 
+def merges(shape: tuple[int, int], factor: int) -> bool:
+    """Whether cells of factor × factor fill a film, with some left to make a picture."""
+    return min(shape) >= FEWEST_CELLS * factor and not any(n % factor for n in shape)
+
+
 def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     """The same light in cells of `factor` × `factor` of the image's: the picture that a coarser film would hold."""
+    if not merges(image.shape, factor):
+        raise refuse("film", f"{image.shape} samples in cells of {factor} × {factor}", "a film that they fill")
 
-    def merged(planes: Any) -> Any:  # (..., H, W)
-        height, width = (n // factor for n in planes.shape[-2:])
-        cut = planes[..., : height * factor, : width * factor].astype(float)
-        return cut.reshape(*planes.shape[:-2], height, factor, width, factor).mean(axis=(-3, -1)).astype(np.float32)
+    def merged(plane: Any) -> Any:  # (H, W)
+        height, width = plane.shape
+        return plane.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3), dtype=float)
 
-    if image.factors:
-        content: dict[str, Any] = {"factors": (image.factors[0], merged(image.factors[1]))}
-    else:
-        content = {"data": np.moveaxis(merged(np.moveaxis(image.data, 2, 0)), 0, 2)}
-    return SpectralImage(
-        image.wavelength_nm, image.band_width_nm, image.pitch_um * factor, within=image.within, header=image.header, **content
-    )
+    return _mapped(image, merged, image.pitch_um * factor)
 
 
 def brighter(image: SpectralImage, factor: float) -> SpectralImage:
     """All light times a factor; the scene's white stays."""
+    return _mapped(image, lambda plane: plane * np.float32(factor), image.pitch_um)
+
+
+def _mapped(image: SpectralImage, change: Callable[[Any], Any], pitch_um: float) -> SpectralImage:
+    """Each plane changed, one at a time: in float64 all of them would fill the memory."""
     if image.factors:
-        content: dict[str, Any] = {"factors": (image.factors[0], (image.factors[1].astype(float) * factor).astype(np.float32))}
+        pictures = np.stack([np.asarray(change(each), np.float32) for each in image.factors[1]])
+        content: dict[str, Any] = {"factors": (image.factors[0], pictures)}
     else:
-        content = {"data": (image.data.astype(float) * factor).astype(np.float32)}
-    return SpectralImage(
-        image.wavelength_nm, image.band_width_nm, image.pitch_um, within=image.within, header=image.header, **content
-    )
+        planes = (image.data[:, :, band] for band in range(image.wavelength_nm.size))
+        content = {"data": np.stack([np.asarray(change(each), np.float32) for each in planes], axis=2)}
+    return SpectralImage(image.wavelength_nm, image.band_width_nm, pitch_um, within=image.within, header=image.header, **content)
 
 
 def effects(found: Calibration, width: int, noise: float, bound_e: float, sensors: int) -> dict[str, Effect]:
-    """Error of each source with these settings: a result's error budget."""
+    """Error of each source with these settings: a result's error budget. What is random is told at 95 %."""
     part = noise / found.noise if found.noise else 0.0
     values = (
-        found.random.times(part).plus(found.bias.times(part**2)),
+        found.random.times(NORMAL_95 * part).plus(found.bias.times(part**2)),
         found.per_e.times(bound_e),
         found.film(width),
-        found.sensor.times(SURE_95 / math.sqrt(sensors)),
+        found.sensor.times(STUDENT_95 / math.sqrt(sensors)),
         found.raster,
     )
     return dict(zip(SOURCES, values, strict=True))
@@ -230,39 +244,3 @@ def total(budget: dict[str, Effect]) -> Effect:
     for name, each in budget.items():
         whole = whole if name == "display raster" else whole.plus(each)
     return whole
-
-
-def choose(found: Calibration, tolerance_delta_e: float, *, film_is_free: bool) -> Choice:
-    """The settings of least work whose errors add up to no more than the tolerance; work is counted, not timed, so that the
-    choice comes out the same every time. Where none does, the finest."""
-    coarsest = 1 - len(found.films)
-    widths = [int(found.width * 2.0**k) for k in range(coarsest, 4)] if film_is_free else [found.width]
-    options = []
-    for width in [each for each in widths if each <= max(MOST_WIDTH, found.width)]:
-        left = tolerance_delta_e - found.film(width).delta_e
-        if left > 0:
-            for sensors_part in (0.2, 0.35, 0.5, 0.65, 0.8):
-                for noise_part in (0.25, 0.5, 0.75):
-                    rest = left * (1 - sensors_part)
-                    options.append(_option(found, width, rest * noise_part, rest * (1 - noise_part), left * sensors_part))
-    if options:
-        return min(options, key=lambda each: each[0])[1]
-    finest = max(widths)
-    kept = effects(found, finest, FINEST_NOISE, TIGHTEST_TOLERANCE_E, 1)
-    return Choice(finest, FINEST_NOISE, TIGHTEST_TOLERANCE_E, 1, total(kept).delta_e, False)
-
-
-def _option(found: Calibration, width: int, noise_de: float, spectral_de: float, seeds_de: float) -> tuple[float, Choice]:
-    """(work, settings) with so much of ΔE for each source."""
-    random, bias = found.random.delta_e, found.bias.delta_e
-    root = math.sqrt(random**2 + 4 * bias * noise_de)
-    part = 2 * noise_de / (random + root) if random + root else math.inf
-    noise = float(np.clip(found.noise * part, FINEST_NOISE, COARSEST_NOISE))
-    wanted = spectral_de / found.per_e.delta_e if found.per_e.delta_e else math.inf
-    tolerance_e = float(np.clip(wanted, TIGHTEST_TOLERANCE_E, LOOSEST_TOLERANCE_E))
-    sensors = max(1, math.ceil((SURE_95 * found.sensor.delta_e / seeds_de) ** 2))
-    cells = found.cells * (width / found.width) ** 2
-    render = max(found.work * (width / found.width) ** 2, found.work * (found.noise / noise) ** 2)
-    left = total(effects(found, width, noise, tolerance_e, sensors)).delta_e
-    choice = Choice(width, float(f"{noise:.3g}"), float(f"{tolerance_e:.3g}"), sensors, left, True)
-    return render + CELL_WORK * cells + DOT_WORK * sensors * found.dots**2, choice

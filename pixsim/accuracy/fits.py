@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 FEWEST_POINTS = 3
-FLOOR = 2.0  # points within so many times the least error of a ladder may have met another source of error: left out
+FLAT = 2 / 3  # of the slope so far: where errors fall more slowly than that, another source of error is met
 SAME_TIME = 0.9  # wall times of the same work scatter by a tenth
 
 
@@ -36,19 +36,17 @@ class Order:
 def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence[float] | None = None) -> Order | None:
     """The order at which errors fall; None where fewer than three points lie above the ladder's floor.
 
-    The floor is what other settings leave over: points within twice the least error are left out, but for the first of them.
+    The floor is what other settings leave over: the points from which on errors fall at less than two thirds of their slope
+    so far, or rise, are left out. (A threshold on the error itself would take a slow order, ½ for random numbers, for a floor.)
 
     Parameters
     ----------
-    spread : standard errors of the logarithms of the errors, where those are estimates; None: the scatter alone tells
+    spread : standard errors of the logarithms of the errors, where those are estimates; then all points count, by their
+        weight. None: the scatter alone tells
     """
     own = [0.0] * len(setting) if spread is None else spread
-    points = sorted((s, e, d) for s, e, d in zip(setting, error, own, strict=True) if s > 0 and e > 0 and math.isfinite(e))
-    if not points:
-        return None
-    least = min(e for _, e, _ in points)
-    first = next(k for k, (_, e, _) in enumerate(points) if e <= FLOOR * least)
-    falling = points if any(own) else points[: first + 1]
+    points = sorted((s, e, d) for s, e, d in zip(setting, error, own, strict=True) if s > 0 and e > 0 and math.isfinite(s * e))
+    falling = points if any(own) else points[: len(above_floor([(s, e) for s, e, _ in points]))]
     if len(falling) < FEWEST_POINTS:
         return None
     x, y = np.log([s for s, _, _ in falling]), np.log([e for _, e, _ in falling])
@@ -60,6 +58,22 @@ def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence
     reach = float((weight * (x - middle) ** 2).sum())
     scatter = float((weight * (y - slope * x - start) ** 2).sum()) / (x.size - 2) / reach
     return Order(-slope, math.sqrt(max(scatter, 1 / reach if sigma.all() else 0.0)), math.exp(start), x.size)
+
+
+def above_floor(pairs: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
+    """The first of (setting, error), by setting, as long as the errors keep falling."""
+    if len({setting for setting, _ in pairs}) < len(pairs):
+        return ()
+    for k in range(1, len(pairs)):
+        slope = slope_of(pairs[k - 1], pairs[k])
+        if slope <= 0 or (k > 1 and slope < FLAT * slope_of(pairs[0], pairs[k - 1])):
+            return pairs[:k]
+    return pairs
+
+
+def slope_of(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """Local order between two (setting, error)."""
+    return math.log(one[1] / other[1]) / math.log(other[0] / one[0])
 
 
 def pareto(seconds: Sequence[float], error: Sequence[float]) -> list[int]:

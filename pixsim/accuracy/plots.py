@@ -197,8 +197,8 @@ def budget(found: Accuracy) -> Plate:
         axes.grid(axis="x", alpha=0.25)
     figure.axes[0].invert_yaxis()
     caption = (
-        "What the error of one result is made of, with the shipped settings. Seeds: 95 % of individual sensors lie so near their "
-        "mean. Display raster: what a display of twice the dots would change."
+        "What the error of one result is made of, with the shipped settings. Render noise and seeds: 95 % of renders and of "
+        "individual sensors lie so near their mean. Display raster: what a display of twice the dots would change."
     )
     return Plate(
         "budget", caption, figure, {"source": names, **{key: [getattr(found.budget[n], key) for n in names] for key in columns}}

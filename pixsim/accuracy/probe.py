@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ndtr
 
 from pixsim.optimum import DEGREE, fitted_curve
 from pixsim.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run
@@ -22,6 +23,8 @@ from pixsim.technology import load_technology, with_fill_factor_law
 
 SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
+FEW_E, MOST_FEW = 16.0, 80  # a mean of 16 has no count of 80 in 1e27
+LEVEL = 1e-9  # relative; a minimum of less is one of rounding
 FEWEST_PIXELS = 16  # across the die, of the largest pitch that is tried
 
 
@@ -87,8 +90,8 @@ class Probe:
 
 
 def minimum_um(pitch_um: Array, delta_e: Array) -> float:
-    """Minimum of a cubic in log pitch through the points; NaN where it is at an end."""
-    if pitch_um.size < DEGREE + 2:
+    """Minimum of a cubic in log pitch through the points; NaN where it is at an end, and where all points are one level."""
+    if pitch_um.size < DEGREE + 2 or not np.ptp(delta_e) > LEVEL * np.abs(delta_e).max():
         return math.nan
     grid, curve = fitted_curve(pitch_um, delta_e)
     best = int(np.argmin(curve))
@@ -124,13 +127,34 @@ class PairedNoise(np.random.Generator):
 
     NumPy's Poisson takes another number of random values where a mean changes by a hair, and all that is drawn after it
     differs: mean ΔE then jumps by 3e-4 (csf, 6.5 µm). Here each count takes one normal value, so that pictures that differ
-    by 1e-5 give ΔEs that do; its mean, variance and skewness are Poisson's (Cornish and Fisher, Rev. ISI 5 (1937) 307).
+    by 1e-5 give ΔEs that do; its mean, variance and skewness are Poisson's. Small means invert the distribution itself;
+    others take Cornish and Fisher's expansion of its quantiles (Rev. ISI 5 (1937) 307), 1/12 being what rounding adds to
+    the variance.
     """
 
     def poisson(self, lam: ArrayLike = 1.0, size: Any = None) -> Any:
         mean = np.broadcast_to(np.asarray(lam, float), np.shape(lam) if size is None else size)
         z = self.standard_normal(mean.shape)
-        return np.maximum(np.rint(mean + np.sqrt(mean) * z + (z**2 - 1) / 6), 0.0).astype(np.int64)
+        root = np.sqrt(np.maximum(mean, FEW_E))
+        count = np.asarray(mean + np.sqrt(root**2 - 1 / 12) * z + (z**2 - 1) / 6 + (z - z**3) / (72 * root))
+        few = mean < FEW_E
+        count[few] = few_counts(mean[few], z[few])
+        return np.maximum(np.rint(count), 0.0).astype(np.int64)
+
+
+def few_counts(mean: Array, z: Array) -> Array:
+    """Poisson counts at normal quantiles: as many as the terms of the distribution that lie below."""
+    below = ndtr(z)
+    term = np.exp(-mean)
+    total, count = term.copy(), np.zeros(mean.shape)
+    for number in range(1, MOST_FEW + 1):
+        above = below > total
+        if not above.any():
+            break
+        count += above
+        term *= mean / number
+        total += term
+    return count
 
 
 def score(bench: Bench, setup: Setup, pitch_um: float, sensor: int) -> float:

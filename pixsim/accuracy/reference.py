@@ -15,11 +15,11 @@ from pixsim.charts import SLANT_DEG, csf_value
 from pixsim.parameters import Camera
 from pixsim.plan import Plan, make_render_plan
 from pixsim.renderer import Renderer
-from pixsim.scene import Scene
+from pixsim.scene import Scene, packaged_scenes
 from pixsim.spectral import Array, SpectralImage
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)  # cells are far smaller than a cycle: exact to 1e-12
-EDGE_ROWS = 64  # lines across a cell on which the edge's cover is exact; their mean errs by 1e-5 of the step
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
+FEWEST_PARTS = 4096  # across a chart, for those nodes: far smaller than a cycle, exact to 1e-12
 REFERENCE_WORK = 64  # times the samples of a default render
 REFERENCE_BANDS = 470  # of 1 nm
 REFERENCE_SEED = 7919  # beside the user's seed
@@ -35,9 +35,11 @@ class Reference:
 
 
 def cell_means(value: Callable[[Array], Array], count: int) -> Array:
-    """Means of a smooth function of [0, 1] over `count` equal cells."""
-    middle = (np.arange(count) + 0.5) / count
-    return (value(middle[:, None] + NODES / (2 * count)) * (WEIGHTS / 2)).sum(axis=1)
+    """Means of a smooth function of [0, 1] over `count` equal cells; large cells are taken in parts."""
+    parts = -(-FEWEST_PARTS // count)
+    middle = (np.arange(count * parts) + 0.5) / (count * parts)
+    means = (value(middle[:, None] + NODES / (2 * count * parts)) * (WEIGHTS / 2)).sum(axis=1)
+    return np.asarray(means.reshape(count, parts).mean(axis=1))
 
 
 def csf_picture(height: int, width: int) -> Array:
@@ -49,10 +51,13 @@ def csf_picture(height: int, width: int) -> Array:
 
 
 def edge_picture(height: int, width: int, dark: float = 0.1) -> Array:
-    """Cell means of the slanted edge: exact cover along each of many lines of a row of cells."""
-    y = (np.arange(height * EDGE_ROWS) + 0.5) / (height * EDGE_ROWS)
+    """Cell means of the slanted edge. A line of a cell is bright right of the edge, which moves along the cell's height at a
+    constant rate: the mean of what is covered is a difference of its integral, ∫ clip(u, 0, 1) du."""
+    y = np.arange(height + 1) / height
     edge = (0.5 + (0.5 - y) * np.tan(np.radians(SLANT_DEG))) * width
-    cover = np.clip(np.arange(1, width + 1)[None, :] - edge.reshape(height, EDGE_ROWS, 1), 0.0, 1.0).mean(axis=1)
+    right = np.arange(1, width + 1)[None, :] - edge[:, None]  # of the edge, at the cells' upper and lower ends
+    inside = np.clip(right, 0.0, 1.0)
+    cover = np.diff(inside**2 / 2 + np.maximum(right - 1, 0.0), axis=0) / np.diff(right, axis=0)
     return np.asarray(dark + (1 - dark) * cover)
 
 
@@ -64,9 +69,11 @@ FORMULAS: dict[str, Callable[[int, int], Array]] = {"csf": csf_picture, "flat": 
 
 
 def formula_of(scene: Scene, plan: Plan) -> str | None:
-    """Name of the shipped chart that a scene shows alone, upright and filling the film; None for any other."""
+    """Name of the shipped chart that a scene shows alone, upright and filling the film; None for any other, and for a file
+    of the same name elsewhere, which may show anything."""
     name = scene.path.stem
-    return name if plan.chart is not None and name in FORMULAS and "chart" not in scene.parameters else None
+    shipped = name in FORMULAS and scene.path.resolve() == packaged_scenes()[name].resolve()
+    return name if shipped and plan.chart is not None and "chart" not in scene.parameters else None
 
 
 def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, shape: tuple[int, int]) -> Reference:

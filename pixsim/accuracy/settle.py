@@ -6,7 +6,8 @@ import warnings
 from dataclasses import dataclass
 from typing import Any
 
-from pixsim.accuracy.budget import Calibration, Choice, Effect, calibrate, choose, effects, total
+from pixsim.accuracy.budget import Calibration, Effect, calibrate, effects, total
+from pixsim.accuracy.choice import Choice, choose
 from pixsim.accuracy.probe import Setup
 from pixsim.convergence import RenderNoise
 from pixsim.parameters import Camera
