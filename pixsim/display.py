@@ -7,6 +7,8 @@ known number, never a measured maximum.
 from __future__ import annotations
 
 import math
+import warnings
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -24,6 +26,8 @@ WHITE_XYZ = np.array([95.047, 100.0, 108.883])
 SMOOTH_CELLS = 5  # three second differences
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # so that pictures over white, of any sensor and exposure, stay in the range of float64
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3}
+WHITE_PERCENTILE = 99.0  # of a scene that tells no white
+WHITE_DIGITS = 2  # so that the noise of a render does not move the white
 
 
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
@@ -37,6 +41,23 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
             "Set --display.white-cd-per-m2.",
         )
     return float(white)
+
+
+def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
+    """A white for a scene that tells none: the 99th percentile of its luminance, to two digits; with a warning."""
+    factor = optics.field_factor(
+        irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
+    )
+    luminance = irradiance.illuminance_lx() / (factor * camera.transmittance)
+    white = float(f"{np.percentile(luminance, WHITE_PERCENTILE):.{WHITE_DIGITS}g}")
+    if not white > 0:
+        raise refuse("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
+    warnings.warn(
+        f"the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
+        f"set --display.white-cd-per-m2 {white:g} to keep it",
+        stacklevel=2,
+    )
+    return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
 def white_spectrum(irradiance: SpectralImage) -> Array | None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim import optics
+from pixsim.display import measured_white
 from pixsim.errors import refuse
 from pixsim.figures import save_delta_e_png, save_png
 from pixsim.files import output_folder
@@ -26,8 +26,6 @@ from pixsim.spectral import SpectralImage, write_channels, write_exr
 
 Stage = Callable[[str], Callable[..., None]]
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
-WHITE_PERCENTILE = 99.0
-WHITE_DIGITS = 2  # so that the noise of a render does not move the white
 
 
 def run_and_write(
@@ -138,7 +136,7 @@ def _prepare(
         )
         more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict()}
         if settled:
-            more["error_budget"] = settled.budget(noise, plan.bound_e, settled.choice.sensors)
+            more["error_budget"] = settled.budget(noise, plan.bound_e if plan.bounded else None, settled.choice.sensors)
         return image, camera, more
 
     return render
@@ -151,23 +149,6 @@ def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage,
     image, camera = read_with_camera(source, settings.camera, units)
     pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
     return image, camera, {}
-
-
-def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
-    """A white for a scene that tells none: the 99th percentile of its luminance, to two digits; with a warning."""
-    factor = optics.field_factor(
-        irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
-    )
-    luminance = irradiance.illuminance_lx() / (factor * camera.transmittance)
-    white = float(f"{np.percentile(luminance, WHITE_PERCENTILE):.{WHITE_DIGITS}g}")
-    if not white > 0:
-        raise refuse("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
-    warnings.warn(
-        f"the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
-        f"set --display.white-cd-per-m2 {white:g} to keep it",
-        stacklevel=2,
-    )
-    return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
 def write_all(folder: Path, irradiance: SpectralImage, score: Score, summary: dict[str, Any]) -> None:

@@ -272,6 +272,5 @@ def study_budget(settled: Settled, result: StudyResult) -> dict[str, Any]:
     """The error budget of the first technology around its optimum."""
     from pixsim.convergence import RenderNoise
 
-    header = result.irradiance.header
-    bound_e = header["bound_e"] if header["bound_e"] is not None else result.study.tolerance_e
-    return settled.budget(RenderNoise(**header["render_noise"]), bound_e, result.study.repeats)
+    noise = RenderNoise(**result.irradiance.header["render_noise"])
+    return settled.budget(noise, result.irradiance.header["bound_e"], result.study.repeats)

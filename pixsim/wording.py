@@ -58,6 +58,16 @@ def found_line(curve: Any) -> str:
     )
 
 
+def score_line(result: dict[str, Any]) -> str:
+    """Mean ΔE of a run: that over sensors, where it was asked for to a tolerance, with its error."""
+    how = f"with {result['pitch_um']:g} µm pixels, {1e3 * result['integration_s']:.3g} ms"
+    if "error_budget" not in result:
+        return f"mean ΔE {result['mean_delta_e']:.3f} {how}"
+    error, sensors = result["error_budget"]["total"]["delta_e"], result["sensors"]
+    within = "error not known" if error is None else f"± {error:.1g}"
+    return f"mean ΔE {result['sensors_mean_delta_e']:.4f} {within} over {sensors} sensor{'s' * (sensors > 1)} {how}"
+
+
 def budget_lines(result: dict[str, Any]) -> list[str]:
     """The error budget of a result that was asked for one."""
     budget = result.get("error_budget")
@@ -70,6 +80,8 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
 
     chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
     lines = [f"  {name:20} {told(each)}" for name, each in budget["sources"].items()]
+    if not budget["bounded"]:
+        lines.append("  for surfaces that the plan cannot know, the spectral quadrature is what it was asked for, not a bound")
     verdict = "met" if budget["met"] else "NOT met"
     return [
         f"error budget for {budget['tolerance_delta_e']:g} ΔE ({verdict}), with {chosen}:",

@@ -31,8 +31,8 @@ from pixsim import cache
 from pixsim.accuracy.probe import Probe, Setup, pitches_around_optimum_um, probe, unheard
 from pixsim.accuracy.viewing import finer, spread
 from pixsim.convergence import noise_of
+from pixsim.display import measured_white
 from pixsim.errors import refuse
-from pixsim.outputs import measured_white
 from pixsim.parameters import Camera, content_hash
 from pixsim.plan import Plan
 from pixsim.renderer import Renderer

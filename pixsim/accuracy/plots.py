@@ -23,6 +23,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 RENDERED = ("methods", "spp", "film", "sampler", "lens", "bands")
 LEGEND_COLUMNS = 6
 JOINED = ("spp", "film")  # ladders that a line makes easier to follow
+VIEWING = ("seeds", "raster")
 AXES = {
     "error_e": "error of mean electrons (RMS, relative)",
     "error_delta_e": "error of mean ΔE",
@@ -35,8 +36,11 @@ SETTINGS = {
 
 
 def plates_of(found: Accuracy) -> list[Plate]:
+    """The figures that there is something to show in: where time was short, ladders may have no rung."""
+    climbed = [convergence] if any(len(found.ladder(name)) > 1 for name in SETTINGS) else []
+    viewed = [viewing] if any(finite(found.ladder(name), metric) for name in VIEWING for metric in METRICS) else []
     response = [response_plate(found.setup.pixel)] if found.solvers else []
-    return [work_precision(found), convergence(found), viewing(found), stages(found), budget(found), *response]
+    return [*(make(found) for make in (work_precision, *climbed, *viewed, stages, budget)), *response]
 
 
 def shown_metrics(found: Accuracy) -> list[str]:
@@ -139,10 +143,8 @@ def convergence(found: Accuracy) -> Plate:
 
 def viewing(found: Accuracy) -> Plate:
     """Error against wall time of what needs no render."""
-    names = [name for name in ("seeds", "raster") if found.ladder(name)]
-    metrics = [m for m in ("error_delta_e", "error_optimum_um") if any(finite(found.ladder(n), m) for n in names)] or [
-        "error_delta_e"
-    ]
+    names = [name for name in VIEWING if found.ladder(name)]
+    metrics = [m for m in ("error_delta_e", "error_optimum_um") if any(finite(found.ladder(n), m) for n in names)]
     figure = new_figure(8.4, 3.6)
     for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
         for name in names:

@@ -25,7 +25,7 @@ SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
 FEW_E, MOST_FEW = 16.0, 80  # a mean of 16 has no count of 80 in 1e27
 LEVEL = 1e-9  # relative; a minimum of less is one of rounding
-FEWEST_PIXELS = 16  # across the die, of the largest pitch that is tried
+FEWEST_PIXELS, MOST_PIXELS = 16, 1024  # across the die, of the largest and the smallest pitch that are tried
 
 
 @dataclass(frozen=True)
@@ -188,13 +188,16 @@ def unheard() -> Iterator[None]:
 
 
 def pitch_range_um(setup: Setup) -> tuple[float, float]:
-    """Pitches among which a smaller or larger pixel makes sense: as in a study, from 5 % fill factor to 15 µm."""
-    usual = PitchRange()
-    largest = min(usual.max_um, 1e3 * setup.camera.die_mm / FEWEST_PIXELS)
+    """Pitches among which a smaller or larger pixel makes sense: as in a study, from 5 % fill factor to 15 µm.
+
+    Modern processes reach 5 % at 0.4 µm, 46 million pixels on the paper's die: those are not tried.
+    """
+    usual, die_um = PitchRange(), 1e3 * setup.camera.die_mm
+    largest, smallest = min(usual.max_um, die_um / FEWEST_PIXELS), die_um / MOST_PIXELS
     if setup.pixel.fill_factor is not None:  # the law does not bind it
-        return min(setup.pixel.pitch_um / 3, largest / 3), largest
+        return max(smallest, min(setup.pixel.pitch_um / 3, largest / 3)), largest
     process = with_fill_factor_law(load_technology(setup.pixel.technology), setup.pixel.fill_factor_law)
-    return pitch_for_fill_factor_um(usual.min_fill_factor, process), largest
+    return max(smallest, pitch_for_fill_factor_um(usual.min_fill_factor, process)), largest
 
 
 def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) -> tuple[float, ...]:

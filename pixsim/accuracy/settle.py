@@ -24,16 +24,20 @@ class Settled:
     calibration: Calibration
     choice: Choice
 
-    def budget(self, noise: RenderNoise, bound_e: float, sensors: int) -> dict[str, Any]:
-        """What stands in score.json and summary.json: the error of each source, with what came out."""
-        width = self.choice.width
-        found = effects(self.calibration, width, noise.fraction, bound_e, sensors)
+    def budget(self, noise: RenderNoise, bound_e: float | None, sensors: int) -> dict[str, Any]:
+        """What stands in score.json and summary.json: the error of each source, with what came out.
+
+        bound_e : None where the plan cannot bound all of it; then what it was asked for
+        """
+        width, spectral_e = self.choice.width, self.choice.tolerance_e if bound_e is None else bound_e
+        found = effects(self.calibration, width, noise.fraction, spectral_e, sensors)
         whole = total(found)
         rows = {name: _finite(each) for name, each in found.items()}
         return {
             "tolerance_delta_e": self.tolerance_delta_e,
             "total": _finite(whole),
             "met": whole.delta_e <= self.tolerance_delta_e,
+            "bounded": bound_e is not None,
             "settings": {
                 "resolution": width,
                 "render_noise": self.choice.render_noise,

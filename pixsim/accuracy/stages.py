@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pixsim import display as displays
 from pixsim.accuracy.probe import Setup, unheard
-from pixsim.outputs import measured_white, write_all
+from pixsim.outputs import write_all
 from pixsim.parameters import Camera, Run
 from pixsim.pixel import derive
 from pixsim.plan import Plan
@@ -48,6 +48,7 @@ def opened(source: str, run: Run, sensor: str | None, variant: str | None, laps:
 
 def first_picture(scene: Scene, camera: Camera, plan: Plan, laps: Laps) -> SpectralImage:
     """A render, and what the first one takes longer than the second: loading and compiling."""
+    laps.seconds["compile"] = 0.0  # in its place: it comes before
     start = time.perf_counter()
     job = Renderer(scene, camera, plan, 0)
     job.image(*job.run(0))
@@ -56,7 +57,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, laps: Laps) -> Spect
         image = job.image(*job.run(1))
     laps.seconds["compile"] = max(first - laps.seconds["render"], 0.0)
     if "luminance_cd_per_m2" not in image.header:
-        image.header |= measured_white(image, camera)
+        image.header |= displays.measured_white(image, camera)
     return image
 
 

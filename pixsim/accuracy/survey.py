@@ -16,6 +16,7 @@ from pixsim.accuracy.reference import REFERENCE_WORK, Reference, analytic_refere
 from pixsim.accuracy.result import Accuracy, Discharge
 from pixsim.accuracy.stages import Laps, first_picture, opened, score_in_stages
 from pixsim.accuracy.viewing import raster_rungs, seed_rungs
+from pixsim.convergence import RENDER_NOISE
 from pixsim.parameters import Pixel, Run
 from pixsim.photodiode_checks import solvers
 from pixsim.pixel import derive
@@ -117,7 +118,7 @@ def survey(
         rungs=tuple(rungs),
         stage_seconds=laps.seconds,
         calibration=calibration,
-        budget=effects(calibration, calibration.width, calibration.noise, plan.bound_e, 1),
+        budget=effects(calibration, calibration.width, min(calibration.noise, RENDER_NOISE), subject.plan.bound_e, 1),
         cases=tuple(cases),
         solvers=tuple(discharges(settings.pixel)),
         header=image.header,
@@ -174,8 +175,8 @@ def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tu
         return ladders.climb(name, steps, subject, clock, shipped)
 
     climbs: dict[str, Callable[[], Iterator[Rung]]] = {
-        "seeds": lambda: seed_rungs(subject.image, viewer, shipped.seconds, depth.pool),
-        "raster": lambda: raster_rungs(subject.image, subject.setup, clock.render_s, dots),
+        "seeds": lambda: seed_rungs(subject.image, viewer, shipped, clock, depth.pool),
+        "raster": lambda: raster_rungs(subject.image, subject.setup, clock, dots),
         "spp": lambda: climb("spp", ladders.sample_steps(subject, depth.spp)),
         "film": lambda: climb("film", ladders.film_steps(subject, films)),
         "bands": lambda: climb("bands", ladders.band_steps(subject, depth.bands)),

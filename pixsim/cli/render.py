@@ -36,7 +36,7 @@ from pixsim.cli.tables import (
     PixelTable,
 )
 from pixsim.progress import stages
-from pixsim.wording import budget_lines, plan_table
+from pixsim.wording import budget_lines, plan_table, score_line
 
 
 @app.command
@@ -93,8 +93,7 @@ def run(
     show(
         result,
         json,
-        f"mean ΔE {result['mean_delta_e']:.3f} with {result['pitch_um']:g} µm pixels, "
-        f"{1e3 * result['integration_s']:.3g} ms"
+        score_line(result)
         + (f"; noise of the render {noise['fraction']:.2g} of the sensor's" if noise else "")
         + f"; pictures in {folder}"
         + "".join(f"\n{line}" for line in budget_lines(result)),

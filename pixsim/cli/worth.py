@@ -41,7 +41,7 @@ def accuracy(
 
     Example: pixsim accuracy csf --quick
 
-    Writes ladders.csv, stages.csv, budget.csv, stability.csv, solvers.csv, figures/*.svg, summary.json, report.html.
+    Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json, report.html.
 
     Parameters
     ----------
