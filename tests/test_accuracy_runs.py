@@ -21,6 +21,7 @@ from pixsim.accuracy.budget import SOURCES
 from pixsim.accuracy.page import write_accuracy
 from pixsim.accuracy.probe import Setup, pitch_range_um, pitches_around_optimum_um, probe
 from pixsim.accuracy.reference import analytic_reference
+from pixsim.accuracy.result import METRICS
 from pixsim.accuracy.survey import QUICK, Accuracy, survey
 from pixsim.parameters import Run
 from pixsim.renderer import render
@@ -156,7 +157,7 @@ def test_surveys_of_other_sensors_and_viewers(case, tmp_path):
         assert [each.left_out for each in found.rungs if each.ladder == "raster"] == ["the dots are the pixels"]
     if case == "no room for a sweep":
         assert found.setup.pitches_um == ()
-        assert "error_optimum_um" not in {metric for metric in surveys.METRICS if found.rivals(metric)}
+        assert "error_optimum_um" not in {metric for metric in METRICS if found.rivals(metric)}
 
 
 # --- Pitches ---

@@ -23,6 +23,8 @@ from pixsim.sensor import capture_rate, diffracted_rate, draw_sensor, integrate_
 from pixsim.sensor_plan import make_plan
 from pixsim.spectral import SpectralImage
 
+LONG_S = 5.0
+
 
 @dataclass
 class Laps:
@@ -43,6 +45,8 @@ def opened(source: str, run: Run, sensor: str | None, variant: str | None, laps:
         scene = load_scene(source, variant=variant, sensor=sensor, **run.scene)
         camera = scene.camera(run.camera)
         plan = make_plan(scene, camera, run.pixel, exposure=run.exposure, tolerance_e=run.tolerance_e)
+        if plan.resolution:
+            scene = scene.with_parameters(resolution=plan.resolution)
     return scene, camera, plan
 
 
@@ -51,11 +55,13 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, laps: Laps) -> Spect
     laps.seconds["compile"] = 0.0  # in its place: it comes before
     start = time.perf_counter()
     job = Renderer(scene, camera, plan, 0)
-    job.image(*job.run(0))
-    first = time.perf_counter() - start
-    with laps("render"):
+    image = job.image(*job.run(0))
+    first = laps.seconds["render"] = time.perf_counter() - start
+    if first < LONG_S:  # in a long one, loading and compiling hardly matter
+        start = time.perf_counter()
         image = job.image(*job.run(1))
-    laps.seconds["compile"] = max(first - laps.seconds["render"], 0.0)
+        laps.seconds["render"] = time.perf_counter() - start
+        laps.seconds["compile"] = max(first - laps.seconds["render"], 0.0)
     if "luminance_cd_per_m2" not in image.header:
         image.header |= displays.measured_white(image, camera)
     return image

@@ -10,7 +10,7 @@ from pixsim import stability
 from pixsim import variant as variants
 from pixsim.accuracy import ladders
 from pixsim.accuracy.budget import MOST_DOTS, calibrate, effects
-from pixsim.accuracy.ladders import Clock, Rung, Subject
+from pixsim.accuracy.ladders import FULL_WORK, Clock, Rung, Subject
 from pixsim.accuracy.probe import Setup, pitches_around_optimum_um, probe
 from pixsim.accuracy.reference import REFERENCE_WORK, Reference, analytic_reference, formula_of, rendered_reference
 from pixsim.accuracy.result import Accuracy, Discharge
@@ -28,15 +28,19 @@ SCALAR = "scalar_spectral"
 DISCHARGES = (("half a well", 0.5, 0.03), ("ten wells", 10.0, 0.03), ("1e12 wells in hours", 1e12, 3.6e4))
 FINER = 2  # the analytic reference's film, of the scene's
 FEWEST_TIMES = 4.0  # the work of the shipped settings: less is no reference
-COARSEST = 64  # film width down to which a scene without a formula is looked at, where its reference would take too long
+COARSEST = 64  # film width of the least part of a scene that is looked at, where its reference would take too long
+FEWEST_DOTS = 8
+CHART_HALF_WIDTH = "chart_half_width"  # of the shipped charts, which fill the die: a part of it is to show a part of them
 Stage = Callable[[str], Callable[..., None]]
 
 
 @dataclass(frozen=True)
 class Depth:
-    """How much is measured: seconds in all, and of them for a rendered reference; independent renders of each rung; settings."""
+    """How much is measured: seconds in all, those that ladders have at least where the rest took long, and those for a rendered
+    reference; independent renders of each rung; settings."""
 
     seconds: float
+    ladders_s: float
     reference_s: float
     runs: int
     pitches: int
@@ -52,6 +56,7 @@ class Depth:
 
 FULL = Depth(
     seconds=230.0,
+    ladders_s=60.0,
     reference_s=90.0,
     runs=2,
     pitches=6,
@@ -66,6 +71,7 @@ FULL = Depth(
 )
 QUICK = Depth(
     seconds=46.0,
+    ladders_s=12.0,
     reference_s=12.0,
     runs=1,
     pitches=5,
@@ -106,9 +112,9 @@ def survey(
     score_in_stages(image, setup, laps)
     subject, reference, notes = referred(Subject(scene, camera, plan, setup, image, laps.seconds["render"]), depth, progress)
     progress("error budget")
-    calibration = calibrate(subject.scene, camera, subject.plan, setup)
+    calibration = calibrate(subject.scene, subject.camera, subject.plan, replace(subject.setup, pitches_um=()))
     cases, _ = stability.all_cases(progress("stability"))
-    clock = Clock(start + depth.seconds, depth.runs)
+    clock = Clock(max(start + depth.seconds, time.perf_counter() + depth.ladders_s), depth.runs)
     shipped, rungs = climbed(subject, depth, clock, progress)
     return Accuracy(
         name=scene.path.stem,
@@ -129,33 +135,50 @@ def survey(
 
 
 def referred(subject: Subject, depth: Depth, progress: Stage) -> tuple[Subject, Reference, list[str]]:
-    """The subject with what is right for it. A scene without a formula is looked at on a film so coarse that a render of 64
-    times its work can be waited for; `notes` say so."""
+    """The subject with what is right for it. Of a scene without a formula so small a middle part is looked at that a render of
+    64 times its work can be waited for; `notes` say so."""
     told, notes = progress("reference"), []
-    scene, camera, plan, setup = subject.scene, subject.camera, subject.plan, subject.setup
-    name = formula_of(scene, plan)
+    name = formula_of(subject.scene, subject.plan)
+    white = {key: value for key, value in subject.image.header.items() if key == "luminance_cd_per_m2"}
     if name:
         height, width = subject.image.shape
-        reference = analytic_reference(scene, camera, setup, name, (FINER * height, FINER * width))
+        shape = FINER * height, FINER * width
+        reference = analytic_reference(subject.scene, subject.camera, subject.setup, name, shape)
     else:
-        width, expected_s = subject.image.shape[1], REFERENCE_WORK * subject.render_s
-        while expected_s > depth.reference_s and width > COARSEST and "resolution" in scene.names:
-            width, expected_s = width // 2, expected_s / 4
-        if width < subject.image.shape[1]:
-            notes.append(f"looked at {width} samples wide instead of {subject.image.shape[1]}, to afford the reference")
-            scene = scene.with_parameters(resolution=width)
-            plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=plan.tolerance_e)
-            laps = Laps()
-            image = first_picture(scene, camera, plan, laps)
-            subject = replace(subject, scene=scene, plan=plan, image=image, render_s=laps.seconds["render"])
+        whole_s, parts = FULL_WORK * REFERENCE_WORK * subject.render_s, 1
+        while whole_s / parts**2 > depth.reference_s and subject.image.shape[1] > COARSEST * parts and is_free(subject.scene):
+            parts *= 2
+        if parts > 1:
+            notes.append(f"looked at the middle 1/{parts} of the die, across and down, to afford the reference")
+            subject = middle_of(subject, parts)
+        expected_s = FULL_WORK * REFERENCE_WORK * subject.render_s
         work = min(REFERENCE_WORK, max(FEWEST_TIMES, REFERENCE_WORK * depth.reference_s / expected_s))
         if work < REFERENCE_WORK:
             notes.append(f"the reference has {work:.0f} times the work of the shipped settings only, of {REFERENCE_WORK}")
-        reference = rendered_reference(scene, camera, setup, plan, work, told)
-    white = {key: value for key, value in subject.image.header.items() if key == "luminance_cd_per_m2"}
-    reference.image.header |= white
-    setup = setup.around(pitches_around_optimum_um(subject.image, setup, depth.pitches))
+        reference = rendered_reference(subject.scene, subject.camera, subject.setup, subject.plan, work, told)
+    for image in (subject.image, reference.image):
+        image.header |= white
+    setup = subject.setup.around(pitches_around_optimum_um(subject.image, subject.setup, depth.pitches))
     return replace(subject, setup=setup, white=white, truth=probe(reference.image, setup)), reference, notes
+
+
+def is_free(scene: Scene) -> bool:
+    """Whether the film's resolution can be set."""
+    return "resolution" in scene.names
+
+
+def middle_of(subject: Subject, parts: int) -> Subject:
+    """The middle of the die alone: the same samples, pixels and dots, fewer of them."""
+    scene, own, setup = subject.scene, subject.camera, subject.setup
+    kept = {CHART_HALF_WIDTH: own.chart_half_width_m} if CHART_HALF_WIDTH in scene.names - scene.parameters.keys() else {}
+    scene = scene.with_parameters(resolution=subject.image.shape[1] // parts, **kept)
+    camera = own.model_copy(update={"die_mm": own.die_mm / parts})
+    display = setup.display.model_copy(update={"dots": max(FEWEST_DOTS, setup.display.dots // parts)})
+    setup = replace(setup, camera=camera, display=display)
+    plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)
+    laps = Laps()
+    image = first_picture(scene, camera, plan, laps)
+    return Subject(scene, camera, plan, setup, image, laps.seconds["render"])
 
 
 def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tuple[Rung, list[Rung]]:
@@ -169,7 +192,7 @@ def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tu
     width = subject.image.shape[1]
     films = [max(8, int(width * 2.0**k)) for k in depth.films]
     viewer = replace(subject.setup, pitches_um=subject.setup.pitches_um if depth.seeds_move_the_optimum else ())
-    dots = [each for times in depth.dots if 8 <= (each := int(subject.setup.display.dots * times)) <= MOST_DOTS]
+    dots = [each for times in depth.dots if FEWEST_DOTS <= (each := int(subject.setup.display.dots * times)) <= MOST_DOTS]
 
     def climb(name: str, steps: list[ladders.Step]) -> Iterator[Rung]:
         return ladders.climb(name, steps, subject, clock, shipped)
