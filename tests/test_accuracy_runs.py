@@ -16,13 +16,16 @@ from test_cli import command
 
 import pixsim
 from pixsim import cache, stability
+from pixsim.accuracy import probe as probes
 from pixsim.accuracy import survey as surveys
 from pixsim.accuracy.budget import SOURCES
+from pixsim.accuracy.ladders import Clock, Rung
 from pixsim.accuracy.page import write_accuracy
 from pixsim.accuracy.probe import Setup, pitch_range_um, pitches_around_optimum_um, probe
 from pixsim.accuracy.reference import analytic_reference
 from pixsim.accuracy.result import METRICS
 from pixsim.accuracy.survey import QUICK, Accuracy, survey
+from pixsim.accuracy.viewing import seed_rungs
 from pixsim.parameters import Run
 from pixsim.renderer import render
 from pixsim.stability import compare
@@ -30,7 +33,7 @@ from pixsim.stability import compare
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # what a command warns of is in its stderr
 DISPLAY, DIE = {"dots": 32}, {"die_mm": 0.4}  # 75 pixels of 5.3 µm: quick
-SMALL = replace(QUICK, seconds=30.0, reference_s=1.0, spp=16, films=(-1,), bands=(2,), lens=(4,), plain=(4,), pool=4, dots=(0.5, 2))
+SMALL = replace(QUICK, seconds=8.0, reference_s=0.1, spp=16, films=(-1,), bands=(2,), lens=(4,), plain=(4,), pool=8, dots=(0.5, 2))
 
 
 @pytest.fixture(autouse=True)
@@ -118,7 +121,7 @@ def test_a_survey_of_a_chart_with_a_formula(tmp_path):
 
 @pytest.mark.parametrize("name", ["flat", "slanted_edge"])
 def test_a_survey_of_other_charts(name, tmp_path):
-    found = surveyed(name, replace(SMALL, seconds=6.0), scene={"resolution": 32, "spp": 4})
+    found = surveyed(name, replace(SMALL, seconds=0.1), scene={"resolution": 32, "spp": 4})
     assert check(found, tmp_path / "out")["analytic"] is True
     if name == "flat":  # its electrons are right but for the fall-off and the bands
         assert found.shipped.error_e < 1e-3
@@ -192,6 +195,27 @@ def test_the_set_ups_pixel_is_the_optimums_where_that_is_asked_for():
     assert replace(setup, at_optimum=True).around(()).pixel == setup.pixel
 
 
+def test_errors_of_seeds_are_those_of_independent_sensors():
+    """Means over n sensors err by σ/√n: 8 means of 4 and a reference of 32 tell that to a third, 3 of them."""
+    setup, image = csf()
+    shipped, clock = Rung("methods", "own", 1, seconds=1.0), Clock(math.inf, 1, 0.0, 0.01)
+    rungs = {each.value: each for each in seed_rungs(image, setup, shipped, clock, 32)}
+    assert set(rungs) == {1, 2, 4, 8}
+    sensor = probe(image, replace(setup, sensors=32, seed=5)).delta_e.std(ddof=1)
+    for count in (1, 2, 4):
+        assert rungs[count].error_delta_e == pytest.approx(sensor / math.sqrt(count), rel=0.7)
+        assert rungs[count].seconds >= 1.0
+
+
+def test_what_sensors_share_is_made_once(monkeypatch):
+    setup, image = csf()
+    made = []
+    plain = probes.bench_of
+    monkeypatch.setattr(probes, "bench_of", lambda *given: made.append(1) or plain(*given))
+    probe(image, replace(setup, sensors=3, pitches_um=(6.0, 7.0)))
+    assert len(made) == 3
+
+
 def test_a_probe_is_the_same_each_time_and_changes_as_little_as_its_picture():
     setup, image = csf()
     setup = replace(setup, sensors=2, pitches_um=(6.0, 7.0, 8.0, 9.0, 10.0))
@@ -200,6 +224,9 @@ def test_a_probe_is_the_same_each_time_and_changes_as_little_as_its_picture():
     np.testing.assert_array_equal(one.delta_e, again.delta_e)
     assert one.sweep_delta_e.shape == (5, 2)
     assert one.delta_e[0] != one.delta_e[1]
+    alone = probe(image, replace(setup, sensors=1))
+    np.testing.assert_array_equal(alone.sweep_delta_e, one.of_first_sensor.sweep_delta_e)
+    np.testing.assert_array_equal(alone.delta_e, one.of_first_sensor.delta_e)
     from pixsim.accuracy.budget import brighter
 
     near = probe(brighter(image, 1 + 1e-6), setup)

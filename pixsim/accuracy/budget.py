@@ -128,11 +128,11 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     for each in (image, *parts):
         each.header |= white
     setup = setup.around(pitches_around_optimum_um(image, setup, PITCHES))
-    own, halves = probe(image, setup), [probe(each, setup) for each in parts]
+    sensors = probe(image, replace(setup, sensors=SENSORS))
+    own, halves = sensors.of_first_sensor, [probe(each, setup) for each in parts]
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
     films, order = film_errors(own, coarse)
     scaled = difference_of(probe(brighter(image, 1 + SCALED_BY), setup), own)
-    sensors = probe(image, replace(setup, sensors=SENSORS))
     return Calibration(
         width=job.size[1],
         cells=job.size[0] * job.size[1],

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student_t
 
 FEWEST_POINTS = 3
 FLAT = 2 / 3  # of the slope so far: where errors fall more slowly than that, another source of error is met
@@ -29,8 +30,13 @@ class Order:
     def at(self, setting: float) -> float:
         return self.factor * setting**-self.order
 
+    @property
+    def ci95(self) -> float:
+        """Half width of the order's 95 % interval: Student's t, which three points make 13 times the standard error."""
+        return float(student_t.ppf(0.975, self.points - 2)) * self.order_se
+
     def __str__(self) -> str:
-        return f"{self.order:.2f} ± {self.order_se:.2f}"
+        return f"{self.order:.2f} ± {self.ci95:.2f}"
 
 
 def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence[float] | None = None) -> Order | None:

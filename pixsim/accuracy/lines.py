@@ -24,7 +24,7 @@ def errors_told(found: Accuracy) -> str:
 
 
 def verdict(found: Accuracy, metric: str) -> str:
-    """Whether the shipped settings are on the front, and if not, what beats them."""
+    """Whether the shipped settings are on the front, as far as times and sensors can tell, and if not, what beats them."""
     rival = found.beaten(metric)
     if rival is None:
         return "on the Pareto front"
@@ -43,7 +43,7 @@ def effect_told(each: Effect) -> str:
 def accuracy_lines(found: Accuracy) -> list[str]:
     lines = [f"reference: {found.reference}", f"as shipped: {errors_told(found)}, in {found.shipped.seconds:.2g} s warm"]
     lines += [f"  {SHORT[metric]:10} {verdict(found, metric)}" for metric in METRICS if found.rivals(metric)]
-    lines.append("orders of convergence (error ∝ setting^-order):")
+    lines.append("orders of convergence (error ∝ setting^-order, ± 95 %):")
     for name in found.names:
         orders = [f"{SHORT[metric]} {order}" for metric in METRICS if (order := found.order(name, metric))]
         lines += [f"  {name:10} {', '.join(orders)}"] if orders else []

@@ -84,7 +84,9 @@ def work_precision(found: Accuracy) -> Plate:
     figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS, fontsize=8, frameon=False)
     caption = (
         "Error against run time; down and left is better. One setting is moved at a time, everything else as shipped (star). "
-        f"Grey: the Pareto front, settings that no other beats in both. Reference: {found.reference}."
+        "Grey: the Pareto front, settings that no other beats in both; the star counts as on it unless a setting is faster by more "
+        "than times scatter, a tenth, and nearer by more than the mean over eight sensors could show. "
+        f"Reference: {found.reference}."
     )
     return Plate("work_precision", caption, figure, table(found, [name for name in RENDERED if name in found.names]))
 
@@ -134,9 +136,9 @@ def convergence(found: Accuracy) -> Plate:
     for axes in grid[len(names) :]:
         axes.set_visible(False)
     caption = (
-        "Error against each setting. A line is the fitted power law, error ∝ setting^-order ± its standard error; "
-        "points near a ladder's floor, where other errors are left, are not fitted. Circled: as shipped. Electrons are "
-        "relative, the optimum in µm. Seeds and raster have references of their own: other sensors, and the finest display."
+        "Error against each setting. A line is the fitted power law, error ∝ setting^-order, with the order's 95 % interval; "
+        "points near a ladder's floor, where other errors are left, are not fitted. Circled: as shipped. Electrons are relative, "
+        "the optimum in µm. Seeds and raster have references of their own: other sensors, and the finest display."
     )
     return Plate("convergence", caption, figure, table(found, names))
 

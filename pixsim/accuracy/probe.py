@@ -84,6 +84,10 @@ class Probe:
         """NaN without a sweep, or where the error is least at an end of it."""
         return minimum_um(self.pitch_um, self.sweep_delta_e.mean(axis=1))
 
+    @property
+    def of_first_sensor(self) -> Probe:
+        return replace(self, delta_e=self.delta_e[:1], sweep_delta_e=self.sweep_delta_e[:, :1])
+
     def optimum_of(self, sensor: int) -> float:
         """Of one sensor alone."""
         return minimum_um(self.pitch_um, self.sweep_delta_e[:, sensor])
@@ -117,7 +121,7 @@ def probe(image: SpectralImage, setup: Setup) -> Probe:
         first = score(bench, setup, setup.pixel.pitch_um, 0)
         end = time.perf_counter()
         own = np.array([first, *(score(bench, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))])
-        sweep = np.array([[score(bench_at(p), setup, p, k) for k in range(setup.sensors)] for p in setup.pitches_um])
+        sweep = np.array([scores(bench_at(p), setup, p) for p in setup.pitches_um])
     shape = len(setup.pitches_um), setup.sensors
     return Probe(bench.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
 
@@ -161,6 +165,11 @@ def score(bench: Bench, setup: Setup, pitch_um: float, sensor: int) -> float:
     """Mean ΔE of an individual sensor, the same for the same set-up, pitch and number."""
     own = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
     return bench.score_with(own, PairedNoise(own.bit_generator)).mean_delta_e
+
+
+def scores(bench: Bench, setup: Setup, pitch_um: float) -> list[float]:
+    """Of each individual sensor."""
+    return [score(bench, setup, pitch_um, sensor) for sensor in range(setup.sensors)]
 
 
 def benches(image: SpectralImage, setup: Setup) -> Callable[[float], Bench]:

@@ -11,7 +11,7 @@ from pixsim.accuracy.probe import Probe, Setup, minimum_um, probe
 from pixsim.parameters import Display
 from pixsim.spectral import Array, SpectralImage
 
-FEWEST_SENSORS = 4
+FEWEST_SENSORS, FEWEST_GROUPS = 4, 4  # so few means still tell their scatter to a third
 SENSORS_PER_SWEEP = 4  # at one pitch: they cost so much less
 OTHER_SENSORS = 104729  # beside the user's seed: the reference's sensors are others
 
@@ -38,15 +38,16 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
     own, truth = (probe(image, replace(setup, pitches_um=(), sensors=many, seed=seed)) for seed in seeds)
     curves, true_curve = (probe(image, replace(setup, sensors=swept, seed=seed)) for seed in seeds)
     count = 1
-    while count <= pool // 2:
+    while count * FEWEST_GROUPS <= many:
         delta_e = own.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
         groups = [slice(start, start + count) for start in range(0, swept, count)]
-        optimum = [_optimum(curves, each) - true_curve.optimum_um for each in groups]
+        enough = len(groups) >= FEWEST_GROUPS
+        optimum = [_optimum(curves, each) - true_curve.optimum_um for each in groups] if enough else [math.nan]
         name = f"{count} sensor{'s' * (count > 1)}"
         time_s = shipped.seconds + (count - 1) * own.score_seconds
         errors = rms(delta_e.tolist()) / math.sqrt(1 + count / many), rms(optimum) / math.sqrt(1 + count / swept)
         # The RMS of G values is known to 1/√(2G).
-        spread = math.sqrt(count / (2 * pool))
+        spread = math.sqrt(count / (2 * (swept if enough else many)))
         yield Rung("seeds", name, count, count == 1, time_s, math.nan, *errors, spread=spread)
         count *= 2
 
