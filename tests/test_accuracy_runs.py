@@ -33,7 +33,19 @@ from pixsim.stability import compare
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # what a command warns of is in its stderr
 DISPLAY, DIE = {"dots": 32}, {"die_mm": 0.4}  # 75 pixels of 5.3 µm: quick
-SMALL = replace(QUICK, seconds=8.0, reference_s=0.1, spp=16, films=(-1,), bands=(2,), lens=(4,), plain=(4,), pool=8, dots=(0.5, 2))
+SMALL = replace(
+    QUICK,
+    seconds=8.0,
+    ladders_s=4.0,
+    reference_s=0.1,
+    spp=16,
+    films=(-1,),
+    bands=(2,),
+    lens=(4,),
+    plain=(4,),
+    pool=8,
+    dots=(0.5, 2),
+)
 
 
 @pytest.fixture(autouse=True)
@@ -121,21 +133,21 @@ def test_a_survey_of_a_chart_with_a_formula(tmp_path):
 
 @pytest.mark.parametrize("name", ["flat", "slanted_edge"])
 def test_a_survey_of_other_charts(name, tmp_path):
-    found = surveyed(name, replace(SMALL, seconds=0.1), scene={"resolution": 32, "spp": 4})
+    found = surveyed(name, replace(SMALL, seconds=0.1, ladders_s=0.1), scene={"resolution": 32, "spp": 4})
     assert check(found, tmp_path / "out")["analytic"] is True
     if name == "flat":  # its electrons are right but for the fall-off and the bands
         assert found.shipped.error_e < 1e-3
 
 
 def test_a_survey_of_a_scene_without_a_formula(tmp_path):
-    found = surveyed("macbeth", replace(SMALL, seconds=0.1), scene={"resolution": 32, "spp": 4})
+    found = surveyed("macbeth", replace(SMALL, seconds=0.1, ladders_s=0.1), scene={"resolution": 32, "spp": 4})
     summary = check(found, tmp_path / "out")
     assert summary["analytic"] is False
     assert "times the work, other seeds" in summary["reference"]
 
 
 def test_what_there_is_no_time_for_is_left_out_and_says_so(tmp_path):
-    found = surveyed("csf", replace(SMALL, seconds=0.1))
+    found = surveyed("csf", replace(SMALL, seconds=0.1, ladders_s=0.1))
     check(found, tmp_path / "out")
     left = [each for each in found.rungs if each.left_out]
     assert {each.ladder for each in left} == LADDERS
@@ -154,7 +166,7 @@ SETTINGS = {
 
 @pytest.mark.parametrize("case", SETTINGS)
 def test_surveys_of_other_sensors_and_viewers(case, tmp_path):
-    found = surveyed("csf", replace(SMALL, seconds=0.1), **SETTINGS[case])
+    found = surveyed("csf", replace(SMALL, seconds=0.1, ladders_s=0.1), **SETTINGS[case])
     check(found, tmp_path / "out")
     if case == "one to one":
         assert [each.left_out for each in found.rungs if each.ladder == "raster"] == ["the dots are the pixels"]
@@ -199,7 +211,7 @@ def test_errors_of_seeds_are_those_of_independent_sensors():
     """Means over n sensors err by σ/√n: 8 means of 4 and a reference of 32 tell that to a third, 3 of them."""
     setup, image = csf()
     shipped, clock = Rung("methods", "own", 1, seconds=1.0), Clock(math.inf, 1, 0.0, 0.01)
-    rungs = {each.value: each for each in seed_rungs(image, setup, shipped, clock, 32)}
+    rungs = {each.value: each for each in seed_rungs(image, setup, shipped, clock, 8)}
     assert set(rungs) == {1, 2, 4, 8}
     sensor = probe(image, replace(setup, sensors=32, seed=5)).delta_e.std(ddof=1)
     for count in (1, 2, 4):
