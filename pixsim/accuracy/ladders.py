@@ -56,6 +56,7 @@ class Clock:
     runs: int
     render_s: float = 0.0
     probe_s: float = 0.0
+    score_s: float = 0.0  # of one sensor at one pitch
 
     def warms_up(self, work: float) -> bool:
         """Whether a first render, which compiles, is made only to be thrown away; in a long one it hardly matters."""

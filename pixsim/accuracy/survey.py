@@ -30,6 +30,7 @@ FINER = 2  # the analytic reference's film, of the scene's
 FEWEST_TIMES = 4.0  # the work of the shipped settings: less is no reference
 COARSEST = 64  # film width of the least part of a scene that is looked at, where its reference would take too long
 FEWEST_DOTS = 8
+LONG_WORK = 8.0  # times that of the shipped settings: such methods come last
 CHART_HALF_WIDTH = "chart_half_width"  # of the shipped charts, which fill the die: a part of it is to show a part of them
 Stage = Callable[[str], Callable[..., None]]
 
@@ -189,10 +190,13 @@ def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tu
     shipped = ladders.measure("methods", own, subject, clock)
     whole_s = time.perf_counter() - began - (clock.runs + 1) * subject.render_s
     clock.render_s, clock.probe_s = subject.render_s, max(whole_s, 0.0) / clock.runs
+    clock.score_s = clock.probe_s / (1 + len(subject.setup.pitches_um))
     width = subject.image.shape[1]
     films = [max(8, int(width * 2.0**k)) for k in depth.films]
     viewer = replace(subject.setup, pitches_um=subject.setup.pitches_um if depth.seeds_move_the_optimum else ())
     dots = [each for times in depth.dots if FEWEST_DOTS <= (each := int(subject.setup.display.dots * times)) <= MOST_DOTS]
+
+    methods = ladders.method_steps(subject, depth.plain, other_variant(subject.scene))
 
     def climb(name: str, steps: list[ladders.Step]) -> Iterator[Rung]:
         return ladders.climb(name, steps, subject, clock, shipped)
@@ -202,10 +206,11 @@ def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tu
         "raster": lambda: raster_rungs(subject.image, subject.setup, clock, dots),
         "spp": lambda: climb("spp", ladders.sample_steps(subject, depth.spp)),
         "film": lambda: climb("film", ladders.film_steps(subject, films)),
+        "methods": lambda: climb("methods", [each for each in methods if each.work < LONG_WORK]),
         "bands": lambda: climb("bands", ladders.band_steps(subject, depth.bands)),
         "sampler": lambda: climb("sampler", ladders.sampler_steps(subject)),
         "lens": lambda: climb("lens", ladders.lens_steps(subject, depth.lens)),
-        "methods": lambda: climb("methods", ladders.method_steps(subject, depth.plain, other_variant(subject.scene))),
+        "long methods": lambda: climb("methods", [each for each in methods if each.work >= LONG_WORK]),
     }
     rungs: list[Rung] = []
     for number, (name, rise) in enumerate(climbs.items()):

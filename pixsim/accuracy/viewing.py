@@ -23,10 +23,9 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
     is known: a difference of means over n and m sensors has (1 + n/m) times the variance of the first alone, and is divided
     by its root. Fewer sensors are taken, and the optimum is left, where time is short.
     """
-    each_s = clock.probe_s / (1 + len(setup.pitches_um))
 
     def expected_s() -> float:
-        return 2 * pool * each_s * (SENSORS_PER_SWEEP + len(setup.pitches_um))
+        return 2 * pool * clock.score_s * (SENSORS_PER_SWEEP + len(setup.pitches_um))
 
     while pool > FEWEST_SENSORS and not clock.room_for(expected_s()):
         pool, setup = (pool, replace(setup, pitches_um=())) if setup.pitches_um else (pool // 2, setup)
