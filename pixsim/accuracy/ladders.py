@@ -62,9 +62,14 @@ class Clock:
         """Whether a first render, which compiles, is made only to be thrown away; in a long one it hardly matters."""
         return work * self.render_s < LONG_S
 
+    def runs_of(self, work: float) -> int:
+        """Renders of a rung: a long one once."""
+        return self.runs if self.warms_up(work) else 1
+
     def expected_s(self, work: float) -> float:
         """Of a rung of so many times the work of the shipped one."""
-        return (self.runs + self.warms_up(work)) * work * self.render_s + self.runs * self.probe_s
+        runs = self.runs_of(work)
+        return (runs + self.warms_up(work)) * work * self.render_s + runs * self.probe_s
 
     def room_for(self, seconds: float) -> bool:
         return time.perf_counter() + seconds < self.end
@@ -117,7 +122,7 @@ def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
     if clock.warms_up(step.work):
         picture(clock.runs)
     seconds, electrons, delta_e, optimum = [], [], [], []
-    for seed in range(clock.runs):
+    for seed in range(clock.runs_of(step.work)):
         start = time.perf_counter()
         image = picture(seed)
         image.header |= subject.white

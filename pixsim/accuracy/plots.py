@@ -101,8 +101,15 @@ def draw_front(axes: Axes, found: Accuracy, metric: str) -> None:
 
 
 def log_axes(axes: Axes, x: str, y: str, ticks: list[float] | None = None) -> None:
+    """Logarithmic, with plain numbers at 1, 2 and 5 along x, or at `ticks`."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_formatter(NullFormatter())
     if ticks:
         axes.set_xticks(ticks, [f"{each:g}" for each in ticks])
         axes.minorticks_off()

@@ -56,13 +56,13 @@ class Depth:
 
 
 FULL = Depth(
-    seconds=230.0,
+    seconds=245.0,
     ladders_s=60.0,
     reference_s=90.0,
     runs=2,
     pitches=6,
     spp=64,
-    films=(-3, -2, -1, 1),
+    films=(-4, -3, -2, -1, 1),
     bands=(1, 2, 4, 8, 16, 96),
     lens=(1, 4, 16, 64),
     plain=(4, 16, 64),
