@@ -56,7 +56,7 @@ class Depth:
 
 
 FULL = Depth(
-    seconds=245.0,
+    seconds=265.0,
     ladders_s=60.0,
     reference_s=90.0,
     runs=2,
