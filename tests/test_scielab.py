@@ -1,9 +1,8 @@
-"""S-CIELAB: limits, closed forms, conservation, and numbers from outside (tests/data/scielab/README.md)."""
+"""S-CIELAB: limits, closed forms, conservation. Numbers from outside: tests/judges/test_scielab_judge.py."""
 
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,26 +11,9 @@ import scipy.ndimage
 from pixsim import scielab
 from pixsim.errors import PixsimError
 
-DATA = Path(__file__).parent / "data" / "scielab"
-PAIRS = ["constant_offset", "csf_sweep_vs_blur", "dark_noise", "edge_vs_blurred_edge", "redgreen_grating_vs_mean"]
 D65 = np.array([95.047, 100.0, 108.883])
 FILTERS = ["published", "zhang1996"]
 FORMULAS = ["1976", "1994", "2000"]
-COLOURS = np.array([[20.6, 12.2, 5.1], [18.3, 32.4, 6.0], [9.9, 7.2, 48.0], [80.1, 84.0, 90.5], [0.2, 0.21, 0.19]])
-
-
-def load_pair(name: str) -> tuple[np.ndarray, np.ndarray, dict]:
-    """(reference XYZ, test XYZ, everything in the file)."""
-    with np.load(DATA / f"{name}.npz") as file:
-        data = dict(file)
-    return data["reference_over_white"] * data["white_xyz"], data["test_over_white"] * data["white_xyz"], data
-
-
-def map_of(name: str, **options) -> tuple[np.ndarray, dict]:
-    """(this module's map of a pair, everything in the file)."""
-    reference, test, data = load_pair(name)
-    view = {"white_xyz": data["white_xyz"], "samples_per_deg": float(data["samples_per_deg"])}
-    return scielab.delta_e_map(reference, test, **view, **options), data
 
 
 def xyz_from_lab(lab: np.ndarray) -> np.ndarray:
@@ -45,33 +27,7 @@ def random_image(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(5, 90, (*shape, 3))
 
 
-# --- Against the first public code, 1996 ---
-
-
-@pytest.mark.parametrize("name", PAIRS)
-@pytest.mark.parametrize("formula", ["1976", "1994"])
-def test_the_1996_maps_are_met(name, formula):
-    found, data = map_of(name, filters="zhang1996", formula=formula)
-    # Both sides are float64 of the same arithmetic: measured 1e-13. A wrong tap, edge or Lab constant gives > 1e-5.
-    assert np.abs(found - data[f"delta_e_{formula}"]).max() < 1e-9
-
-
-def test_1994_is_weighted_by_the_reference():
-    reference, test, data = load_pair("redgreen_grating_vs_mean")
-    swapped = scielab.delta_e_map(test, reference, white_xyz=D65, samples_per_deg=30, filters="zhang1996", formula="1994")
-    assert np.abs(swapped - data["delta_e_1994"]).max() > 1  # measured 2.5: so the maps above do tell which is which
-
-
-@pytest.mark.parametrize("samples_per_deg", [20, 23, 30, 60, 120, 240])
-def test_the_1996_kernels_are_met(samples_per_deg):
-    with np.load(DATA / "kernels.npz") as kernels:
-        for channel, gaussians in enumerate(scielab.ZHANG1996_GAUSSIANS):
-            signed_roots = [
-                np.sign(weight) * abs(weight) ** 0.5 * scielab._zhang1996_kernel(width_deg, samples_per_deg)
-                for weight, width_deg in gaussians
-            ]
-            # Taps are at most 1 and rounded to 1e-16.
-            np.testing.assert_allclose(signed_roots, kernels[f"spd{samples_per_deg}_k{channel + 1}"], rtol=0, atol=1e-14)
+# --- The filter of the first public code, 1996, by a second way ---
 
 
 @pytest.mark.parametrize("shape", [(64, 48), (5, 9)])  # larger and smaller than the kernel of 23 taps
@@ -89,17 +45,6 @@ def test_the_1996_filter_is_a_convolution_with_reflected_edges(shape):
     lab = scielab.filtered_lab(image, white_xyz=D65, samples_per_deg=23, filters="zhang1996")
     # Two ways to the same sums; xyz_from_lab has CIE's constants, but no sample here is dark enough to use them.
     np.testing.assert_allclose(xyz_from_lab(lab), expected, rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("name", PAIRS)
-def test_published_and_1996_filters_tell_nearly_the_same(name):
-    found, data = map_of(name)
-    expected, coarse = data["delta_e_1976"], float(data["samples_per_deg"]) < 60
-    # Two parametrisations of one experiment: measured 2 to 6 % apart in the mean, published above. They are not the
-    # same filter, hence the lower bound. At 20 and 30 samples/deg the 1996 kernels are undersampled.
-    assert 0.01 < found.mean() / expected.mean() - 1 < (0.17 if coarse else 0.07)
-    if np.ptp(expected) > 1e-6:  # a uniform map has no correlation
-        assert np.corrcoef(found.ravel(), expected.ravel())[0, 1] > (0.99 if coarse else 0.998)
 
 
 # --- Grey images ---
@@ -175,17 +120,6 @@ def test_the_published_filter_conserves_the_mean(samples_per_deg):
     np.testing.assert_allclose(xyz_from_lab(lab).mean(axis=(0, 1)), image.mean(axis=(0, 1)), rtol=1e-12)
 
 
-@pytest.mark.parametrize("xyz", COLOURS)
-def test_a_uniform_patch_has_its_plain_cielab(xyz):
-    import colour
-
-    expected = colour.XYZ_to_Lab(xyz / 100, colour.XYZ_to_xy(D65))  # colour's white has Y = 1
-    lab = scielab.filtered_lab(np.broadcast_to(xyz, (24, 31, 3)), white_xyz=D65, samples_per_deg=23)
-    # colour takes the white by its chromaticity, a rounding more. The sampled filter of 1996 is off by ΔE > .1 here.
-    np.testing.assert_allclose(lab, np.broadcast_to(expected, lab.shape), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(scielab.xyz_to_lab(xyz, D65), expected, rtol=0, atol=1e-9)
-
-
 def test_a_viewer_nearby_sees_every_sample_and_one_far_away_only_the_mean():
     image = random_image((32, 32))
     plain = scielab.xyz_to_lab(image, D65)
@@ -251,16 +185,6 @@ def test_1994_in_closed_form():
     reference, test = [[50.0, 10.0, 0.0]], [[51.0, 12.0, 0.0]]
     np.testing.assert_allclose(scielab.delta_e(reference, test, "1994"), np.hypot(1, 2 / 1.45), rtol=1e-12)
     np.testing.assert_allclose(scielab.delta_e(test, reference, "1994"), np.hypot(1, 2 / 1.54), rtol=1e-12)
-
-
-def test_2000_meets_sharmas_pairs():
-    rows = np.loadtxt(DATA / "sharma.csv", delimiter=",", skiprows=1)
-    assert rows.shape == (34, 7)
-    found = scielab.delta_e(rows[:, :3], rows[:, 3:6], "2000")
-    error = np.abs(found - rows[:, 6])
-    # Pair 14 has hues 180° apart, where the formula itself jumps: arctan2's last bit chooses its value or pair 15's.
-    error[13] = np.abs(found[13] - rows[13:15, 6]).min()
-    assert error.max() < 1e-4  # the table is rounded to 4 decimals
 
 
 def test_a_global_setting_of_colour_science_changes_nothing():

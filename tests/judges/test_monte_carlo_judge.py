@@ -1,0 +1,169 @@
+"""Mitsuba's variants give one image, and so do pruned and full: pixel by pixel, as Mitsuba tests its own renders.
+
+Source: the test of src/render/tests/test_renders.py (Mitsuba 3), which Eradiate uses too: p-values of each pixel's difference,
+a significance of 0.01 with Šidák's correction for the number of pixels, and 99.75 % of the pixels must pass. Variances are
+estimated on both sides, so that the p-values are those of Welch's t: a z-test with variances from 16 renders would reject more
+than it says. What is tested are pixsim's mean electrons of two sensors.
+
+Gates:
+* 99.75 to 100 % accepted: the source's. Without a difference all pixels should be accepted (Šidák: one test in a hundred has
+  one pixel of 1152 that is not).
+* 1 to 12 % of the pixels, without any correction, at p < 0.05: the other side. Less means that the two are more alike than
+  independent renders can be (one seed for both, or noise overestimated), more that many pixels differ a little; 5 % is expected.
+  Two sensors see one render, and glints make noise with long tails, so that it scatters by 1 % and more; measured 3 to 8 %.
+* Each picture must be able to fail: an error of the whole of 7 standard errors of a pixel (3 % of the chart, 1 % of the
+  ColorChecker, 20 % of the still life, whose paths are noisy), up or down, is noticed.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+from functools import cache
+
+import numpy as np
+import pytest
+from edits import VARIANT
+from gates import not_met, row
+from scipy.stats import ttest_ind, ttest_ind_from_stats
+
+import pixsim
+from pixsim.pixel import derive
+from pixsim.renderer import Renderer
+from pixsim.sensor import ideal_rate
+from pixsim.sensor_plan import make_plan
+from pixsim.variant import find_llvm
+
+SIGNIFICANCE, PASSING = 0.01, 0.9975
+LIKELY = (0.01, 0.12)  # of the pixels at p < 0.05, where 0.05 is expected
+FLOAT32 = 1e-5  # of the mean electrons: rounding, where there is no noise
+RENDERS = 16
+PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
+HAS_LLVM = find_llvm()[0] is not None
+LLVM = pytest.param(
+    "llvm_ad_spectral", marks=pytest.mark.skipif(not HAS_LLVM, reason="no LLVM 17 or newer here: scalar_spectral only")
+)
+CUDA = pytest.param(
+    "cuda_ad_spectral",
+    marks=pytest.mark.skipif(ctypes.util.find_library("cuda") is None, reason="no libcuda here: no NVIDIA driver, so no GPU"),
+)
+# Samples, and an error of the whole picture that the test must notice: 7 standard errors of a pixel.
+SCENES = {"csf": (16, 0.03), "macbeth": (4, 0.01), "still_life": (16, 0.2)}
+LONG = {"still_life"}  # variants
+LONG_IN_FULL = {"macbeth", "still_life"}  # all passes, of many bands
+SIZE = 24
+
+
+@cache
+def renders(name: str, variant: str, full: bool = False, seed: int = 1, stops: float = 1.0) -> np.ndarray:
+    """Mean electrons of independent renders, (renders, pixels of the picture × sensors); stops: a factor on the f-number."""
+    few = full and name != "still_life"  # its paths need 16
+    scene = pixsim.load_scene(name, variant=variant, resolution=SIZE, spp=4 if few else SCENES[name][0])
+    camera = scene.camera()
+    lens = camera.model_copy(update={"f_number": stops * camera.f_number})
+    job = Renderer(scene, lens, make_plan(scene, full=full), seed)
+    return np.array([
+        np.concatenate([ideal_rate(image, derive(pixel)).ravel() for pixel in PIXELS])
+        for image in (job.image(*job.run(index)) for index in range(RENDERS))
+    ])  # fmt: skip
+
+
+def passing(one: np.ndarray, other: np.ndarray, bound: float = 0.0) -> float:
+    """Fraction of pixels whose difference, beyond a bound, is not significant."""
+    means, deviations = zip(*((each.mean(axis=0), each.std(axis=0, ddof=1)) for each in (one, other)), strict=True)
+    beyond = np.maximum(np.abs(means[0] - means[1]) - bound * means[1], 0.0)
+    least = FLOAT32 * means[1] * len(one) ** 0.5
+    p_value = ttest_ind_from_stats(
+        beyond, np.maximum(deviations[0], least), len(one), 0.0, np.maximum(deviations[1], least), len(other), equal_var=False
+    ).pvalue
+    alpha = 1 - (1 - SIGNIFICANCE) ** (1 / one.shape[1])
+    return float(np.mean(p_value > alpha))
+
+
+def unlikely(one: np.ndarray, other: np.ndarray) -> float:
+    """Fraction of pixels at p < 0.05: 0.05 for independent renders of one picture."""
+    return float(np.mean(ttest_ind(one, other, equal_var=False).pvalue < 0.05))
+
+
+def assert_one_image(name: str, one: np.ndarray, other: np.ndarray, bound: float = 0.0) -> None:
+    assert passing(one, other, bound) >= PASSING
+    assert LIKELY[0] <= unlikely(one, other) <= LIKELY[1]
+    for wrong in (1 + SCENES[name][1], 1 - SCENES[name][1]):
+        assert passing(one * wrong, other, bound) < PASSING, "an error of the whole picture would not be noticed"
+
+
+def bound_of(name: str) -> float:
+    """What the plan says that leaving out can cost, of the mean electrons."""
+    return make_plan(pixsim.load_scene(name, variant=VARIANT)).bound_e
+
+
+def rows(full: bool = False) -> list[dict[str, object]]:
+    found = []
+
+    def compare(judge: str, one: np.ndarray, other: np.ndarray, bound: float = 0.0) -> None:
+        form, test = "{:.4f}", "z-test per pixel, Šidák (Mitsuba 3)"
+        found.append(row(f"{judge}: accepted", test, PASSING, 1, passing(one, other, bound), form))
+        found.append(row(f"{judge}: at p < 0.05", test, *LIKELY, unlikely(one, other), form))
+
+    for name in SCENES:
+        if HAS_LLVM and (full or name not in LONG):
+            compare(f"`{name}`, LLVM and scalar", renders(name, "llvm_ad_spectral", seed=2), renders(name, VARIANT))
+        if full or name not in LONG_IN_FULL:
+            whole = renders(name, VARIANT, full=True, seed=2)
+            compare(f"`{name}`, pruned and full", renders(name, VARIANT), whole, bound_of(name))
+    return found
+
+
+def test_rows():
+    assert not_met(rows()) == []
+
+
+@pytest.mark.judges_full
+def test_rows_in_full():
+    assert not_met(rows(full=True)) == []
+
+
+def scenes(long: set[str]) -> pytest.MarkDecorator:
+    names = [pytest.param(each, marks=pytest.mark.judges_full) if each in long else each for each in SCENES]
+    return pytest.mark.parametrize("name", names)
+
+
+@pytest.mark.parametrize("variant", [LLVM, CUDA])
+@scenes(LONG)
+def test_variants_give_one_image(name, variant):
+    if variant.startswith("cuda"):
+        try:
+            pixsim.load_scene(name, variant=variant).parse()
+        except pixsim.PixsimError as error:
+            pytest.skip(f"no GPU that Mitsuba can use: {error}")
+    assert_one_image(name, renders(name, variant, seed=2), renders(name, VARIANT))
+
+
+@scenes(LONG_IN_FULL)
+def test_pruned_and_full_give_one_image(name):
+    assert_one_image(name, renders(name, VARIANT), renders(name, VARIANT, full=True, seed=2), bound_of(name))
+
+
+def test_other_images_fail():
+    """A shift by one pixel, and two scenes of the same mean."""
+    csf = renders("csf", VARIANT)
+    shifted = np.roll(csf.reshape(RENDERS, -1, SIZE), 1, axis=2).reshape(csf.shape)
+    assert passing(shifted, csf) < 0.9
+    assert passing(csf.mean(axis=1, keepdims=True) * np.random.default_rng(0).normal(1, 1e-3, csf.shape), csf) < 0.9
+
+
+def test_another_lens_fails():
+    """f/4.1 instead of f/4 is 5 % less light."""
+    for stops in (4.1 / 4, 3.9 / 4):
+        assert passing(renders("csf", VARIANT, seed=2, stops=stops), renders("csf", VARIANT)) < 0.1
+
+
+def test_one_seed_for_both_is_too_good():
+    csf = renders("csf", VARIANT)
+    assert passing(csf, csf) == 1  # the standard alone would take it
+    assert unlikely(csf, csf) < LIKELY[0]
+
+
+def test_independent_renders_of_one_scene_pass():
+    for name in ("csf", "macbeth"):
+        assert passing(renders(name, VARIANT, seed=3), renders(name, VARIANT)) >= PASSING
+        assert LIKELY[0] <= unlikely(renders(name, VARIANT, seed=3), renders(name, VARIANT)) <= LIKELY[1]

@@ -1,0 +1,333 @@
+"""The lens against a camera simulator, a path tracer, the textbook and plain quadrature.
+
+Sources:
+* ISETCam (Stanford; tests/data/isetcam_optics/README.md): illuminance at the centre, MTF of a diffraction-limited lens;
+* the Airy pattern (Born & Wolf, Principles of Optics, 8.5.2): first dark ring at the first zero of J₁, 3.83171 = π·1.21967,
+  inside it 1 - J₀²(3.83171) = 83.78 % of the light;
+* the solid-angle integral over the lens, by Gauss-Legendre quadrature, for Foote's closed form;
+* a Mitsuba render of a luminous disc over a white plane (path tracer, depth 2): E = π times the plane's radiance.
+
+Gates:
+* Illuminance, ISETCam short by 1.07e-4 a stop number ±5 %, +0 ± 3e-5, and no more than 1e-5 from that line: it pads with black,
+  and the light that an Airy pattern sends beyond a radius grows as λN. So its distance is explained, not allowed for; |m| of
+  the wrong sign would be 2 % to 25 %.
+* MTF ±1e-14: the same closed form on both sides.
+* First zero ±2e-4 and encircled light ±1e-4, relative: the picture's borders reflect the far wings (7e-5, 3e-5 with 801²
+  samples, four times less at each doubling). N 0.1 % off shows in the first, another shape of the pupil in both.
+* Quadrature ±1e-9: both sides hold 13 digits.
+* Mitsuba ±1e-4 at f/4 (noise 3e-5 or less, float32 geometry 3e-6), ±3e-4 at f/0.5 (noise 5e-5; a cone of 45°). cos⁴ instead
+  of Foote is 0.3 % off at f/4 and 12°.
+* pixsim's own picture of a flat field ±5e-4 of the same disc: its bands cost 3e-5 of the luminance, D65's table is rounded.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edits import VARIANT
+from gates import not_met, row
+from scipy.interpolate import CubicSpline, RectBivariateSpline
+from scipy.optimize import brentq
+
+import pixsim
+from pixsim import optics
+from pixsim.mitsuba_xml import speaking_mitsuba
+from pixsim.spectral import luminous_weight, photons_per_joule
+
+ISETCAM = Path(__file__).parents[1] / "data" / "isetcam_optics" / "isetcam_optics.npz"
+NM = np.array([550.0])
+ONE = np.array([1.0])
+FIRST_ZERO, INSIDE_IT = 1.2196699, 0.8377850  # j₁₁/π in units of λN; 1 - J₀²(j₁₁)
+# f-number and tangent of the field angle. "full" adds a lens so fast that only the exact form holds.
+DISCS, FAST_DISCS = [(4.0, 0.0), (4.0, 0.3), (4.0, 1.0)], [(0.5, 0.0), (0.5, 0.6)]
+QUADRATURE = [(n, a) for n in (0.5, 0.7, 1.4, 4.0, 32.0, 1000.0) for a in (0.0, 1e-3, 12.0, 45.0, 60.0)]
+
+
+def tan_deg(angle_deg: float) -> float:
+    return float(np.tan(np.radians(angle_deg)))
+
+
+# --- Radiance to irradiance ---
+
+
+def lens_integral(tan_alpha: float, tan_field: float) -> float:
+    """∫ cos θ₁ cos θ₂ / r² over a disc at height 1, seen from a point tan_field off its axis.
+
+    Gauss-Legendre in radius, trapezoid in angle (which converges exponentially for a periodic function).
+    """
+    x, w = np.polynomial.legendre.leggauss(120)
+    radius, weight = tan_alpha * (x + 1) / 2, tan_alpha * w / 2
+    angle = 2 * np.pi * np.arange(400) / 400
+    distance2 = 1 + radius[:, None] ** 2 + tan_field**2 - 2 * radius[:, None] * tan_field * np.cos(angle)
+    return float(((radius * weight)[:, None] / distance2**2).sum() * 2 * np.pi / angle.size)
+
+
+def from_quadrature(f_number: float, angle_deg: float, law=optics.irradiance_factor) -> float:
+    """Relative difference of a law E/L(f-number, tan) from the integral."""
+    return float(law(f_number, tan_deg(angle_deg))) / lens_integral(0.5 / f_number, tan_deg(angle_deg)) - 1
+
+
+def cosine_fourth(f_number: float, tan_field: float) -> float:
+    """What lens-makers' rule of thumb says, π cos⁴θ/(1 + 4N²): right on the axis, wrong off it."""
+    return np.pi / (1 + 4 * f_number**2) / (1 + tan_field**2) ** 2
+
+
+@cache
+def disc_irradiance(f_number: float, tan_field: float) -> float:
+    """E/L under a disc of radius 1/2N at height 1, tan_field off its axis, by Mitsuba's path tracer on a white plane."""
+    with speaking_mitsuba(VARIANT, Path(__file__).parent) as mi:
+        transform = mi.ScalarTransform4f
+
+        def radiance(origin: list[float], target: list[float], samples: int) -> float:
+            scene = {
+                "type": "scene",
+                "integrator": {"type": "path", "max_depth": 2},
+                "sensor": {
+                    "type": "perspective",
+                    "fov": 0.01,
+                    "to_world": transform().look_at(origin=origin, target=target, up=[0, 1, 0.3]),
+                    "sampler": {"type": "multijitter", "sample_count": samples},
+                    "film": {
+                        "type": "specfilm",
+                        "width": 8,
+                        "height": 8,
+                        "component_format": "float32",
+                        "rfilter": {"type": "box"},
+                        "band": {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 600.0, "values": "1, 1"},
+                    },
+                },
+                "plane": {
+                    "type": "rectangle",
+                    "to_world": transform().scale(10),
+                    "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 1.0}},
+                },
+                "disc": {
+                    "type": "disk",
+                    "to_world": transform().translate([tan_field, 0, 1]).rotate([1, 0, 0], 180).scale(0.5 / f_number),
+                    "emitter": {"type": "area", "radiance": {"type": "uniform", "value": 1.0}},
+                },
+            }
+            return float(np.array(mi.render(mi.load_dict(scene), seed=1), float)[..., 0].mean())
+
+        plane = radiance([0, -2, 0.5], [0, 0, 0], 4096)  # from the side, so that the camera is not under the disc
+        disc = radiance([tan_field, 0, 0.5], [tan_field, 0, 1], 16)
+    return np.pi * plane / disc
+
+
+def from_disc(f_number: float, tan_field: float, law=optics.irradiance_factor) -> float:
+    """Relative difference of a law from the render."""
+    return float(law(f_number, tan_field)) / disc_irradiance(f_number, tan_field) - 1
+
+
+@cache
+def flat_field() -> tuple[np.ndarray, pixsim.Camera, float]:
+    """pixsim's picture of 100 cd/m² at f/4: illuminance in lx (33, 33), camera, tangent at the border's centre (about 0.7)."""
+    camera = pixsim.Camera(focal_length_mm=6.0, f_number=4.0, object_distance_m=1.2, die_mm=8.6)
+    scene = pixsim.load_scene("flat", variant=VARIANT, resolution=33, spp=4, luminance_cd_per_m2=100)
+    image = pixsim.render(scene, camera)
+    return image.illuminance_lx(), camera, 16 * image.pitch_um * 1e-3 / camera.image_distance_mm
+
+
+def picture_from_disc(luminance_cd_per_m2: float = 100.0, magnification: float | None = None) -> np.ndarray:
+    """Relative difference of pixsim's picture, centre and border, from Mitsuba's disc as large as the lens seen from there."""
+    lux, camera, tan_border = flat_field()
+    working = 4.0 * (1 + (camera.magnification if magnification is None else magnification))
+    found = {0.0: lux[16, 16], tan_border: lux[16, 32]}
+    return np.array([each / (luminance_cd_per_m2 * disc_irradiance(working, tan)) - 1 for tan, each in found.items()])
+
+
+def isetcam_short(magnification_sign: float = 1.0, stops: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """(f-numbers, how much darker ISETCam's centre is than Foote's, relative)."""
+    with np.load(ISETCAM) as file:
+        data = dict(file)
+    nm = data["optics_wave"].astype(float)
+    radiance = data["optics_scene_radiance_photons"] / photons_per_joule(nm)
+    luminance_cd_per_m2 = (radiance * luminous_weight(nm, 10.0)).sum()
+    f_number, m = data["optics_irr_fnumber"], data["optics_irr_mag"]
+    working = stops * f_number * (1 + magnification_sign * np.abs(m))
+    return f_number, 1 - data["optics_irr_lux"] / (luminance_cd_per_m2 * optics.irradiance_factor(working, 0.0))
+
+
+def isetcam_line(**wrong: float) -> tuple[np.ndarray, float, float, np.ndarray]:
+    """(loss, its slope a stop number, its value at N = 0, what is left of it)."""
+    f_number, short = isetcam_short(**wrong)
+    slope, at_zero = np.polyfit(f_number, short, 1)
+    return short, float(slope), float(at_zero), short - (slope * f_number + at_zero)
+
+
+# --- Diffraction ---
+
+
+def from_isetcam_mtf(nm: int, f_number: float = 4.0) -> np.ndarray:
+    with np.load(ISETCAM) as file:
+        frequency, mtf = file["optics_mtf_freq_cycmm"], file[f"optics_mtf_f4_{nm}nm"]
+    return optics.diffraction_otf(frequency, nm, f_number) - mtf
+
+
+@cache
+def airy(f_number: float = 4.0, samples: int = 801, pitch_um: float = 0.1) -> tuple[float, float]:
+    """(radius of the first dark ring over 550 nm · 4, light within the ring of f/4) of the picture of a point."""
+    point, middle = np.zeros((samples, samples)), samples // 2
+    point[middle, middle] = 1.0
+    psf = optics.diffract(point, pitch_um, NM, ONE, f_number)
+    x_um = pitch_um * (np.arange(samples) - middle)
+    along = psf[middle, middle:]
+    lowest = int(np.argmin(along[: round(1.5 * 0.55 * f_number / pitch_um)]))
+    # The amplitude, √ with its sign, goes straight through zero; the sign of the darkest sample itself is unknown.
+    near = middle + np.r_[lowest - 4 : lowest, lowest + 1 : lowest + 5]
+    amplitude = np.sqrt(np.maximum(psf[middle, near], 0)) * np.repeat([1, -1], 4)
+    dark_um = brentq(CubicSpline(x_um[near], amplitude), x_um[middle + lowest - 1], x_um[middle + lowest + 1])
+    node, weight = np.polynomial.legendre.leggauss(40)
+    edge_um = FIRST_ZERO * 0.55 * 4.0
+    radius, ring = ((node + 1) / 2 * edge_um)[:, None], (weight / 2 * edge_um)[:, None]
+    angle = 2 * np.pi * np.arange(64) / 64
+    light = RectBivariateSpline(x_um, x_um, psf).ev(radius * np.sin(angle), radius * np.cos(angle))
+    return dark_um / (0.55 * 4.0), float((ring * radius * light).sum() * 2 * np.pi / 64 / pitch_um**2)
+
+
+def rows(full: bool = False) -> list[dict[str, object]]:
+    short, slope, at_zero, left = isetcam_line()
+    zero, inside = airy()
+    path = "Mitsuba: disc over a white plane"
+    found = [
+        row("illuminance, ISETCam short of it", "ISETCam", 1e-4, 9e-4, short),
+        row("… a stop number (border padding)", "ISETCam", 1.0165e-4, 1.1235e-4, slope, "{:.3e}"),
+        row("… at N = 0", "ISETCam", -3e-5, 3e-5, at_zero),
+        row("… besides", "ISETCam", -1e-5, 1e-5, left),
+        row(
+            "diffraction MTF, 450, 550, 650 nm",
+            "ISETCam",
+            -1e-14,
+            1e-14,
+            np.concatenate([from_isetcam_mtf(each) for each in (450, 550, 650)]),
+        ),
+        row("first dark ring over 1.21967 λN, less 1", "Airy", -2e-4, 2e-4, zero / FIRST_ZERO - 1),
+        row("light within it over 83.78 %, less 1", "Airy", -1e-4, 1e-4, inside / INSIDE_IT - 1),
+        row(
+            "E/L, f/0.5 to f/1000, 0 to 60°",
+            "solid angle, quadrature",
+            -1e-9,
+            1e-9,
+            [from_quadrature(*each) for each in QUADRATURE],
+        ),
+        row("E/L, f/4, 0 to 45°", path, -1e-4, 1e-4, [from_disc(*each) for each in DISCS]),
+        row("picture of a flat field, f/4, centre and border", path, -5e-4, 5e-4, picture_from_disc()),
+    ]
+    if full:
+        found.append(row("E/L, f/0.5, 0 and 31°", path, -3e-4, 3e-4, [from_disc(*each) for each in FAST_DISCS]))
+    return found
+
+
+def test_rows():
+    assert not_met(rows()) == []
+
+
+@pytest.mark.judges_full
+def test_rows_in_full():
+    assert not_met(rows(full=True)) == []
+
+
+# --- Each can fail ---
+
+
+@pytest.mark.parametrize(("f_number", "angle_deg"), QUADRATURE)
+def test_irradiance_is_the_integral_over_the_lens(f_number, angle_deg):
+    # Both sides hold 13 digits or more: measured 4e-15. cos⁴ instead of Foote is 0.3 % off at f/4 and 12°.
+    assert abs(from_quadrature(f_number, angle_deg)) < 1e-9
+    for stops in (1.0001, 1 / 1.0001)[: 1 if f_number == 0.5 else 2]:  # nothing is faster than f/0.5
+        assert abs(from_quadrature(f_number, angle_deg, lambda n, t, s=stops: optics.irradiance_factor(n * s, t))) > 1e-5
+
+
+def test_the_rule_of_thumb_misses_the_integral():
+    # Its next term is of the order of tan²α tan²θ: seen even at f/32.
+    for f_number in (0.5, 4.0, 32.0):
+        assert abs(from_quadrature(f_number, 45.0, cosine_fourth)) > 1e-6
+
+
+@pytest.mark.parametrize("disc", DISCS)
+def test_irradiance_under_a_disc(disc):
+    assert abs(from_disc(*disc)) < 1e-4
+    for stops in (1.0002, 1 / 1.0002):  # 0.02 % in N is 0.04 % in E
+        assert abs(from_disc(*disc, lambda n, t, s=stops: optics.irradiance_factor(n * s, t))) > 1e-4
+    if disc[1]:
+        assert abs(from_disc(*disc, cosine_fourth)) > 1e-3
+    assert abs(from_disc(*disc, lambda n, t: np.pi / (4 * n**2) / (1 + t**2) ** 2)) > 1e-3  # 1/N², 1.6 % too much on the axis
+
+
+@pytest.mark.judges_full
+@pytest.mark.parametrize("disc", FAST_DISCS)
+def test_irradiance_under_a_disc_as_wide_as_it_is_far(disc):
+    assert abs(from_disc(*disc)) < 3e-4
+    assert abs(from_disc(*disc, lambda n, t: optics.irradiance_factor(n * 1.001, t))) > 3e-4
+
+
+def test_a_picture_of_a_flat_field_is_lit_as_under_a_disc():
+    assert 0.6 < flat_field()[2] < 0.8  # so that the border means something
+    assert np.abs(picture_from_disc()).max() < 5e-4
+    for wrong in ({"luminance_cd_per_m2": 100.1}, {"luminance_cd_per_m2": 99.9}, {"magnification": 0.0}):
+        assert np.abs(picture_from_disc(**wrong)).min() > 5e-4
+
+
+def test_isetcam_illuminance_at_the_centre():
+    short, slope, at_zero, left = isetcam_line()
+    # ISETCam is 0.014 % (f/1.4) to 0.085 % (f/8) low: it pads with black, and the light that an Airy pattern sends
+    # beyond a radius grows as λN. So the whole difference must be proportional to N: a line through zero.
+    assert np.all((short > 1e-4) & (short < 9e-4))
+    # Measured 1.07e-4 a stop number and -1.2e-5 at N = 0. |m| of the wrong sign would show as 2 % to 25 %.
+    assert slope == pytest.approx(1.07e-4, rel=0.05)
+    assert abs(at_zero) < 3e-5
+    assert np.abs(left).max() < 1e-5
+    with np.load(ISETCAM) as file:  # the factor takes |m| whatever its sign
+        expected = optics.irradiance_factor(file["optics_irr_fnumber"], 0.0, file["optics_irr_mag"])
+        working = file["optics_irr_fnumber"] * (1 + np.abs(file["optics_irr_mag"]))
+        np.testing.assert_allclose(optics.irradiance_factor(working, 0.0), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("wrong", [{"magnification_sign": -1.0}, {"magnification_sign": 0.0}, {"stops": 1.001}, {"stops": 0.999}])
+def test_another_lens_misses_isetcams_illuminance(wrong):
+    short, _, at_zero, left = isetcam_line(**wrong)
+    assert not np.all((short > 1e-4) & (short < 9e-4))
+    assert abs(at_zero) > 3e-5 or np.abs(left).max() > 1e-5
+
+
+@pytest.mark.parametrize("nm", [450, 550, 650])
+def test_isetcam_mtf(nm):
+    # The same closed form on both sides: measured 2e-16. Half a percent in N would be 3e-3.
+    assert np.abs(from_isetcam_mtf(nm)).max() < 1e-14
+    for wrong in (4.02, 3.98):
+        assert 1e-3 < np.abs(from_isetcam_mtf(nm, wrong)).max() < 1e-2
+
+
+def test_a_point_has_an_airy_disc():
+    pitch_um, n = 0.1, 401
+    point = np.zeros((n, n))
+    point[n // 2, n // 2] = 1.0
+    psf = optics.diffract(point, pitch_um, NM, ONE, 4.0)
+    radius_um = pitch_um * np.hypot(*np.meshgrid(np.arange(n) - n // 2, np.arange(n) - n // 2))
+    first_dark_um = 1.21967 * 0.550 * 4.0
+    # 83.78 % of the energy lies within the first dark ring (Born & Wolf, 8.5.2); measured 83.80 %, the rest is
+    # what the borders reflect.
+    assert psf[radius_um < first_dark_um].sum() == pytest.approx(0.8378, abs=1e-3)
+    # The ring is dark: measured 2.6e-4 of the peak within half a sample of it.
+    ring = psf[np.abs(radius_um - first_dark_um) < pitch_um / 2]
+    assert ring.max() < 1e-3 * psf.max()
+
+
+@pytest.mark.parametrize("stops", [1.001, 1 / 1.001])
+def test_another_lens_has_another_airy_disc(stops):
+    assert abs(airy(4.0 * stops)[0] / FIRST_ZERO - 1) > 2e-4
+    # A ring that is dark has the same light within it a little further in or out: third order, so only a far lens shows.
+    assert abs(airy(4.0 * stops**100)[1] / INSIDE_IT - 1) > 1e-4
+
+
+def test_a_square_pupil_has_no_airy_disc(monkeypatch):
+    def along_x_and_y(frequency, wavelength_nm, f_number):
+        return np.maximum(1 - np.abs(frequency) / optics.cutoff_cy_per_mm(wavelength_nm, f_number), 0)
+
+    monkeypatch.setattr(optics, "diffraction_otf", along_x_and_y)
+    zero, inside = airy.__wrapped__()
+    assert abs(zero / FIRST_ZERO - 1) > 2e-4
+    assert abs(inside / INSIDE_IT - 1) > 1e-4

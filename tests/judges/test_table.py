@@ -1,0 +1,57 @@
+"""The table of judges: what its gates refuse, and that it fails when one judge does."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+import table
+from gates import not_met, row
+
+
+def test_a_gate_has_two_sides():
+    assert [row("j", "s", -1, 2, each)["met"] for each in (-1.1, -1, 0, 2, 2.1, np.nan, [0, 3], [0, np.nan])] == [
+        False, True, True, True, False, False, False, False
+    ]  # fmt: skip
+
+
+def test_a_row_tells_its_gate_and_both_ends():
+    found = row("map", "code", -1e-9, 1e-9, [-2e-13, 1e-13])
+    assert (found["gate"], found["measured"]) == ("±1e-09", "-2.0e-13 … 1.0e-13")
+    assert row("map", "code", 0.9975, 1, 1.0, "{:.4f}")["measured"] == "1.0000"
+
+
+def test_a_judge_without_a_verdict_does_not_pass():
+    with pytest.raises(AssertionError):
+        not_met([])
+
+
+def test_the_table_holds_every_judge_and_fails_with_one(tmp_path, monkeypatch, capsys):
+    for name, body in {
+        "fine": "def rows(): return [row('a|b', 's', 0, 1, 0.5)]",
+        "deep": "def rows(full=False): return [row('deep' if full else 'quick', 's', 0, 1, 0.5)]",
+        "silent": "",
+    }.items():
+        (tmp_path / f"test_made_up_{name}.py").write_text(f"from gates import row\n{body}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv(table.cache.FOLDER_VARIABLE, str(tmp_path))
+    monkeypatch.setattr(table, "judges", lambda: ["test_made_up_fine", "test_made_up_deep", "test_made_up_silent"])
+    assert table.main([]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told[0] == "| judge | standard | gate | measured | met |"
+    assert told[2] == "| a\\|b | s | 0 … 1 | 5.0e-01 | yes |"
+    assert len(told) == 4
+    assert "| quick |" in told[3]
+    assert table.main(["--full"]) == 0
+    assert "| deep |" in capsys.readouterr().out
+    monkeypatch.setattr(sys.modules["test_made_up_fine"], "rows", lambda: [row("a", "s", 0, 1, 1.5)])
+    assert table.main([]) == 1
+    assert "**no**" in capsys.readouterr().out
+    assert table.main(["--quick"]) == 2
+
+
+def test_every_judge_here_is_found():
+    names = table.judges()
+    assert {"test_scielab_judge", "test_optics_judge", "test_monte_carlo_judge"} <= set(names)
+    assert names == sorted(names)
