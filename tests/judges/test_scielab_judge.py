@@ -153,7 +153,10 @@ def rows() -> list[dict[str, object]]:
         ),
         row("published filters over 1996's, mean ΔE, 60 samples/deg", matlab, 0.01, 0.07, published_over_1996(False), "{:.3f}"),
         row("the same, 20 and 30 samples/deg", matlab, 0.01, 0.17, published_over_1996(True), "{:.3f}"),
-        *(row(f"ΔE {each}, no filter", matlab, -1e-9, 1e-9, from_matlab_plain(each)) for each in ("1976", "2000")),
+        *(
+            row(f"ΔE {each}, no filter", "SCIELAB-1996 and ISETCam under Octave", -1e-9, 1e-9, from_matlab_plain(each))
+            for each in ("1976", "2000")
+        ),
         row("CIELAB, exact constants", f"{code}, CIE 15", -1e-9, 1e-9, from_colour_lab()),
         *(row(f"ΔE {each}", code, -1e-9, 1e-9, from_colour_delta_e(each)) for each in COLOUR_METHODS),
         row("CIEDE2000, 34 pairs", "Sharma, Wu & Dalal 2005", -1e-4, 1e-4, from_sharma()),
