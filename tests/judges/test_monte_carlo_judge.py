@@ -10,7 +10,8 @@ Gates:
   one pixel of 1152 that is not).
 * 1 to 12 % of the pixels, without any correction, at p < 0.05: the other side. Less means that the two are more alike than
   independent renders can be (one seed for both, or noise overestimated), more that many pixels differ a little; 5 % is expected.
-  Two sensors see one render, and glints make noise with long tails, so that it scatters by 1 % and more; 3 to 8 % over 48 pairs of seeds.
+  Two sensors see one render, and glints make noise with long tails, so that it scatters by 1 % and more: 3 to 8 % over 48
+  pairs of seeds.
 * Each picture must be able to fail: an error of the whole of 7 standard errors of a pixel (3 % of the chart, 1 % of the
   ColorChecker, 20 % of the still life, whose paths are noisy), up or down, is noticed.
 """

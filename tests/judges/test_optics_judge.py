@@ -22,6 +22,7 @@ Gates:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -38,6 +39,7 @@ from pixsim.mitsuba_xml import speaking_mitsuba
 from pixsim.spectral import luminous_weight, photons_per_joule
 
 ISETCAM = Path(__file__).parents[1] / "data" / "isetcam_optics" / "isetcam_optics.npz"
+Law = Callable[[float, float], float]  # E/L of f-number and tangent of the field angle
 NM = np.array([550.0])
 ONE = np.array([1.0])
 FIRST_ZERO, INSIDE_IT = 1.2196699, 0.8377850  # j₁₁/π in units of λN; 1 - J₀²(j₁₁)
@@ -65,9 +67,12 @@ def lens_integral(tan_alpha: float, tan_field: float) -> float:
     return float(((radius * weight)[:, None] / distance2**2).sum() * 2 * np.pi / angle.size)
 
 
-def from_quadrature(f_number: float, angle_deg: float, law=optics.irradiance_factor) -> float:
-    """Relative difference of a law E/L(f-number, tan) from the integral."""
-    return float(law(f_number, tan_deg(angle_deg))) / lens_integral(0.5 / f_number, tan_deg(angle_deg)) - 1
+def from_quadrature(f_number: float, angle_deg: float, law: Law | None = None) -> float:
+    """Relative difference of a law, else pixsim's, from the integral."""
+    return (
+        float((law or optics.irradiance_factor)(f_number, tan_deg(angle_deg))) / lens_integral(0.5 / f_number, tan_deg(angle_deg))
+        - 1
+    )
 
 
 def cosine_fourth(f_number: float, tan_field: float) -> float:
@@ -117,9 +122,9 @@ def disc_irradiance(f_number: float, tan_field: float) -> float:
     return np.pi * plane / disc
 
 
-def from_disc(f_number: float, tan_field: float, law=optics.irradiance_factor) -> float:
-    """Relative difference of a law from the render."""
-    return float(law(f_number, tan_field)) / disc_irradiance(f_number, tan_field) - 1
+def from_disc(f_number: float, tan_field: float, law: Law | None = None) -> float:
+    """Relative difference of a law, else pixsim's, from the render."""
+    return float((law or optics.irradiance_factor)(f_number, tan_field)) / disc_irradiance(f_number, tan_field) - 1
 
 
 @cache
