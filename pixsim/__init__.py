@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pixsim.sensor import capture as capture
     from pixsim.sensor import make_sensor as make_sensor
     from pixsim.sensor_plan import make_plan as make_plan
+    from pixsim.sfr import edge_response as edge_response
     from pixsim.spectral import SpectralImage as SpectralImage
     from pixsim.spectral import read_exr as read_exr
     from pixsim.spectral import write_exr as write_exr
@@ -63,6 +64,7 @@ _HOME = {
     "Frame": "sensor",
     "capture": "sensor",
     "make_sensor": "sensor",
+    "edge_response": "sfr",
     "delta_e_map": "scielab",
     "evaluate": "score",
     "study": "sweep",

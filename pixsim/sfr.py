@@ -265,7 +265,7 @@ def edge_spread(data: Array, rows: Array, intercept: float, slope: float, half_p
         raise refuse("edge picture", got, "pixels in all", "Angles whose tangent is a small fraction meet few phases: take 5°.")
     total = np.bincount(index[within], weights=data[rows.astype(int)][within], minlength=count)
     centre_px = (np.arange(count) + 0.5) / BINS_A_PIXEL - half_px
-    # The few phases of a slant do not fill bins evenly: a mean belongs to the mean distance of its pixels. Left there it costs 0.003.
+    # The few phases of a slant do not fill bins evenly: a mean belongs to the mean distance of its pixels. Else 0.003 off.
     off_px = np.bincount(index[within], weights=distance[within], minlength=count) / pixels - centre_px
     spread = total / pixels
     return centre_px, spread - off_px * np.gradient(spread, centre_px)
@@ -275,7 +275,7 @@ def response(spread: Array) -> tuple[Array, Array]:
     """Frequency (cy/px) and SFR of an edge spread function in bins of 1/4 pixel, corrected for bin and derivative."""
     line = np.gradient(spread)  # central differences, ISO 12233
     line = line * tukey(line.size, TAPER)
-    frequency = np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL)
-    modulation = np.abs(np.fft.rfft(line))
+    frequency: Array = np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL)
+    modulation: Array = np.abs(np.fft.rfft(line))
     own = np.sinc(frequency / BINS_A_PIXEL) * np.sinc(2 * frequency / BINS_A_PIXEL)
-    return frequency, modulation / modulation[0] / np.maximum(own, 1 / LARGEST_CORRECTION)
+    return frequency, np.asarray(modulation / modulation[0] / np.maximum(own, 1 / LARGEST_CORRECTION), float)

@@ -1,0 +1,172 @@
+"""What `pixsim sfr` reads and leaves: pictures of an edge in, the e-SFR as figures, tables and a summary out."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.errors import PixsimError, refuse
+from pixsim.figures import COLOURS, new_figure, save_svg
+from pixsim.files import output_folder, replacing
+from pixsim.plates import Plate
+from pixsim.report import write_json
+from pixsim.sfr import NYQUIST_CY_PER_PX, EdgeResponse
+from pixsim.spectral import Array, read_channels
+
+SUFFIXES = ".exr, .npy, .npz or a grey .png of 16 bits"
+PNG_BITS = 16
+DAMAGE = (OSError, ValueError, EOFError, zipfile.BadZipFile)
+
+
+@dataclass(frozen=True)
+class EdgePicture:
+    """A linear picture, and what its file tells: None where it does not.
+
+    data : (H, W) as stored, the black level still in it; row 0 on top
+    top : value from which a pixel is full
+    """
+
+    data: NDArray[Any] = field(repr=False)
+    pitch_um: float | None = None
+    black_level_dn: float | None = None
+    top: float | None = None
+
+
+def read_edge_picture(path: Path) -> EdgePicture:
+    """A linear grey picture: raw.exr of `pixsim run`, any EXR of one channel, .npy, .npz of one array, .png of 16 bits.
+
+    PixsimError for files that are missing, damaged, in colour, or encoded for a display as a PNG of 8 bits is.
+    """
+    readers = {".exr": read_exr_picture, ".npy": read_array, ".npz": read_array, ".png": read_png}
+    if path.suffix.lower() not in readers:
+        raise refuse("edge picture", f"'{path}'", SUFFIXES)
+    if not path.is_file():
+        raise refuse("edge picture", f"'{path}', which does not exist", SUFFIXES)
+    return readers[path.suffix.lower()](path)
+
+
+def read_exr_picture(path: Path) -> EdgePicture:
+    """The one channel of an EXR; pitch, black level and bits from pixsim's own header."""
+    channels, header = read_channels(path)
+    if len(channels) != 1:
+        raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: DN of pixsim's raw.exr, or luminance")
+    (data,) = channels.values()
+    pitch_um, black_level_dn = (shortest(header.get(name)) for name in ("pitch_um", "black_level_dn"))
+    return EdgePicture(data, pitch_um, black_level_dn, 2.0 ** int(header["bits"]) - 1 if "bits" in header else None)
+
+
+def shortest(value: float | None) -> float | None:
+    """An attribute as it was before it became float32: 5.3, not 5.300000190734863."""
+    return None if value is None else float(str(np.float32(value)))
+
+
+def read_array(path: Path) -> EdgePicture:
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return EdgePicture(loaded)
+        with loaded:
+            if len(loaded.files) != 1:
+                raise refuse(f"arrays of '{path}'", ", ".join(loaded.files) or "none", "one: the picture")
+            return EdgePicture(loaded[loaded.files[0]])
+    except PixsimError:
+        raise
+    except DAMAGE as error:
+        raise refuse("edge picture", f"'{path}' ({error})", "a readable file of numpy.save or numpy.savez") from None
+
+
+def read_png(path: Path) -> EdgePicture:
+    """Grey and 16 bits: those of 8 are encoded for a display, which bends the edge."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            mode, data = image.mode, np.asarray(image)
+    except (*DAMAGE, UnidentifiedImageError) as error:
+        raise refuse("edge picture", f"'{path}' ({error})", "a readable PNG") from None
+    if mode not in ("I;16", "I;16B", "I"):
+        mend = "Write the sensor's linear values, as raw.exr of pixsim run has them."
+        raise refuse("edge picture", f"'{path}' of mode {mode}", "a grey PNG of 16 bits, linear in light", mend)
+    return EdgePicture(data, top=2.0**PNG_BITS - 1)
+
+
+def summary(found: EdgeResponse, pitch_um: float | None) -> dict[str, Any]:
+    """The numbers, JSON: frequencies in cy/px, and in cy/mm where the pitch is known."""
+    mtf50 = found.mtf50_cy_per_px
+    result: dict[str, Any] = {
+        "mtf50_cy_per_px": mtf50,
+        "sfr_at_nyquist": found.at_nyquist,
+        "angle_deg": found.angle_deg,
+        "contrast": found.contrast,
+        "half_window_px": found.half_window_px,
+        "rows_used": found.rows_used,
+        "pitch_um": pitch_um,
+    }
+    if pitch_um is not None:
+        result["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * 1e3 / pitch_um
+        result["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * 1e3 / pitch_um
+    return result
+
+
+def sfr_line(result: dict[str, Any]) -> str:
+    """The result in words."""
+    if result["mtf50_cy_per_px"] is None:
+        half = "MTF50 above 1 cy/px"
+    else:
+        on_sensor = f" ({result['mtf50_cy_per_mm']:.1f} cy/mm)" if result["pitch_um"] is not None else ""
+        half = f"MTF50 {result['mtf50_cy_per_px']:.3f} cy/px{on_sensor}"
+    return (
+        f"{half}, {result['sfr_at_nyquist']:.3f} at Nyquist; edge at {result['angle_deg']:.2f}°, "
+        f"±{result['half_window_px']:g} px, {result['rows_used']} lines, contrast {result['contrast']:.2f}"
+    )
+
+
+def sfr_plate(found: EdgeResponse, pitch_um: float | None) -> Plate:
+    """SFR against frequency, with Nyquist and MTF50."""
+    figure = new_figure(5.2, 3.4)
+    axes = figure.subplots()
+    scale, unit = (1.0, "cycles/pixel") if pitch_um is None else (1e3 / pitch_um, "cycles/mm on the sensor")
+    nyquist = NYQUIST_CY_PER_PX * scale
+    axes.plot(found.frequency_cy_per_px * scale, found.sfr, color=COLOURS[0], lw=1.5)
+    axes.axvline(nyquist, color="0.6", lw=1, ls="--")
+    axes.annotate("Nyquist", (nyquist, 1.03), ha="center", va="bottom", color="0.35", annotation_clip=False)
+    if (mtf50 := found.mtf50_cy_per_px) is not None:
+        at = mtf50 * scale
+        axes.plot(at, 0.5, "o", ms=5, color=COLOURS[1])
+        axes.annotate(f"MTF50 {at:.3g}", (at, 0.5), xytext=(7, 5), textcoords="offset points", color=COLOURS[1])
+    axes.set(xlabel=f"frequency along the edge's normal ({unit})", ylabel="e-SFR")
+    axes.set_xlim(0, scale)
+    axes.set_ylim(0, 1.03)
+    table: dict[str, Any] = {"frequency_cy_per_px": found.frequency_cy_per_px.tolist(), "sfr": found.sfr.tolist()}
+    if pitch_um is not None:
+        table["frequency_cy_per_mm"] = found.frequency_cy_per_mm(pitch_um).tolist()
+    return Plate("sfr", "Edge-based spatial frequency response (ISO 12233).", figure, table)
+
+
+def edge_plate(found: EdgeResponse, unit: str) -> Plate:
+    """The edge spread function that the SFR was made from."""
+    figure = new_figure(5.2, 3.0)
+    axes = figure.subplots()
+    axes.plot(found.distance_px, found.edge_spread, color=COLOURS[0], lw=1.2)
+    axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel=f"mean of a bin of ¼ pixel ({unit})")
+    axes.set_xlim(-found.half_window_px, found.half_window_px)
+    table = {"distance_px": found.distance_px.tolist(), "mean": found.edge_spread.tolist()}
+    return Plate("edge_spread", "Edge spread function.", figure, table)
+
+
+def write_sfr(folder: Path, found: EdgeResponse, pitch_um: float | None, result: dict[str, Any]) -> None:
+    """sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json."""
+    with output_folder(folder):
+        for plate in (sfr_plate(found, pitch_um), edge_plate(found, "above black")):
+            for suffix in ("csv", "svg"):
+                with replacing(folder / f"{plate.name}.{suffix}") as partial:
+                    if suffix == "csv":
+                        partial.write_text(plate.csv, encoding="utf-8")
+                    else:
+                        save_svg(plate.figure, partial)
+        write_json(folder / "summary.json", result)
