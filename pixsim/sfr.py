@@ -275,7 +275,7 @@ def response(spread: Array) -> tuple[Array, Array]:
     """Frequency (cy/px) and SFR of an edge spread function in bins of 1/4 pixel, corrected for bin and derivative."""
     line = np.gradient(spread)  # central differences, ISO 12233
     line = line * tukey(line.size, TAPER)
-    frequency: Array = np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL)
-    modulation: Array = np.abs(np.fft.rfft(line))
+    frequency = np.asarray(np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL), float)
+    modulation = np.asarray(np.abs(np.fft.rfft(line)), float)
     own = np.sinc(frequency / BINS_A_PIXEL) * np.sinc(2 * frequency / BINS_A_PIXEL)
-    return frequency, np.asarray(modulation / modulation[0] / np.maximum(own, 1 / LARGEST_CORRECTION), float)
+    return frequency, modulation / modulation[0] / np.maximum(own, 1 / LARGEST_CORRECTION)

@@ -16,7 +16,7 @@ from pixsim.files import output_folder, replacing
 from pixsim.plates import Plate
 from pixsim.report import write_json
 from pixsim.sfr import NYQUIST_CY_PER_PX, EdgeResponse
-from pixsim.spectral import Array, read_channels
+from pixsim.spectral import read_channels
 
 SUFFIXES = ".exr, .npy, .npz or a grey .png of 16 bits"
 PNG_BITS = 16
@@ -138,7 +138,7 @@ def sfr_plate(found: EdgeResponse, pitch_um: float | None) -> Plate:
     if (mtf50 := found.mtf50_cy_per_px) is not None:
         at = mtf50 * scale
         axes.plot(at, 0.5, "o", ms=5, color=COLOURS[1])
-        axes.annotate(f"MTF50 {at:.3g}", (at, 0.5), xytext=(7, 5), textcoords="offset points", color=COLOURS[1])
+        axes.annotate(f"MTF50 {at:.3g}", (at, 0.5), xytext=(12, 12), textcoords="offset points", color=COLOURS[1])
     axes.set(xlabel=f"frequency along the edge's normal ({unit})", ylabel="e-SFR")
     axes.set_xlim(0, scale)
     axes.set_ylim(0, 1.03)
