@@ -239,7 +239,7 @@ def rows_and_window(shape: tuple[int, int], intercept: float, slope: float, half
         allowed = f"{LEAST_SLANT_DEG:g}° and more, and one pixel sideways at least: 5° is usual"
         raise refuse("edge picture", got, allowed, "Without a slant the edge meets one phase of the pixels only.")
     half_px = float(min(half_window_px, np.sort(room)[height // 2]))
-    half_px = np.floor(half_px * BINS_A_PIXEL) / BINS_A_PIXEL
+    half_px = float(np.floor(half_px * BINS_A_PIXEL) / BINS_A_PIXEL)
     if half_px < LEAST_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
         raise refuse("edge picture", got, f"{LEAST_HALF_WINDOW_PX} px and more", "Give a --region with the edge in its middle.")

@@ -129,7 +129,7 @@ REFUSED = {
     "at least 24 a side": gaussian_edge()[:20],
     "one channel of numbers": np.zeros((64, 64, 3)),
     "no numbers": np.where(distances(5.0) > 150, np.nan, gaussian_edge()),
-    "straight edge": DARK + 900.0 * ((distances(5.0) > 0) ^ (np.arange(SIDE)[:, None] % 3 == 0) * (distances(5.0) > -12)),
+    "straight edge": DARK + 900.0 * (distances(5.0) > ((np.arange(SIDE)[:, None] - SIDE / 2) / 30) ** 2),  # a curve
     "bins without a pixel": gaussian_edge(45.0),
     "on either side": gaussian_edge(5.0)[:, 160 - 5 : 160 + 200][:, :60],
 }
