@@ -19,12 +19,12 @@ from pixsim.spectral import Array
 
 BINS_A_PIXEL = 4  # ISO 12233
 NYQUIST_CY_PER_PX = 0.5
-HALF_WINDOW_PX = 64  # ±20 misses 0.014 of an f/8 lens's wide skirts, ±48 0.004
+HALF_WINDOW_PX = 64  # of 5.3 µm under f/8: ±20 miss 0.010 of the wide skirts of diffraction, ±48 0.0042, ±64 0.0032
 LEAST_HALF_WINDOW_PX = 8
 LEAST_SIDE_PX = 24
 LEAST_SLANT_DEG = 1.0
-# Of the window's width that falls off. A window without a flat middle (ISO's Hamming and Hann ones) takes three times as much
-# of the skirts of diffraction, which fall as 1/x².
+# Of the window, the part that falls off. ISO's Hamming and Hann ones have no flat middle and take 1.6 times as much of the
+# skirts of diffraction, which fall as 1/x².
 TAPER = 0.5
 LARGEST_CORRECTION = 10.0  # ISO 12233: the derivative's own response is 0 at 2 cy/px
 EDGE_SEARCH_PX = 4  # smoothing of the first look for the edge, along a row
