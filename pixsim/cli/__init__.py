@@ -19,6 +19,7 @@ from pixsim.cli.render import run as run
 from pixsim.cli.render import plan as plan
 from pixsim.cli.studies import study as study
 from pixsim.cli.worth import accuracy as accuracy
+from pixsim.cli.datasheet import datasheet as datasheet
 from pixsim.cli.edges import sfr as sfr
 from pixsim.cli.charts import chart as chart
 

@@ -1,0 +1,218 @@
+"""The lines of a data sheet: what was measured, in the standards' symbols and units, beside what is true."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from pixsim.datasheet import DataSheet
+from pixsim.datasheet_truth import dark_map_e
+from pixsim.iso_noise import (
+    NOISE_SPEED_LX_S,
+    SATURATION_SPEED_LX_S,
+    SIGNAL_TO_NOISE,
+    daylight_e_per_lx_s,
+    exposure_at_snr,
+    noise_15739,
+    signal_at_snr_e,
+)
+from pixsim.photon_transfer import QUANTISATION_DN2, Estimate, doubling_k
+
+EMVA, NOISE, SPEED = "EMVA 1288", "ISO 15739", "ISO 12232"
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of a data sheet. `measured`, `standard_error` and `true` are in `unit`; NaN where there is none."""
+
+    standard: str
+    quantity: str
+    symbol: str
+    unit: str
+    measured: float
+    standard_error: float
+    true: float
+    true_is: str
+    note: str = ""
+
+    @property
+    def off(self) -> float:
+        """measured/true - 1; NaN where the true value is none, or 0 but for rounding."""
+        return self.measured / self.true - 1 if abs(self.true) > ROUNDING * abs(self.measured) else math.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON: None for what is not a number."""
+        numbers = asdict(self) | {"off": self.off}
+        return {key: None if isinstance(each, float) and not math.isfinite(each) else each for key, each in numbers.items()}
+
+
+def entries(sheet: DataSheet) -> list[Entry]:
+    """All of them, in the order of the standards."""
+    return [*sensitivity(sheet), *spatial(sheet), *dark(sheet), *noise(sheet), *speed(sheet)]
+
+
+def summary(sheet: DataSheet) -> dict[str, Any]:
+    """summary.json."""
+    e = sheet.experiment
+    return {
+        "pixel": e.physics.pixel.model_dump(),
+        "wavelength_nm": e.wavelength_nm,
+        "integration_s": e.integration_s,
+        "shape": list(e.sensor.shape),
+        "exposures": e.photons.size,
+        "stack_frames": e.stack_frames,
+        "seed": e.seed,
+        "black_level_asked_dn": e.asked_black_dn,
+        "quantisation_limited": sheet.transfer.limited,
+        "notes": sheet.notes,
+        "entries": [each.as_dict() for each in entries(sheet)],
+    }
+
+
+def line(standard: str, quantity: str, symbol: str, unit: str, found: Estimate, true: float, true_is: str, note: str = "") -> Entry:
+    return Entry(standard, quantity, symbol, unit, found.value, found.error, true, true_is, note)
+
+
+def decibel(ratio: Estimate) -> Estimate:
+    """20 log₁₀."""
+    return Estimate(20 * math.log10(ratio.value), 20 / math.log(10) * ratio.error / ratio.value)
+
+
+def sensitivity(sheet: DataSheet) -> list[Entry]:
+    """Gain, quantum efficiency, dark noise, saturation, SNR, dynamic range and linearity."""
+    t, e, p, true = sheet.transfer, sheet.experiment, sheet.experiment.physics, sheet.truth
+    eta, dn2 = e.efficiency, p.dn_per_e**2
+    dark_dn2 = true.dark_noise_e**2 * dn2 + QUANTISATION_DN2
+    threshold_e = math.sqrt(dark_dn2 / dn2) + 0.5
+    limited = "quantisation-limited: an upper bound" if t.limited else ""
+    step = "standard error: one exposure step"
+    peak = "peak of the model's own variance"
+    straight = p.pixel.conversion == "linear" and p.pixel.well_limit == "swing"
+    of_line = "a straight line, but for pixels that fill early" if straight else "the model's own curve"
+    return [
+        line(EMVA, "overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, "(2^bits - 1 - black) / full well"),
+        line(EMVA, "responsivity", "R", "DN/p", t.responsivity_dn_per_p, p.dn_per_e * eta, "K η"),
+        line(EMVA, "quantum efficiency", "η", "%", t.efficiency * 100, 100 * eta, "QE(λ) · fill factor, of the whole pixel"),
+        line(EMVA, "temporal dark noise", "σ_d", "e-", t.dark_noise_e, true.dark_noise_e, "√(reset² + read² + dark charge)", limited),
+        line(EMVA, "absolute sensitivity threshold", "μ_p.min", "p", t.threshold_p, threshold_e / eta,
+             "(√(σ_d² + σ_q²/K²) + ½) / η", limited),
+        line(EMVA, "absolute sensitivity threshold", "μ_e.min", "e-", t.threshold_e, threshold_e, "η μ_p.min", limited),
+        line(EMVA, "saturation capacity", "μ_p.sat", "p", t.saturation_p, true.saturation_e / eta, peak, step),
+        line(EMVA, "saturation capacity", "μ_e.sat", "e-", t.saturation_e, true.saturation_e, peak, step),
+        line(EMVA, "maximum signal-to-noise ratio", "SNR_max", "dB", decibel(t.snr_max), 10 * math.log10(true.saturation_e),
+             "√μ_e.sat"),
+        line(EMVA, "dynamic range", "DR", "dB", decibel(t.dynamic_range), 20 * math.log10(true.saturation_e / threshold_e),
+             "μ_p.sat / μ_p.min", limited),
+        line(EMVA, "linearity error, mean", "LE", "%", linearity_estimate(sheet, "error"), 100 * true.linearity.error, of_line),
+        line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.linearity.lowest, of_line),
+        line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.linearity.highest,
+             of_line),
+    ]  # fmt: skip
+
+
+def linearity_estimate(sheet: DataSheet, name: str) -> Estimate:
+    """In per cent; the error is that of the mean signals, on average over the fitted range, or the largest in it."""
+    within, light = sheet.linearity.within, sheet.measured.light
+    error = np.sqrt(light.variance_dn2[within] / (2 * sheet.pixels)) / sheet.signal_dn[within]
+    return Estimate(100 * getattr(sheet.linearity, name), 100 * float(error.mean() if name == "error" else error.max()))
+
+
+def spatial(sheet: DataSheet) -> list[Entry]:
+    """DSNU1288 and PRNU1288."""
+    e, p, true = sheet.experiment, sheet.experiment.physics, sheet.truth
+    dark_e = p.dark_current_e_per_s * e.integration_s
+    nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dsnu * dark_e) ** 2)
+    dsnu = f"this individual's maps; √(offset² + column² + (σ_DSNU · dark)²) is {nominal:.4g} by the parameters"
+    of_gain = f"this individual's maps; {100 * p.prnu:.4g} by the parameters"
+    return [
+        line(EMVA, "dark signal non-uniformity", "DSNU_1288", "e-", sheet.spatial.dsnu_e, true.dark_map_e, dsnu),
+        line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.spatial.prnu * 100, 100 * true.gain_map, of_gain),
+    ]
+
+
+def dark(sheet: DataSheet) -> list[Entry]:
+    """Dark current from mean and variance, and the temperature step that doubles it."""
+    p, found = sheet.experiment.physics, sheet.dark_current
+    current, unit = p.dark_current_e_per_s, "e-/s"
+    at = f"at {p.pixel.temperature_k:g} K, mean of the pixels"
+    entries = [
+        line(EMVA, "dark current, from the mean", "μ_I.mean", unit, found.from_mean_e_per_s, current, at),
+        line(EMVA, "dark current, from the variance", "μ_I.var", unit, found.from_variance_e_per_s, current, at),
+    ]
+    temperatures, warm = sheet.warm_currents
+    if warm and current:
+        doubling = doubling_k(temperatures, np.array([each.value for each in warm]), np.array([each.error for each in warm]))
+        entries.append(
+            line(
+                EMVA,
+                "doubling temperature of the dark current",
+                "ϑ_d",
+                "K",
+                doubling,
+                p.technology.dark_doubling_k,
+                "the technology's",
+            )
+        )
+    return entries
+
+
+def noise(sheet: DataSheet) -> list[Entry]:
+    """ISO 15739: noise at 13 % of saturation, S/N there, and dynamic range."""
+    e, m, p = sheet.experiment, sheet.measured, sheet.experiment.physics
+    found, k, signal_e = noise_15739(m.grey), p.dn_per_e, m.grey_photons * e.efficiency
+    pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
+    dark_e = p.dark_current_e_per_s * e.integration_s
+    temporal_dn2 = k**2 * (signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2) + QUANTISATION_DN2
+    fixed_dn2 = k**2 * float(pattern_e.var(ddof=1))
+    total = found.total_dn
+    signal = Estimate(float(m.grey.mean()) - m.dark.mean_dn, math.sqrt(temporal_dn2 / sheet.pixels))
+    dark_dn2 = temporal_dn2 - k**2 * signal_e
+    dark_noise = Estimate(math.sqrt(m.dark_stack.temporal_dn2), math.sqrt(dark_dn2 / 2 / sheet.pixels / (m.dark_stack.frames - 1)))
+    full_dn = Estimate(float(2**p.pixel.bits - 1) - m.dark.mean_dn)
+    at = "injected, at 13 % of saturation"
+    return [
+        line(NOISE, "temporal noise", "σ_temp", "DN", found.temporal_dn, math.sqrt(temporal_dn2), at),
+        line(NOISE, "fixed-pattern noise", "σ_fp", "DN", found.fixed_dn, math.sqrt(fixed_dn2), f"{at}: this individual's maps"),
+        line(NOISE, "total noise", "σ_total", "DN", total, math.sqrt(temporal_dn2 + fixed_dn2), at),
+        line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
+             20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "of the injected signal and noise"),
+        line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
+             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "top code over temporal noise, both above the dark"),
+    ]  # fmt: skip
+
+
+def speed(sheet: DataSheet) -> list[Entry]:
+    """ISO 12232: saturation-based and noise-based speed, in daylight (CIE D65)."""
+    e, m, p = sheet.experiment, sheet.measured, sheet.experiment.physics
+    per_lx_s = daylight_e_per_lx_s(p)
+    lx_s_per_photon = e.efficiency / per_lx_s
+    top = Estimate(float(2**p.pixel.bits - 1) - m.dark.mean_dn)
+    filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon
+    dark_e = p.dark_current_e_per_s * e.integration_s
+    of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
+    entries = [
+        line(SPEED, "saturation-based speed", "S_sat", "", speed_of(SATURATION_SPEED_LX_S, filling),
+             SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}"),
+    ]  # fmt: skip
+    photons = np.concatenate([m.dim.at, m.light.at[: sheet.transfer.saturation_index]])
+    mean = np.concatenate([m.dim.mean_dn, m.light.mean_dn])[: photons.size] - m.dark.mean_dn
+    deviation = np.sqrt(np.concatenate([m.dim.frame_variance_dn2, m.light.frame_variance_dn2])[: photons.size])
+    dark_dn2 = float(dark_map_e(e).var(ddof=1)) + sheet.truth.dark_noise_e**2 + QUANTISATION_DN2 / p.dn_per_e**2
+    for wanted in SIGNAL_TO_NOISE:
+        found = exposure_at_snr(photons * lx_s_per_photon, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
+        true_e = signal_at_snr_e(wanted, dark_dn2, sheet.truth.gain_map)
+        true = NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.full_well_e else math.nan
+        note = "" if math.isfinite(found.value) else "not reached below saturation"
+        name = f"noise-based speed, S/N {wanted:g}"
+        entries.append(
+            line(SPEED, name, f"S_noise{wanted:g}", "", speed_of(NOISE_SPEED_LX_S, found), true, f"10 / H_S/N; {of_daylight}", note)
+        )
+    return entries
+
+
+def speed_of(factor_lx_s: float, exposure_lx_s: Estimate) -> Estimate:
+    return Estimate(factor_lx_s) / exposure_lx_s
