@@ -66,8 +66,8 @@ class DataSheet:
 
     @cached_property
     def warm_currents(self) -> tuple[Array, list[Estimate]]:
-        """(temperatures in kelvin, dark currents from the mean)."""
-        gain = self.transfer.gain_dn_per_e
+        """(temperatures in kelvin, dark currents from the mean); without the error of K, which they have in common."""
+        gain = Estimate(self.transfer.gain_dn_per_e.value)
         found = [dark_current(each, gain, self.pixels).from_mean_e_per_s for each in self.measured.warm.values()]
         return np.array(list(self.measured.warm)), found
 
@@ -87,14 +87,14 @@ class DataSheet:
             )
         if self.transfer.limited:
             told.append(
-                f"quantisation-limited: σ²_y.dark = {self.measured.dark.variance_dn2:.3g} DN² is below 0.24 DN², so σ_d is an upper "
-                "bound, and K and all that is divided by it are off by some per cent: σ² + 1/12 is no longer the temporal variance. "
+                f"quantisation-limited: σ²_y.dark = {self.measured.dark.variance_dn2:.3g} DN² is below 0.24 DN², so σ_d is an "
+                "upper bound, and K and all that is divided by it are off by some per cent: 1/12 DN² no longer holds. "
                 f"More bits than {pixel.bits} show them (pixel.bits)."
             )
         if pixel.conversion != "linear":
             told.append(
-                "conversion = 'junction': the gain changes as the well fills, so the linear model of EMVA 1288 does not hold. K, R and η "
-                "are means over the range of their fits; the true values are those of the charge."
+                "conversion = 'junction': the gain changes as the well fills, so the linear model of EMVA 1288 does not hold. "
+                "K, R and η are means over the range of their fits; the true values are those of the charge."
             )
         return told
 

@@ -92,12 +92,12 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
     step = "standard error: one exposure step"
     peak = "peak of the model's own variance"
     straight = p.pixel.conversion == "linear" and p.pixel.well_limit == "swing"
-    of_line = "a straight line, but for pixels that fill early" if straight else "the model's own curve"
+    of_line = "of a straight line" if straight else "the model's own curve"
     return [
         line(EMVA, "overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, "(2^bits - 1 - black) / full well"),
         line(EMVA, "responsivity", "R", "DN/p", t.responsivity_dn_per_p, p.dn_per_e * eta, "K η"),
         line(EMVA, "quantum efficiency", "η", "%", t.efficiency * 100, 100 * eta, "QE(λ) · fill factor, of the whole pixel"),
-        line(EMVA, "temporal dark noise", "σ_d", "e-", t.dark_noise_e, true.dark_noise_e, "√(reset² + read² + dark charge)", limited),
+        line(EMVA, "temporal dark noise", "σ_d", "e-", t.dark_noise_e, true.dark_noise_e, "√(reset² + read² + dark)", limited),
         line(EMVA, "absolute sensitivity threshold", "μ_p.min", "p", t.threshold_p, threshold_e / eta,
              "(√(σ_d² + σ_q²/K²) + ½) / η", limited),
         line(EMVA, "absolute sensitivity threshold", "μ_e.min", "e-", t.threshold_e, threshold_e, "η μ_p.min", limited),
@@ -108,7 +108,8 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
         line(EMVA, "dynamic range", "DR", "dB", decibel(t.dynamic_range), 20 * math.log10(true.saturation_e / threshold_e),
              "μ_p.sat / μ_p.min", limited),
         line(EMVA, "linearity error, mean", "LE", "%", linearity_estimate(sheet, "error"), 100 * true.linearity.error, of_line),
-        line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.linearity.lowest, of_line),
+        line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.linearity.lowest,
+             of_line),
         line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.linearity.highest,
              of_line),
     ]  # fmt: skip
@@ -181,7 +182,7 @@ def noise(sheet: DataSheet) -> list[Entry]:
         line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
              20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "of the injected signal and noise"),
         line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
-             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "top code over temporal noise, both above the dark"),
+             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "top code over temporal noise of the dark"),
     ]  # fmt: skip
 
 

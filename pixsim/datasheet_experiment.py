@@ -32,6 +32,7 @@ STACK = 64  # frames; the standard asks for 16 at least
 DARK_TIMES = 8  # the standard asks for 6 at least
 WARMER_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # temperatures of the dark series, above the pixel's own
 HOTTEST_K = 400.0
+MOST_BLACK = 0.5  # of the codes: more leaves no light to measure
 BLACK_SIGMAS = 6.0  # a clip at 0 DN destroys the dark's statistics
 USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
 DARK_SHARE = 0.02  # of the well that dark charge takes at most in the light series, unless told otherwise
@@ -128,11 +129,11 @@ def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysic
     least = least_black_level_dn(physics, integration_s)
     if physics.pixel.black_level_dn >= least:
         return physics
-    if least >= 2**physics.pixel.bits - 2:
+    if least > MOST_BLACK * (2**physics.pixel.bits - 1):
         raise refuse(
             "pixel.bits",
             physics.pixel.bits,
-            f"enough for a black level of 6 σ of the dark, here {least} DN, below the full well",
+            f"enough for a black level of 6 σ of the dark, here {least} DN, in the lower half of the codes",
             "Raise pixel.bits, or lower the noise in the dark.",
         )
     return replace(physics, pixel=physics.pixel.model_copy(update={"black_level_dn": float(least)}))

@@ -27,12 +27,21 @@ def datasheet_plates(sheet: DataSheet) -> list[Plate]:
     return [*(make(sheet) for make in makers), histogram_plate(sheet), spectrogram_plate(sheet), profile_plate(sheet)]
 
 
-def finish(axes: Axes, x: str, y: str) -> None:
+def finish(axes: Axes, x: str, y: str, legend: str = "best") -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize=8)
+        axes.legend(frameon=False, fontsize=8, loc=legend)
+
+
+def plain_powers(axes: Axes) -> None:
+    """Plain numbers at 1, 2 and 5 on a short logarithmic axis."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def photon_transfer_plate(sheet: DataSheet) -> Plate:
@@ -100,7 +109,7 @@ def snr_plate(sheet: DataSheet) -> Plate:
     axes.axvline(t.threshold_p.value, color="0.5", lw=1, ls="--", label="μ_p.min, where the SNR is 1")
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
-    finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "SNR")
+    finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "SNR", "lower right")
     caption = (
         "Signal-to-noise ratio against light. Between the two thresholds lies the dynamic range; PRNU ends the rise of the total."
     )
@@ -117,15 +126,16 @@ def linearity_plate(sheet: DataSheet) -> Plate:
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
     axes.axhline(0.0, color="0.5", lw=0.8)
+    reach = f"{100 * LINEARITY_SHARES[0]:.0f} to {100 * LINEARITY_SHARES[1]:.0f} %"
     shown = np.arange(light.at.size) <= np.flatnonzero(inside)[-1] + 1
     axes.errorbar(light.at[inside], percent[inside], error[inside], fmt="o", ms=3.5, lw=1, color=BLUE,
-                  label=f"{100 * LINEARITY_SHARES[0]:.0f} to {100 * LINEARITY_SHARES[1]:.0f} % of saturation: LE = {100 * found.error:.2g} %")  # fmt: skip
+                  label=f"{reach} of saturation: LE = {100 * found.error:.2g} %")  # fmt: skip
     outside = shown & np.logical_not(inside)
     axes.plot(light.at[outside], percent[outside], "o", ms=3.5, mfc="none", color=BLUE, label="outside the range")
-    widest = 1.6 * max(np.abs(percent[inside]).max(), error[inside].max())
+    widest = 1.3 * float((np.abs(percent) + error)[inside].max())
     axes.set_ylim(-widest, widest)
     finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "deviation from the line (%)")
-    caption = "Linearity: relative deviation of the mean signal from the straight line of least relative deviations. Bars: standard error."
+    caption = "Linearity: relative deviation of the mean signal from the line of least relative deviations. Bars: standard error."
     table = {"photons_p": light.at.tolist(), "deviation_percent": percent.tolist(), "within": [int(each) for each in inside]}
     return Plate("linearity", caption, figure, table)
 
@@ -146,6 +156,7 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
     if warm:
         panels[2].errorbar(temperatures, [each.value for each in warm], [each.error for each in warm], fmt="o", ms=4, color=BLUE)
         panels[2].set_yscale("log")
+        plain_powers(panels[2])
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
     caption = "Dark current: slopes of the dark's mean and variance over time, which agree where dark charge alone adds noise"
     caption += "; and its growth with temperature." if warm else "."
@@ -183,7 +194,9 @@ def histogram_plate(sheet: DataSheet) -> Plate:
             f"{name.lower()}_pixels": counts.tolist(),
             f"{name.lower()}_normal": normal.tolist(),
         }
-    caption = "Logarithmic histograms of the mean dark image and of the mean response; what stands out beside the normal law is defective."
+    caption = (
+        "Logarithmic histograms of the mean dark image and of the mean response; what stands beside the normal law is defective."
+    )
     return Plate("histograms", caption, figure, dict(table))
 
 
@@ -204,14 +217,15 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
     for axes, (name, map_, _) in zip(figure.subplots(1, 2), stacks, strict=True):
         for label, axis, colour in (("horizontal", 1, BLUE), ("vertical", 0, ORANGE)):
             frequency, power = spectrogram(map_, axis)
-            axes.semilogy(frequency[1:], np.sqrt(power[1:]), color=colour, lw=0.9, label=f"{name}, {label}")
+            axes.plot(frequency[1:], np.sqrt(power[1:]), color=colour, lw=0.9, label=f"{name}, {label}")
             table[f"{name.lower()}_{label}_frequency"] = frequency.tolist()
             table[f"{name.lower()}_{label}_amplitude"] = np.sqrt(power).tolist()
         axes.axhline(float(map_.std()), color="0.5", lw=0.8, ls=":")
+        axes.set_ylim(0.0, 1.35 * axes.get_ylim()[1])
         finish(axes, "frequency (periods per pixel)", "standard deviation (" + ("e⁻)" if name == "DSNU" else "%)"))
     caption = (
-        "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is level "
-        "(dotted: the spread of all pixels); column offsets lift the horizontal one above the vertical one."
+        "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is "
+        "level (dotted: the spread of all pixels); column offsets lift the horizontal one above the vertical one."
     )
     longest = max(len(each) for each in table.values())
     return Plate(

@@ -17,6 +17,7 @@ SATURATION_SPEED_LX_S = 78.0  # ISO 12232: S = 78/H_sat, half a stop of headroom
 NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H at the S/N
 SIGNAL_TO_NOISE = 40.0, 10.0  # "first excellent" and "first acceptable" picture
 LEAST_FRAMES = 8
+TINY = 1e-300
 DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 
@@ -73,7 +74,9 @@ def exposure_at_snr(exposure: Array, signal: Array, noise: Array, wanted: float,
 
     `relative_error` is that of one S/N.
     """
-    ratio = np.log(np.maximum(signal, 1e-300) / noise / wanted)
+    quiet = noise <= 0  # so few electrons that no pixel has one
+    known = np.maximum(signal, TINY) / np.where(quiet, 1.0, noise)
+    ratio = np.log(np.where(quiet, TINY, known) / wanted)
     reached = np.flatnonzero((ratio[1:] >= 0) & (ratio[:-1] < 0))
     if not reached.size:
         return Estimate(math.nan)

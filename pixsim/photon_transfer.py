@@ -30,7 +30,9 @@ class Estimate:
     error: float = 0.0
 
     def __truediv__(self, other: Estimate) -> Estimate:
-        """Ratio of independent estimates."""
+        """Ratio of independent estimates; infinite, or NaN, over 0."""
+        if not other.value:
+            return Estimate(math.inf if self.value else math.nan, math.nan)
         value = self.value / other.value
         return Estimate(value, math.hypot(self.error / other.value, value * other.error / other.value))
 
@@ -107,11 +109,12 @@ def saturation_index(variance_dn2: Array) -> int:
     """Index of the peak of the temporal variance: the saturation of EMVA 1288, section 6.6.
 
     Scanned from the brightest exposure down, as the standard has it: the first peak that the two next dimmer exposures stay
-    below. Where there is none, the largest value.
+    below, if it is more than half of the largest value, for beyond saturation the variance is small and may do what it likes.
+    Where there is none, the largest value.
     """
     v = variance_dn2
     for index in range(len(v) - 2, 1, -1):
-        if v[index] > 0 and v[index] >= v[index + 1] and v[index] > max(v[index - 1], v[index - 2]):
+        if v[index] > v.max() / 2 and v[index] >= v[index + 1] and v[index] > max(v[index - 1], v[index - 2]):
             return index
     return int(np.argmax(v))
 

@@ -128,7 +128,7 @@ UNUSABLE = {
     f"run flat {SMALL} --out taken/deeper": ["taken/deeper", "cannot be written", "--out"],
     f"run flat {SMALL} --out /proc/pixsim": ["/proc/pixsim", "cannot be written", "--out"],
     "run": ["SCENE"],
-    "look": ["look", "run, plan, study, accuracy, sfr, chart"],
+    "look": ["look", "run, plan, study, accuracy, datasheet, sfr, chart"],
     "study nowhere": ["nowhere", "chen2000"],
     "study gone.toml": ["gone.toml", "does not exist"],
     "study study_key.toml": ["repeat", "Did you mean 'repeats'?"],
