@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def datasheet_plates(sheet: DataSheet) -> list[Plate]:
     return [*(make(sheet) for make in makers), histogram_plate(sheet), spectrogram_plate(sheet), profile_plate(sheet)]
 
 
-def finish(axes: Axes, x: str, y: str, legend: str = "best") -> None:
+def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = "best") -> None:
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(alpha=0.25)

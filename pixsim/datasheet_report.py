@@ -15,6 +15,7 @@ from pixsim.files import output_folder
 from pixsim.report import data_uri, file_label, versions, write_json, write_page
 
 TERMINAL_WIDTH = 132
+ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but for dark currents in the deep cold
 
 
 def sheet_name(sheet: DataSheet) -> str:
@@ -26,7 +27,7 @@ def number(value: float, digits: int = 5) -> str:
     """In so many digits; a dash where there is none, 0 for what is one but for rounding."""
     if not math.isfinite(value):
         return "–"
-    return "0" if abs(value) < 1e-12 else f"{value:.{digits}g}"
+    return "0" if abs(value) < ROUNDING else f"{value:.{digits}g}"
 
 
 def off(entry: Entry) -> str:

@@ -79,7 +79,7 @@ def exposure_at_snr(exposure: Array, signal: Array, noise: Array, wanted: float,
     ratio = np.log(np.where(quiet, TINY, known) / wanted)
     reached = np.flatnonzero((ratio[1:] >= 0) & (ratio[:-1] < 0))
     if not reached.size:
-        return Estimate(math.nan)
+        return Estimate(math.nan, math.nan)
     index = int(reached[0])
     log_exposure = np.log(exposure[index : index + 2])
     slope = (ratio[index + 1] - ratio[index]) / (log_exposure[1] - log_exposure[0])

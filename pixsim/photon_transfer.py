@@ -265,6 +265,6 @@ def dark_current(dark: Series, gain: Estimate, pixels: int) -> DarkCurrent:
 def doubling_k(temperature_k: Array, current_e_per_s: Array, error_e_per_s: Array) -> Estimate:
     """ϑ_d from the slope of log₂ of the dark current over temperature (section 7.2); NaN for currents not above 0."""
     if np.any(current_e_per_s <= 0):
-        return Estimate(math.nan)
+        return Estimate(math.nan, math.nan)
     slope, _ = straight_line(temperature_k, np.log2(current_e_per_s), error_e_per_s / current_e_per_s / math.log(2))
     return Estimate(1 / slope.value, slope.error / slope.value**2)
