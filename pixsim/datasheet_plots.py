@@ -12,7 +12,7 @@ from pixsim.expected_frames import expected_curve
 from pixsim.figures import COLOURS, new_figure
 from pixsim.frame_statistics import Stack
 from pixsim.photon_transfer import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
-from pixsim.plates import Plate
+from pixsim.plates import Column, Plate
 from pixsim.spectral import Array
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
     temperatures, warm = sheet.warm_currents
     figure = new_figure(9.6 if warm else 6.4, 3.6)
     panels = np.atleast_1d(figure.subplots(1, 3 if warm else 2))
-    columns = (dark.mean_dn / k, "mean (e⁻)", "μ_I.mean", sheet.dark_current.from_mean_e_per_s), (
+    columns = (dark.mean_dn / k, "mean with the black level (e⁻)", "μ_I.mean", sheet.dark_current.from_mean_e_per_s), (
         dark.variance_dn2 / k**2, "variance (e⁻²)", "μ_I.var", sheet.dark_current.from_variance_e_per_s)  # fmt: skip
     for axes, (values, label, symbol, found) in zip(panels, columns, strict=False):
         axes.plot(dark.at, values, "o", ms=4, color=BLUE)
@@ -160,8 +160,20 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
     caption = "Dark current: slopes of the dark's mean and variance over time, which agree where dark charge alone adds noise"
     caption += "; and its growth with temperature." if warm else "."
-    table = {"integration_s": dark.at.tolist(), "mean_dn": dark.mean_dn.tolist(), "variance_dn2": dark.variance_dn2.tolist()}
-    return Plate("dark_current", caption, figure, table)
+    table = {
+        "integration_s": dark.at.tolist(),
+        "mean_dn": dark.mean_dn.tolist(),
+        "variance_dn2": dark.variance_dn2.tolist(),
+        "temperature_k": temperatures.tolist(),
+        "dark_current_e_per_s": [each.value for each in warm],
+    }
+    return Plate("dark_current", caption, figure, filled(table))
+
+
+def filled(table: dict[str, list[float]]) -> dict[str, Column]:
+    """Columns of one length: NaN beyond the end of the shorter ones."""
+    longest = max(len(each) for each in table.values())
+    return {key: each + [float("nan")] * (longest - len(each)) for key, each in table.items()}
 
 
 def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
@@ -246,5 +258,4 @@ def profile_plate(sheet: DataSheet) -> Plate:
     caption = (
         f"Profiles: means over columns and rows, less the mean. The black level leaves {BLACK_SIGMAS:g} σ of the dark below it."
     )
-    longest = max(len(each) for each in table.values())
-    return Plate("profiles", caption, figure, {key: each + [float("nan")] * (longest - len(each)) for key, each in table.items()})
+    return Plate("profiles", caption, figure, filled(table))
