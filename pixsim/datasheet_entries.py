@@ -10,19 +10,22 @@ import numpy as np
 
 from pixsim.datasheet import DataSheet
 from pixsim.datasheet_truth import dark_map_e
+from pixsim.frame_statistics import Stack
 from pixsim.iso_noise import (
     NOISE_SPEED_LX_S,
     SATURATION_SPEED_LX_S,
     SIGNAL_TO_NOISE,
     daylight_e_per_lx_s,
+    deviation,
     exposure_at_snr,
     noise_15739,
     signal_at_snr_e,
 )
-from pixsim.photon_transfer import QUANTISATION_DN2, Estimate, doubling_k
+from pixsim.photon_transfer import QUANTISATION_DN2, Estimate, doubling_k, parts, parts_error_dn2
 
 EMVA, NOISE, SPEED = "EMVA 1288", "ISO 15739", "ISO 12232"
 ROUNDING = 1e-9
+PARTS = ("of columns", "col", "column_dn2"), ("of rows", "row", "row_dn2"), ("of single pixels", "pixel", "pixel_dn2")
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,21 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     of_gain = f"this individual's maps; {100 * p.prnu:.4g} by the parameters"
     return [
         line(EMVA, "dark signal non-uniformity", "DSNU_1288", "e-", sheet.spatial.dsnu_e, true.dark_map_e, dsnu),
+        *dsnu_parts(sheet),
         line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.spatial.prnu * 100, 100 * true.gain_map, of_gain),
     ]
+
+
+def dsnu_parts(sheet: DataSheet) -> list[Entry]:
+    """What of the DSNU belongs to columns, rows and single pixels; 0 where the variance is estimated below zero."""
+    k, images = sheet.transfer.gain_dn_per_e, sheet.measured.dark_stack
+    found, error_dn2 = parts(images), parts_error_dn2(images)
+    true = parts(Stack(1, dark_map_e(sheet.experiment), np.zeros_like(images.mean_dn)))
+    return [
+        line(EMVA, f"DSNU, {name}", f"DSNU_1288.{short}", "e-", deviation(getattr(found, key), getattr(error_dn2, key)) / k,
+             math.sqrt(max(getattr(true, key), 0.0)), "this individual's maps, split alike")
+        for name, short, key in PARTS
+    ]  # fmt: skip
 
 
 def dark(sheet: DataSheet) -> list[Entry]:

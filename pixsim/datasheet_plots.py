@@ -239,10 +239,7 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
         "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is "
         "level (dotted: the spread of all pixels); column offsets lift the horizontal one above the vertical one."
     )
-    longest = max(len(each) for each in table.values())
-    return Plate(
-        "spectrograms", caption, figure, {key: each + [float("nan")] * (longest - len(each)) for key, each in table.items()}
-    )
+    return Plate("spectrograms", caption, figure, filled(table))
 
 
 def profile_plate(sheet: DataSheet) -> Plate:

@@ -244,6 +244,21 @@ def parts(images: Stack) -> Parts:
     )
 
 
+def parts_error_dn2(images: Stack) -> Parts:
+    """Standard errors of `parts` as those of these pixels, by the temporal noise left in means of columns, rows and pixels."""
+    rows, columns = images.mean_dn.shape
+    found, left = parts(images), images.temporal_dn2 / images.frames
+
+    def error(variance: float, noise: float, count: int) -> float:
+        return math.sqrt((4 * max(variance, 0.0) * noise + 2 * noise**2) / count)
+
+    return Parts(
+        column_dn2=error(found.column_dn2, left / rows, columns),
+        row_dn2=error(found.row_dn2, left / columns, rows),
+        pixel_dn2=error(found.pixel_dn2, left, rows * columns),
+    )
+
+
 @dataclass(frozen=True)
 class DarkCurrent:
     """e- per second and pixel, from the dark's mean and from its variance."""
