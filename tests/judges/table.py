@@ -1,8 +1,9 @@
 """README's table of judges: which outside standard, which gate, what was measured, whether it is met.
 
-python tests/judges/table.py [--full]
+python tests/judges/table.py [--full] [--short]
 
-Runs `rows` of every test_*.py here that has one; --full is passed on to those that take it. Exit status 1 if one is not met.
+Runs `rows` of every test_*.py here that has one; --full is passed on to those that take it. --short tells the same quantity of
+several pixels, lenses and edges in one row, with the range of what was measured. Exit status 1 if one is not met.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -19,6 +21,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]  # as pytest 
 
 from pixsim import cache  # noqa: E402
 
+GROUPED = ("EMVA", "ISO 15739", "ISO 12232")
 COLUMNS = ("judge", "standard", "gate", "measured", "met")
 
 
@@ -35,23 +38,62 @@ def verdicts(name: str, full: bool) -> list[dict[str, object]]:
     return list(rows(full=full) if "full" in inspect.signature(rows).parameters else rows())
 
 
+def told(cell: object) -> str:
+    """A cell; bare numbers to three digits."""
+    return f"{cell:.3g}" if isinstance(cell, float) else str(cell)
+
+
 def markdown(rows: list[dict[str, object]]) -> str:
     """The table; what fails stays in it, in bold."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
     for each in rows:
-        cells = [str(each[column]).replace("|", "\\|") for column in COLUMNS[:-1]]
+        cells = [told(each[column]).replace("|", "\\|") for column in COLUMNS[:-1]]
         lines.append("| " + " | ".join([*cells, "yes" if each["met"] else "**no**"]) + " |")
     return "\n".join(lines)
 
 
+def quantity(each: dict[str, object]) -> str:
+    """What a row judges, without the pixel, lens and level that it was judged on."""
+    name = str(each["judge"])
+    if str(each["standard"]).startswith("ISO 12233"):
+        return name.partition(",")[0]
+    return re.sub(r" at \d+ % of the well", "", name.partition(":")[0]) if str(each["standard"]).startswith(GROUPED) else name
+
+
+def numbers(rows: list[dict[str, object]]) -> str:
+    """The range of what rows measured, in the unit of the first, to two digits after its leading zeros."""
+    texts = [str(each["measured"]) for each in rows]
+    found = [float(text) for each in texts for text in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", each)[:1]]
+    unit = re.sub(r"^[-+]?\d+\.?\d*(?:e[-+]?\d+)?", "", texts[0])
+    low, high = (f"{each:+.2g}" for each in (min(found), max(found)))
+    return f"{low}{unit}" if low == high else f"{low} … {high}{unit}"
+
+
+def condensed(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """One row for each quantity, standard and gate; met where all are."""
+    groups: dict[tuple[object, ...], list[dict[str, object]]] = {}
+    for each in rows:
+        groups.setdefault((quantity(each), each["standard"], each["gate"]), []).append(each)
+    told = []
+    for (name, standard, gate), own in groups.items():
+        if len(own) == 1:
+            told += own
+        else:
+            met = all(each["met"] for each in own)
+            told.append(
+                {"judge": f"{name}, {len(own)} cases", "standard": standard, "gate": gate, "measured": numbers(own), "met": met}
+            )
+    return told
+
+
 def main(arguments: list[str]) -> int:
-    if not set(arguments) <= {"--full"}:
-        print(f"got {arguments}; allowed: --full", file=sys.stderr)
+    if not set(arguments) <= {"--full", "--short"}:
+        print(f"got {arguments}; allowed: --full, --short", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory() as folder:  # as tests/conftest.py: the user's cache is neither read nor written
         os.environ[cache.FOLDER_VARIABLE] = folder
-        rows = [each for name in judges() for each in verdicts(name, bool(arguments))]
-    print(markdown(rows))
+        rows = [each for name in judges() for each in verdicts(name, "--full" in arguments)]
+    print(markdown(condensed(rows) if "--short" in arguments else rows))
     return int(not rows or not all(each["met"] for each in rows))
 
 

@@ -55,3 +55,15 @@ def test_every_judge_here_is_found():
     names = table.judges()
     assert {"test_scielab_judge", "test_optics_judge", "test_monte_carlo_judge"} <= set(names)
     assert names == sorted(names)
+
+
+def test_the_short_table_tells_the_worst_of_each_quantity():
+    """A range that leaves out its ends, or a failure that is averaged away, would make README's table worthless."""
+
+    def own(judge, measured, met=True):
+        return {"judge": judge, "standard": "ISO 15739", "gate": "within 0.5 %", "measured": measured, "met": met}
+
+    rows = [own("noise at 2 % of the well: a", "+0.10 %"), own("noise at 60 % of the well: b", "-0.30 %"), own("other: a", "7 %")]
+    short = table.condensed(rows)
+    assert [(each["judge"], each["measured"]) for each in short] == [("noise, 2 cases", "-0.3 … +0.1 %"), ("other: a", "7 %")]
+    assert not table.condensed([*rows, own("noise at 13 % of the well: c", "+0.9 %", met=False)])[0]["met"]
