@@ -10,9 +10,8 @@ from pixsim.accuracy.page import write_table
 from pixsim.datasheet import DataSheet
 from pixsim.datasheet_entries import Entry, entries, summary
 from pixsim.datasheet_plots import datasheet_plates
-from pixsim.figures import save_svg
 from pixsim.files import output_folder
-from pixsim.report import data_uri, file_label, versions, write_json, write_page
+from pixsim.report import file_label, versions, write_json, write_page, write_plates
 
 TERMINAL_WIDTH = 132
 ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but for dark currents in the deep cold
@@ -69,11 +68,7 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
     """Write everything into a folder; returns the report's path."""
     plates = datasheet_plates(sheet)
     with output_folder(out) as folder:
-        figures = folder / "figures"
-        figures.mkdir(exist_ok=True)
-        for plate in plates:
-            save_svg(plate.figure, figures / f"{plate.name}.svg")
-            (figures / f"{plate.name}.csv").write_text(plate.csv, encoding="utf-8", newline="")
+        shown = write_plates(folder, plates)
         write_table(folder / "datasheet.csv", [each.as_dict() for each in entries(sheet)])
         write_json(folder / "summary.json", summary(sheet))
         page = {
@@ -83,8 +78,7 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
             "number": number,
             "off": off,
             "pixel": sheet.experiment.physics.pixel.model_dump(exclude_none=True),
-            "plates": [(plate, data_uri("image/svg+xml", (figures / f"{plate.name}.svg").read_bytes()),
-                        data_uri("text/csv", plate.csv.encode())) for plate in plates],
+            "plates": shown,
             "versions": versions(),
-        }  # fmt: skip
+        }
         return write_page(folder / "report.html", "datasheet.html.j2", page)

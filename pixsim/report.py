@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import platform
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata, resources
 from pathlib import Path
@@ -76,11 +77,7 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float]) -
         evidence = Evidence(result, {curve.technology: curve for curve in result.curves})
         rows = findings(evidence)
         plates += paper_plates(evidence)
-    figures = folder / "figures"
-    figures.mkdir(exist_ok=True)
-    for plate in plates:
-        save_svg(plate.figure, figures / f"{plate.name}.svg")
-        (figures / f"{plate.name}.csv").write_text(plate.csv, encoding="utf-8", newline="")
+    shown = write_plates(folder, plates)
     paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}
     write_json(folder / "summary.json", result.as_dict() | paper_table)
     provenance = {"versions": versions(), "seconds": seconds}
@@ -88,15 +85,14 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float]) -
     page = {
         "study": result.study,
         "curves": [(curve, curve.as_dict()) for curve in result.curves],
-        "plates": [(plate, data_uri("image/svg+xml", (figures / f"{plate.name}.svg").read_bytes()),
-                    data_uri("text/csv", plate.csv.encode())) for plate in plates],
+        "plates": shown,
         "findings": rows,
         "budget": result.budget,
         "header": result.irradiance.header,
         "settings": settings(result),
         "technologies": [load_technology(name) for name in result.study.technologies],
         "provenance": provenance,
-    }  # fmt: skip
+    }
     return write_page(folder / "report.html", "report.html.j2", page)
 
 
@@ -109,6 +105,19 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     with replacing(path) as partial:
         partial.write_text(environment.get_template(template).render(**content), encoding="utf-8")
     return path
+
+
+def write_plates(folder: Path, plates: Sequence[Plate]) -> list[tuple[Plate, str, str]]:
+    """Write figures/*.svg and their data, figures/*.csv; each plate with both as data URIs, for a page that opens offline."""
+    figures = folder / "figures"
+    figures.mkdir(exist_ok=True)
+    shown = []
+    for plate in plates:
+        path = figures / f"{plate.name}.svg"
+        save_svg(plate.figure, path)
+        path.with_suffix(".csv").write_text(plate.csv, encoding="utf-8", newline="")
+        shown.append((plate, data_uri("image/svg+xml", path.read_bytes()), data_uri("text/csv", plate.csv.encode())))
+    return shown
 
 
 def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str, str]]]]:

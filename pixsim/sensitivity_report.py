@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pixsim.figures import COLOURS, new_figure, save_svg
+from pixsim.figures import COLOURS, new_figure
 from pixsim.plates import Column, Plate
-from pixsim.report import data_uri, versions, write_json, write_page
+from pixsim.report import versions, write_json, write_page, write_plates
 from pixsim.sensitivity import Case, SensitivityResult
 
 
@@ -72,18 +72,15 @@ def meets(case: Case) -> str:
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
     """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; returns the report's path."""
     plate = tornado(result)
-    figures = folder / "figures"
-    figures.mkdir(exist_ok=True)
-    save_svg(plate.figure, figures / "tornado.svg")
-    (figures / "tornado.csv").write_text(plate.csv, encoding="utf-8", newline="")
+    ((_, image, data),) = write_plates(folder, [plate])
     write_json(folder / "summary.json", result.as_dict())
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
     page = {
         "sensitivity": result.sensitivity,
         "plate": plate,
-        "image": data_uri("image/svg+xml", (figures / "tornado.svg").read_bytes()),
-        "data": data_uri("text/csv", plate.csv.encode()),
+        "image": image,
+        "data": data,
         "cases": [(case, meets(case), [c.optimum_fill_factor for c in case.curves]) for case in (result.base_case, *result.cases)],
         "header": result.base.irradiance.header,
         "provenance": provenance,

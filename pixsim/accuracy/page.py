@@ -10,20 +10,15 @@ from typing import Any
 from pixsim.accuracy.lines import SHORT, accuracy_lines, errors_told, number, verdict
 from pixsim.accuracy.plots import plates_of
 from pixsim.accuracy.result import METRICS, Accuracy
-from pixsim.figures import save_svg
 from pixsim.files import output_folder, replacing
-from pixsim.report import data_uri, versions, write_json, write_page
+from pixsim.report import versions, write_json, write_page, write_plates
 
 
 def write_accuracy(found: Accuracy, out: Path) -> Path:
     """Write everything into a folder; returns the report's path."""
     plates = plates_of(found)
     with output_folder(out) as folder:
-        figures = folder / "figures"
-        figures.mkdir(exist_ok=True)
-        for plate in plates:
-            save_svg(plate.figure, figures / f"{plate.name}.svg")
-            (figures / f"{plate.name}.csv").write_text(plate.csv, encoding="utf-8", newline="")
+        shown = write_plates(folder, plates)
         rungs = [vars(each) for each in found.rungs]
         write_table(folder / "ladders.csv", rungs)
         write_table(folder / "stability.csv", [case.as_dict() for case in found.cases])
@@ -38,11 +33,10 @@ def write_accuracy(found: Accuracy, out: Path) -> Path:
             "verdicts": [(METRICS[metric], verdict(found, metric), found.beaten(metric)) for metric in metrics],
             "orders": [(name, SHORT[metric], order) for name, metric, order in orders if order],
             "number": number,
-            "plates": [(plate, data_uri("image/svg+xml", (figures / f"{plate.name}.svg").read_bytes()),
-                        data_uri("text/csv", plate.csv.encode())) for plate in plates],
+            "plates": shown,
             "lines": accuracy_lines(found),
             "versions": versions(),
-        }  # fmt: skip
+        }
         return write_page(folder / "report.html", "accuracy.html.j2", page)
 
 
