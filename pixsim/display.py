@@ -60,6 +60,13 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
     return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
+def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
+    """What the header lacks for a white: nothing where the display or the scene tells it, else `measured_white`."""
+    if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
+        return {}
+    return measured_white(irradiance, camera)
+
+
 def white_spectrum(irradiance: SpectralImage) -> Array | None:
     """Spectrum of the scene's white in the image's bands, any unit: that of its lamps where they share one, else None."""
     lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")

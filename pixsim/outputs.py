@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.display import measured_white
+from pixsim.display import white_header
 from pixsim.errors import refuse
 from pixsim.figures import save_delta_e_png, save_png
 from pixsim.files import output_folder
@@ -68,8 +68,7 @@ def run_and_write(
         irradiance, camera, more = prepared()
         lap("read" if not more else "render")
         progress("sense and score")
-        if not settings.display.white_cd_per_m2 and "luminance_cd_per_m2" not in irradiance.header:
-            irradiance.header |= measured_white(irradiance, camera)
+        irradiance.header |= white_header(irradiance, camera, settings.display)
         bench = make_bench(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
         score = bench.score("evaluate", settings.seed)
         more |= sensors_mean(bench, score, settings.seed, more)

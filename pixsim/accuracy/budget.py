@@ -31,7 +31,7 @@ from pixsim import cache
 from pixsim.accuracy.probe import Probe, Setup, pitches_around_optimum_um, probe, unheard
 from pixsim.accuracy.viewing import finer, spread
 from pixsim.convergence import noise_of
-from pixsim.display import measured_white
+from pixsim.display import white_header
 from pixsim.errors import refuse
 from pixsim.parameters import Camera, content_hash
 from pixsim.plan import Plan
@@ -124,7 +124,8 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     noise = noise_of(job, both, 1.0, [setup.pixel], setup.exposure)[0]
     image = job.image([(one + other) / 2 for one, other in zip(*both, strict=True)], 2 * spp)
     parts = [job.image(half, spp) for half in (first, second)]
-    white = white_of(image, camera, setup)
+    with unheard():  # the run itself says so
+        white = white_header(image, camera, setup.display)
     for each in (image, *parts):
         each.header |= white
     setup = setup.around(pitches_around_optimum_um(image, setup, PITCHES))
@@ -150,14 +151,6 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
         mean_delta_e=own.mean_delta_e,
         optimum_um=own.optimum_um,
     )
-
-
-def white_of(image: SpectralImage, camera: Camera, setup: Setup) -> dict[str, Any]:
-    """Header entries with the white of a scene that tells none, as `pixsim run` takes it."""
-    if setup.display.white_cd_per_m2 or "luminance_cd_per_m2" in image.header:
-        return {}
-    with unheard():  # the run itself says so
-        return measured_white(image, camera)
 
 
 def difference_of(one: Probe, other: Probe) -> Effect:

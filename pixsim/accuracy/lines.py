@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from pixsim.accuracy.budget import Effect
-from pixsim.accuracy.fits import pareto
 from pixsim.accuracy.result import METRICS, Accuracy
 
 SHORT = {"error_e": "electrons", "error_delta_e": "mean ΔE", "error_optimum_um": "optimum"}
@@ -29,11 +28,6 @@ def verdict(found: Accuracy, metric: str) -> str:
     if rival is None:
         return "on the Pareto front"
     return f"beaten by '{rival.setting}' ({rival.seconds:.2g} s, {number(getattr(rival, metric))})"
-
-
-def front_of(found: Accuracy, metric: str) -> list[int]:
-    rivals = found.rivals(metric)
-    return pareto([each.seconds for each in rivals], [getattr(each, metric) for each in rivals])
 
 
 def effect_told(each: Effect) -> str:

@@ -12,13 +12,13 @@ from pathlib import Path
 from pixsim import display as displays
 from pixsim.accuracy.probe import Setup, unheard
 from pixsim.outputs import write_all
-from pixsim.parameters import Camera, Run
+from pixsim.parameters import Camera, Display, Run
 from pixsim.pixel import derive
 from pixsim.plan import Plan
 from pixsim.renderer import Renderer
 from pixsim.scene import Scene, load_scene
 from pixsim.scielab import delta_e
-from pixsim.score import describe, evaluate, seen_lab, stream
+from pixsim.score import Score, describe, seen_lab, stream
 from pixsim.sensor import capture_rate, diffracted_rate, draw_sensor, integrate_pixels
 from pixsim.sensor_plan import make_plan
 from pixsim.spectral import SpectralImage
@@ -50,7 +50,7 @@ def opened(source: str, run: Run, sensor: str | None, variant: str | None, laps:
     return scene, camera, plan
 
 
-def first_picture(scene: Scene, camera: Camera, plan: Plan, laps: Laps) -> SpectralImage:
+def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display, laps: Laps) -> SpectralImage:
     """A render, and what the first one takes longer than the second: loading and compiling."""
     laps.seconds["compile"] = 0.0  # in its place: it comes before
     start = time.perf_counter()
@@ -62,8 +62,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, laps: Laps) -> Spect
         image = job.image(*job.run(1))
         laps.seconds["render"] = time.perf_counter() - start
         laps.seconds["compile"] = max(first - laps.seconds["render"], 0.0)
-    if "luminance_cd_per_m2" not in image.header:
-        image.header |= displays.measured_white(image, camera)
+    image.header |= displays.white_header(image, camera, display)
     return image
 
 
@@ -82,9 +81,8 @@ def score_in_stages(image: SpectralImage, setup: Setup, laps: Laps) -> None:
         )
         ideal = displays.shown_luminance(displays.ideal_luminance(image, setup.camera, physics, setup.display), setup.display)
         shown = displays.frame_luminance(frame, displays.picture_size_um(image), white_e, setup.display)
-        seen = seen_lab(displays.shown_luminance(shown, setup.display), setup.display)
-        delta_e(seen_lab(ideal, setup.display), seen, setup.display.delta_e)
-    with unheard():
-        score = evaluate(image, setup.camera, setup.pixel, setup.exposure, setup.display, seed=setup.seed)
+        picture = displays.shown_luminance(shown, setup.display)
+        map_ = delta_e(seen_lab(ideal, setup.display), seen_lab(picture, setup.display), setup.display.delta_e)
+    score = Score(map_, ideal, picture, frame, physics)
     with tempfile.TemporaryDirectory() as folder, laps("report"):
         write_all(Path(folder), image, score, describe(score, image))

@@ -109,7 +109,7 @@ def survey(
     progress("parse and render")
     scene, camera, plan = opened(source, settings, sensor, variant, laps)
     setup = Setup.of(settings, camera)
-    image = first_picture(scene, camera, plan, laps)
+    image = first_picture(scene, camera, plan, setup.display, laps)
     score_in_stages(image, setup, laps)
     subject, reference, notes = referred(Subject(scene, camera, plan, setup, image, laps.seconds["render"]), depth, progress)
     progress("error budget")
@@ -178,7 +178,7 @@ def middle_of(subject: Subject, parts: int) -> Subject:
     setup = replace(setup, camera=camera, display=display)
     plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)
     laps = Laps()
-    image = first_picture(scene, camera, plan, laps)
+    image = first_picture(scene, camera, plan, display, laps)
     return Subject(scene, camera, plan, setup, image, laps.seconds["render"])
 
 
