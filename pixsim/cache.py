@@ -1,17 +1,48 @@
-"""What was measured once and is needed again: small JSON files in the user's cache folder, named by their content's hash."""
+"""What was computed once and is needed again: files in the user's cache folder, named by the hash of all that made them.
+
+An entry is JSON (numbers) or .npz (arrays, each with the zip's CRC). It is moved into place when whole, so that several
+processes may share the folder; one that is damaged is noticed and made again. When the folder grows beyond its limit, the
+entries that were not used for the longest time go.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import platform
+import shutil
 import tempfile
+import time
 import warnings
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from hashlib import blake2b
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+import pixsim
+from pixsim.errors import refuse
+
 Kept = TypeVar("Kept")
+Arrays = dict[str, NDArray[Any]]
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
+LIMIT_VARIABLE = "PIXSIM_CACHE_GIB"
+DEFAULT_GIB = 4.0
+GIB = 1 << 30
+LARGEST_SHARE = 0.25  # of the limit, for one entry: a larger one would drive out all others
+TRIM_SHARE = 1 / 16  # of the limit: a process that wrote so much looks whether the folder has grown too large
+ABANDONED_S = 3600.0  # a partial file of this age was left by a process that was killed
+OWN_SUFFIXES = (".py", ".csv", ".toml")  # of pixsim's sources: formulas, spectra, technologies
+DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, EOFError, zipfile.BadZipFile, NotImplementedError)
+
+_written_bytes = 0  # by this process since it last trimmed
 
 
 def folder() -> Path:
@@ -23,25 +54,163 @@ def folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "pixsim"
 
 
+def limit_bytes() -> int:
+    """$PIXSIM_CACHE_GIB, else 4 GiB; 0 keeps nothing. PixsimError where it is no such number."""
+    text = os.environ.get(LIMIT_VARIABLE, str(DEFAULT_GIB))
+    try:
+        gib = float(text)
+    except ValueError:
+        gib = -1.0
+    if not 0 <= gib < 1e9:
+        raise refuse(LIMIT_VARIABLE, f"'{text}'", "a size in GiB, 0 and more", f"Unset it for {DEFAULT_GIB:g}.")
+    return int(gib * GIB)
+
+
+@lru_cache
+def made_by(*packages: str) -> str:
+    """Names pixsim's version and its very sources, the machine's kind, and the versions of packages: part of each key.
+
+    The sources are in it so that nobody who changes a formula or a table is shown a result of the old one.
+    """
+    digest = blake2b(digest_size=8)
+    for path in sorted(Path(pixsim.__file__).parent.rglob("*")):
+        if path.suffix in OWN_SUFFIXES:
+            digest.update(path.read_bytes())
+    versions = [f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", *packages)]
+    return ", ".join([f"pixsim {pixsim.__version__} {digest.hexdigest()}", platform.machine(), *versions])
+
+
 def kept(
     kind: str, key: str, read: Callable[[dict[str, Any]], Kept], make: Callable[[], Kept], write: Callable[[Kept], dict[str, Any]]
 ) -> Kept:
-    """The entry of a key, made and kept where it is missing or damaged. A folder that cannot be written is warned of."""
+    """The JSON entry of a key, made and kept where it is missing or damaged. A folder that cannot be written is warned of."""
     path = folder() / kind / f"{key}.json"
+    found = _found(path, lambda: read(json.loads(path.read_text(encoding="utf-8"))))
+    if found is None:
+        found = make()
+        text = json.dumps(write(found), sort_keys=True)
+        _keep(path, lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
+    return found
+
+
+def arrays(kind: str, key: str) -> Arrays | None:
+    """The arrays of a key, or None where they are not kept, or damaged."""
+    path = folder() / kind / f"{key}.npz"
+
+    def read() -> Arrays:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}  # to its last byte: there the CRC is compared
+
+    return _found(path, read)
+
+
+def keep_arrays(kind: str, key: str, content: Arrays) -> None:
+    """Keep arrays for a key. A folder that cannot be written is warned of; so much for one entry is left out in silence."""
+
+    def write(partial: Path) -> None:
+        with partial.open("wb") as file:  # a name would get the ending .npz
+            np.savez(file, allow_pickle=False, **content)
+
+    _keep(folder() / kind / f"{key}.npz", write, sum(each.nbytes for each in content.values()))
+
+
+def has_room(size_bytes: int) -> bool:
+    """Whether something of this size may be kept without driving out most of the rest."""
+    return size_bytes <= LARGEST_SHARE * limit_bytes()
+
+
+def _found(path: Path, read: Callable[[], Kept]) -> Kept | None:
+    if not limit_bytes():
+        return None
     try:
-        return read(json.loads(path.read_text(encoding="utf-8")))
+        found = read()
     except (FileNotFoundError, NotADirectoryError):
-        found = make()
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        warnings.warn(f"cache entry '{path}' is damaged ({error}) and is made again", stacklevel=2)
-        found = make()
+        return None
+    except DAMAGE as error:
+        warnings.warn(f"cache entry '{path}' is damaged ({error}) and is made again", stacklevel=4)
+        return None
+    with suppress(OSError):  # a folder that can only be read serves as well
+        os.utime(path)
+    return found
+
+
+def _keep(path: Path, write: Callable[[Path], object], size_bytes: int) -> None:
+    global _written_bytes
+    if not has_room(size_bytes) or not limit_bytes():
+        return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # In a folder of its own, so that two processes with the same key do not write to one file.
-        with tempfile.TemporaryDirectory(prefix=".", dir=path.parent) as own:
+        with tempfile.TemporaryDirectory(prefix=".", dir=path.parent, ignore_cleanup_errors=True) as own:
             partial = Path(own) / path.name
-            partial.write_text(json.dumps(write(found), sort_keys=True), encoding="utf-8")
+            write(partial)
             partial.replace(path)
     except OSError as error:
-        warnings.warn(f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}", stacklevel=2)
-    return found
+        warnings.warn(f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}", stacklevel=4)
+        return
+    _written_bytes += size_bytes
+    if _written_bytes > TRIM_SHARE * limit_bytes():
+        trim()
+        _written_bytes = 0
+
+
+# --- the folder as a whole --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file of the cache: kind is the folder that it is in."""
+
+    path: Path
+    size_bytes: int
+    used_s: float  # when it was last used, since the epoch
+
+    @property
+    def kind(self) -> str:
+        return self.path.parent.name
+
+
+def entries(kind: str | None = None) -> list[Entry]:
+    """All entries, or those of a kind, the one used last at the end."""
+    found = [entry for each in _kinds(kind) for entry in _in(each)]
+    return sorted(found, key=lambda entry: (entry.used_s, entry.path))
+
+
+def _kinds(kind: str | None) -> list[Path]:
+    try:
+        return [Path(each) for each in os.scandir(folder()) if each.is_dir() and kind in (None, each.name)]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def _in(kind: Path) -> Iterator[Entry]:
+    for each in os.scandir(kind):
+        if each.name.endswith((".json", ".npz")) and not each.name.startswith("."):
+            with suppress(FileNotFoundError):  # another process has removed it
+                about = each.stat()
+                yield Entry(Path(each), about.st_size, about.st_mtime)
+
+
+def trim() -> int:
+    """Remove what was not used for the longest time until the rest fits, and what killed processes left; bytes freed."""
+    found = entries()
+    excess, freed = sum(entry.size_bytes for entry in found) - limit_bytes(), 0
+    for entry in found:
+        if freed >= excess:
+            break
+        entry.path.unlink(missing_ok=True)
+        freed += entry.size_bytes
+    for kind in _kinds(None):
+        for each in os.scandir(kind):
+            with suppress(FileNotFoundError):
+                if each.name.startswith(".") and time.time() - each.stat().st_mtime > ABANDONED_S:
+                    shutil.rmtree(each.path, ignore_errors=True)
+    return freed
+
+
+def clear(kind: str | None = None) -> int:
+    """Remove all entries, or those of a kind; bytes freed."""
+    found = entries(kind)
+    for entry in found:
+        entry.path.unlink(missing_ok=True)
+    return sum(entry.size_bytes for entry in found)

@@ -16,9 +16,10 @@ from pydantic import ValidationError
 from pixsim import variant as variants
 from pixsim.errors import PixsimError, refuse
 from pixsim.lamps import find_lamp
-from pixsim.mitsuba_xml import children, nodes_of, parse, plain
-from pixsim.parameters import Camera, CameraOptions, content_hash
-from pixsim.textures import check_textures, texture_files
+from pixsim.mitsuba_xml import children, nodes_of, parse
+from pixsim.parameters import Camera, CameraOptions
+from pixsim.textures import check_textures
+from pixsim.tree_hash import hash_of_tree
 
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
@@ -75,27 +76,11 @@ class Scene:
     @property
     def content_hash(self) -> str:
         """Of the parsed tree and the bytes of its textures."""
-        state = self.parse()
-        tree = [
-            [
-                node.type.name,
-                node.props.plugin_name(),
-                sorted((k, _text(v)) for k, v in plain(node, numbers_only=False)),
-                sorted(children(node, state).items()),
-            ]
-            for node in state.nodes
-        ]
-        files = [content_hash(path.read_bytes().hex()) for path in texture_files(state, self.path.parent)]
-        return content_hash([tree, files])
+        return hash_of_tree(self.parse(), self.path.parent)
 
     def __repr__(self) -> str:
         given = "".join(f", {k}={v}" for k, v in self.parameters.items())
         return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
-
-
-def _text(value: Any) -> str:
-    """A property in full; Mitsuba's own text of a spectrum tells its length only."""
-    return f"{value.wavelengths} {value.values}" if hasattr(value, "wavelengths") else str(value)
 
 
 def packaged_scenes() -> dict[str, Path]:

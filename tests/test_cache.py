@@ -6,11 +6,14 @@ import json
 import math
 import multiprocessing
 import os
+import time
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import pixsim
 from pixsim import cache
 
 
@@ -123,3 +126,133 @@ def test_the_folder_is_the_users_cache(monkeypatch, tmp_path):
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert cache.folder() == tmp_path / "home/.cache/pixsim"
+
+
+# --- arrays ------------------------------------------------------------------------------------------------------------
+
+CONTENT = {
+    "picture": np.arange(24, dtype=np.float32).reshape(2, 3, 4),
+    "codes": np.arange(5, dtype=np.uint16),
+    "number": np.float64(1 / 3),
+}
+
+
+def assert_same(found: cache.Arrays | None) -> None:
+    assert found is not None
+    assert found.keys() == CONTENT.keys()
+    for name, values in CONTENT.items():
+        assert found[name].dtype == np.asarray(values).dtype
+        np.testing.assert_array_equal(found[name], values)
+
+
+def test_arrays_come_back_bit_for_bit(folder):
+    assert cache.arrays("kind", "key") is None
+    cache.keep_arrays("kind", "key", CONTENT)
+    assert_same(cache.arrays("kind", "key"))
+    assert cache.arrays("kind", "other") is None
+    assert [path.name for path in folder.rglob("*.npz")] == ["key.npz"]
+    assert not list(folder.rglob(".*")), "partial files"
+
+
+def test_every_damage_is_noticed(folder):
+    """One bit anywhere in an array, and every length that a file can be cut to."""
+    cache.keep_arrays("kind", "key", CONTENT)
+    path = folder / "kind/key.npz"
+    whole = path.read_bytes()
+    at = whole.index(CONTENT["picture"].tobytes())
+    damaged = [whole[:length] for length in range(0, len(whole), 37)]
+    damaged += [whole[: at + k] + bytes([whole[at + k] ^ 1]) + whole[at + k + 1 :] for k in (0, 50, 95)]
+    for content in damaged:
+        path.write_bytes(content)
+        with pytest.warns(UserWarning, match="damaged"):
+            assert cache.arrays("kind", "key") is None
+    cache.keep_arrays("kind", "key", CONTENT)
+    assert_same(cache.arrays("kind", "key"))
+
+
+def big(mib: float) -> cache.Arrays:
+    return {"zeros": np.zeros(int(mib * 2**20), np.uint8)}
+
+
+def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(folder, monkeypatch):
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))  # 8 MiB
+    for number in range(12):
+        cache.keep_arrays("kind", f"{number:02d}", big(1))
+        os.utime(folder / f"kind/{number:02d}.npz", (number, number))
+        if number > 0:
+            assert cache.arrays("kind", "00") is not None, "used each time, but gone"
+    cache.trim()
+    left = [entry.path.stem for entry in cache.entries()]
+    assert sum(entry.size_bytes for entry in cache.entries()) <= 8 * 2**20
+    assert sorted(left) == ["00", "06", "07", "08", "09", "10", "11"], "7 of a little more than 1 MiB fit into 8 MiB"
+
+
+def test_a_process_that_writes_much_trims_by_itself(folder, monkeypatch):
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))
+    for number in range(40):
+        cache.keep_arrays("kind", f"{number}", big(1))
+        assert sum(entry.size_bytes for entry in cache.entries()) <= 9.5 * 2**20
+
+
+def test_an_entry_that_would_drive_out_the_rest_is_not_kept(folder, monkeypatch):
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))
+    cache.keep_arrays("kind", "small", big(1.9))
+    cache.keep_arrays("kind", "large", big(2.1))
+    assert [entry.path.stem for entry in cache.entries()] == ["small"]
+
+
+def test_a_limit_of_nothing_keeps_nothing_and_reads_nothing(folder, monkeypatch):
+    cache.keep_arrays("kind", "key", CONTENT)
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    assert cache.arrays("kind", "key") is None
+    cache.keep_arrays("kind", "other", CONTENT)
+    assert kept(1.5) == ({"number": 1.5}, 1)
+    assert kept(2.5) == ({"number": 2.5}, 1)
+    assert [entry.path.stem for entry in cache.entries()] == ["key"]
+
+
+@pytest.mark.parametrize("text", ["", "many", "-1", "nan", "inf", "1e12"])
+def test_a_limit_that_is_none_is_refused(monkeypatch, text):
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, text)
+    with pytest.raises(pixsim.PixsimError, match=r"PIXSIM_CACHE_GIB.*allowed: a size in GiB"):
+        cache.limit_bytes()
+
+
+def test_what_a_killed_process_left_goes_after_an_hour(folder):
+    cache.keep_arrays("kind", "key", CONTENT)
+    for name, age_s in ((".old", 7200), (".new", 60)):
+        (folder / "kind" / name).mkdir()
+        (folder / "kind" / name / "key.npz").write_bytes(b"half")
+        then = time.time() - age_s
+        os.utime(folder / "kind" / name, (then, then))
+    cache.trim()
+    assert sorted(path.name for path in (folder / "kind").iterdir()) == [".new", "key.npz"]
+    assert len(cache.entries()) == 1
+
+
+def test_clear_removes_one_kind_or_all(folder):
+    cache.keep_arrays("render", "a", CONTENT)
+    cache.keep_arrays("frame", "b", CONTENT)
+    kept(1.0)
+    size = (folder / "frame/b.npz").stat().st_size
+    assert cache.clear("frame") == size
+    assert sorted(entry.kind for entry in cache.entries()) == ["kind", "render"]
+    assert cache.clear() > 0
+    assert cache.entries() == []
+
+
+def test_a_change_of_any_source_makes_other_keys(monkeypatch, tmp_path):
+    package = tmp_path / "pixsim"
+    (package / "data").mkdir(parents=True)
+    monkeypatch.setattr(pixsim, "__file__", str(package / "__init__.py"))
+    found = []
+    for name, text in (("__init__.py", "a"), ("__init__.py", "b"), ("data/t.toml", "a"), ("data/q.csv", "1"), ("notes.txt", "")):
+        (package / name).write_text(text, encoding="utf-8")
+        cache.made_by.cache_clear()
+        found.append(cache.made_by())
+    assert len(set(found[:4])) == 4
+    assert found[4] == found[3], "a note changes nothing"
+    monkeypatch.setattr(pixsim, "__version__", "99")
+    cache.made_by.cache_clear()
+    assert cache.made_by() not in found
+    cache.made_by.cache_clear()

@@ -466,6 +466,10 @@ def test_the_hash_tells_textures_and_parameters(copy):
     assert len(hashes) == 6
 
 
+NEAR = '<transform name="to_world"><translate x="0.0000001"/></transform>'
+WIDE = '<point name="center" x="0" y="0" z="0.0000001"/>'
+
+
 def test_the_hash_tells_everything_that_is_seen(tmp_path):
     first = '<bsdf type="diffuse" id="a"><spectrum name="reflectance" value="400:0.1, 700:0.9"/></bsdf>'
     second = '<bsdf type="diffuse" id="b"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf>'
@@ -474,6 +478,9 @@ def test_the_hash_tells_everything_that_is_seen(tmp_path):
         "as it is": first + second + ball.format("a") + disk.format("b"),
         "another spectrum": first.replace("0.1", "0.2") + second + ball.format("a") + disk.format("b"),
         "another colour": first + second.replace("0.3", "0.35") + ball.format("a") + disk.format("b"),
+        "the sixth digit": first + second.replace("0.3", "0.300001") + ball.format("a") + disk.format("b"),
+        "a ball moved by a hair": first + second + ball.format("a").replace("<ref", NEAR + "<ref") + disk.format("b"),
+        "a ball of another size": first + second + ball.format("a").replace("<ref", WIDE + "<ref") + disk.format("b"),
         "materials exchanged": first + second + ball.format("b") + disk.format("a"),
     }
     hashes = {name: load(write_scene(tmp_path, sensor_xml(), body)).content_hash for name, body in bodies.items()}

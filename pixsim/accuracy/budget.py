@@ -26,7 +26,6 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy.stats import t as student_t
 
-import pixsim
 from pixsim import cache
 from pixsim.accuracy.probe import Probe, Setup, pitches_around_optimum_um, probe, unheard
 from pixsim.accuracy.viewing import finer, spread
@@ -112,7 +111,7 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
         [scene.content_hash, scene.parameters, scene.sensor_id, scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
          load_technology(setup.pixel.technology).model_dump(exclude={"sources"}), setup.exposure.model_dump(),
          setup.display.model_dump(), setup.seed, setup.at_optimum, plan.spp, plan.tolerance_e, plan.lens,
-         plan.passes, pixsim.__version__]
+         plan.passes, cache.made_by("mitsuba", "drjit")]
     )  # fmt: skip
     return cache.kept("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, setup), asdict)
 

@@ -22,6 +22,7 @@ from pixsim.cli.worth import accuracy as accuracy
 from pixsim.cli.datasheet import datasheet as datasheet
 from pixsim.cli.edges import sfr as sfr
 from pixsim.cli.charts import chart as chart
+from pixsim.cli.caches import cache as cache
 
 # isort: on
 from pixsim.errors import PixsimError
