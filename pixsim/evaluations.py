@@ -1,26 +1,29 @@
-"""The evaluations of a study: which there are, which are missing, and the file that keeps them.
+"""The evaluations of a study: which there are, which are missing, and what a worker does for them.
 
-One row of results.csv is one evaluation (technology, pitch, repeat). Its key is the content that it depends on, so the
-file is also the state from which an interrupted study goes on.
+One row of results.csv is one evaluation (technology, pitch, repeat). Its key is the content that it depends on. So is that
+of its frame, which no viewer changes: frames are kept in the cache, and another display looks at the same ones.
 """
 
 from __future__ import annotations
 
-import csv
 import math
-import shutil
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pixsim import cache
+from pixsim.engine import Workers, results_of
 from pixsim.errors import refuse
-from pixsim.files import replacing
+from pixsim.ledger import Ledger, Row
 from pixsim.parameters import Camera, Pixel, Study, content_hash
-from pixsim.pixel import pitch_for_fill_factor_um
-from pixsim.score import Bench, make_bench
+from pixsim.pixel import derive, pitch_for_fill_factor_um
+from pixsim.score import Bench, Projection, Score, bench_of, make_bench, project
+from pixsim.sensor import pixels_along
 from pixsim.spectral import Array, SpectralImage
 from pixsim.technology import load_technology, with_fill_factor_law
 
@@ -40,8 +43,12 @@ COLUMNS = (
     "p99_delta_e",
     "max_delta_e",
 )
-Row = dict[str, str]
+TEXTS = COLUMNS[:2]
+REPEATS_A_TASK = 8  # evaluations after which a worker reports
+LIGHTS_BYTES = 1 << 28  # of lights that are made at once
 Progress = Callable[..., None]  # (fraction done, what to say beside it)
+# What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
+Light = Projection | SpectralImage
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
@@ -66,8 +73,41 @@ def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
     return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
 
 
-def bench_for(study: Study, irradiance: SpectralImage, camera: Camera, technology: str, pitch_um: float) -> Bench:
-    return make_bench(irradiance, camera, pixel_of(study, technology, pitch_um), study.exposure, study.display)
+class Lights:
+    """What all pitches of a technology share, made when first asked for, and kept while there is room."""
+
+    def __init__(self, study: Study, irradiance: SpectralImage, camera: Camera) -> None:
+        self.study, self.irradiance, self.camera = study, irradiance, camera
+        self._kept: dict[str, Light] = {}
+
+    def of(self, technology: str) -> Light:
+        if self.study.display.raster == "one_to_one":
+            return self.irradiance
+        if technology not in self._kept:
+            if len(self._kept) >= self.room:
+                self._kept.clear()
+            any_um = float(study_pitches_um(self.study, technology).max())
+            physics = derive(pixel_of(self.study, technology, any_um))
+            self._kept[technology] = project(self.irradiance, self.camera, physics, self.study.display)
+        return self._kept[technology]
+
+    @property
+    def room(self) -> int:
+        """How many may be there at once."""
+        planes = 2 * math.prod(self.irradiance.shape) + 4 * self.study.display.dots**2  # light, spline; ideal image, its CIELAB
+        return max(1, LIGHTS_BYTES // (8 * planes))
+
+    def groups(self) -> Iterator[tuple[str, ...]]:
+        """Technologies whose lights there is room for together."""
+        for first in range(0, len(self.study.technologies), self.room):
+            yield self.study.technologies[first : first + self.room]
+
+
+def bench_at(study: Study, light: Light, camera: Camera, technology: str, pitch_um: float) -> Bench:
+    pixel = pixel_of(study, technology, pitch_um)
+    if isinstance(light, Projection):
+        return bench_of(light, derive(pixel), study.exposure, study.display)
+    return make_bench(light, camera, pixel, study.exposure, study.display)
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
@@ -75,106 +115,140 @@ def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> t
 
 
 @dataclass(frozen=True)
-class _Task:
-    """All missing repeats of one pitch."""
+class Task:
+    """Some sensors of one pitch.
+
+    light_key : of all that its light depends on
+    keys : repeat -> hashes of all that its row, and the frame behind it, depend on; the frame's is empty where none is kept
+    """
 
     study: Study
     camera: Camera
     technology: str
     pitch_um: float
-    keys: dict[int, str]  # repeat -> key of its row
+    light_key: str
+    keys: dict[int, tuple[str, str]]
+
+    def __str__(self) -> str:
+        return f"{self.technology} at {self.pitch_um:g} µm"
 
 
-def evaluate_pitch(task: _Task, irradiance: SpectralImage) -> list[Row]:
-    bench = bench_for(task.study, irradiance, task.camera, task.technology, task.pitch_um)
-    rows = []
-    for repeat, key in task.keys.items():
-        score = bench.score(*stream_key(task.study, task.technology, task.pitch_um, repeat))
+def evaluate_task(task: Task, light: Light) -> list[Row]:
+    """The rows of a task."""
+    bench, rows = _bench(task, light), []
+    for repeat, (row_key, frame_key) in task.keys.items():
+        score = score_of(bench, stream_key(task.study, task.technology, task.pitch_um, repeat), frame_key)
         numbers = {name: repr(value) for name, value in score.statistics().items()}
-        rows.append({"key": key, "technology": task.technology, "repeat": str(repeat), **numbers})
+        rows.append({"key": row_key, "technology": task.technology, "repeat": str(repeat), **numbers})
     return rows
 
 
-def _row_keys(study: Study, camera: Camera, irradiance: SpectralImage) -> dict[tuple[str, float, int], str]:
-    """(technology, pitch, repeat) -> key, in the order of the table; as many repeats as the study may come to."""
-    shared: list[Any] = [irradiance.header, camera.model_dump(), study.exposure.model_dump(), study.display.model_dump()]
-    shared += [study.name, study.seed]
-    repeats = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
-    keys = {}
-    for technology in study.technologies:
-        process = load_technology(technology).model_dump(exclude={"sources"})
-        for pitch_um in study_pitches_um(study, technology).tolist():
-            pixel = pixel_of(study, technology, pitch_um).model_dump()
-            for repeat in range(repeats):
-                keys[technology, pitch_um, repeat] = content_hash([*shared, process, pixel, repeat])
-    return keys
+def score_of(bench: Bench, key: tuple[object, ...], frame_key: str) -> Score:
+    """`bench.score` of a key, its frame from the cache, or kept there, where it has a key there."""
+    kept = cache.arrays("frame", frame_key) if frame_key else None
+    if kept and kept["dn"].shape == bench.signal_e_per_s.shape:
+        return bench.view(bench.frame_of(kept["dn"]))
+    frame = bench.capture(*key)
+    if frame_key:
+        cache.keep_arrays("frame", frame_key, {"dn": frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))})
+    return bench.view(frame)
 
 
-def _missing_tasks(study: Study, camera: Camera, keys: dict[tuple[str, float, int], str], done: dict[str, Row]) -> list[_Task]:
-    """One task for each pitch that lacks rows of the study's present repeats."""
-    missing: dict[tuple[str, float], dict[int, str]] = {}
-    for (technology, pitch_um, repeat), key in keys.items():
-        if repeat < study.repeats and key not in done:
-            missing.setdefault((technology, pitch_um), {})[repeat] = key
-    return [_Task(study, camera, technology, pitch_um, repeats) for (technology, pitch_um), repeats in missing.items()]
+_recent = threading.local()  # a thread's last light and last bench: both are dear, and tasks come in their order
 
 
-def _read_rows(path: Path) -> dict[str, Row]:
-    """Finished rows by key; a last line that was cut off is left out."""
-    if not path.is_file():
-        return {}
-    whole, newline, _ = path.read_bytes().rpartition(b"\n")
-    table = csv.DictReader((whole + newline).decode(errors="replace").splitlines())
-    return {row["key"]: row for row in table if is_whole(row)}
+def _bench(task: Task, light: Light) -> Bench:
+    if getattr(_recent, "light_key", None) != task.light_key:
+        _recent.light_key, _recent.light, _recent.pitch_um = task.light_key, light, None
+    if _recent.pitch_um != task.pitch_um:
+        _recent.bench = bench_at(task.study, _recent.light, task.camera, task.technology, task.pitch_um)
+        _recent.pitch_um = task.pitch_um
+    bench: Bench = _recent.bench
+    return bench
 
 
-def is_whole(row: Row) -> bool:
-    """Whether a row has every column, and numbers where they belong; others are made again."""
-    try:
-        return all(row[name] for name in COLUMNS[:2]) and all(math.isfinite(float(row[name])) for name in COLUMNS[2:])
-    except (KeyError, TypeError, ValueError):
-        return False
+@dataclass(frozen=True)
+class Content:
+    """What the evaluations of a study depend on, as hashes; each is made once."""
+
+    study: Study
+    camera: Camera
+    irradiance: SpectralImage
+
+    @cached_property
+    def picture(self) -> str:
+        """Of the light, the exposure and the random streams; whatever shows it."""
+        study = self.study
+        light = [self.irradiance.header, self.camera.model_dump()]
+        return content_hash([*light, study.exposure.model_dump(), study.name, study.seed])
+
+    @cached_property
+    def display(self) -> str:
+        return self.study.display.content_hash
+
+    def light(self, technology: str) -> str:
+        """Of what all pitches of a technology share."""
+        return content_hash([self.picture, self.display, self.process(technology), self.study.pixel.model_dump()])
+
+    def process(self, technology: str) -> dict[str, Any]:
+        return load_technology(technology).model_dump(exclude={"sources"})
+
+    def keys(self, technology: str, repeats: int) -> Iterator[tuple[float, dict[int, tuple[str, str]]]]:
+        """Each pitch with row key and frame key of each repeat."""
+        process, made_by = self.process(technology), cache.made_by("mitsuba", "drjit")
+        for pitch_um in study_pitches_um(self.study, technology).tolist():
+            pixel = content_hash([self.picture, process, pixel_of(self.study, technology, pitch_um).model_dump()])
+            yield (
+                pitch_um,
+                {
+                    repeat: (content_hash([pixel, self.display, repeat]), content_hash([pixel, made_by, repeat]))
+                    for repeat in range(repeats)
+                },
+            )
 
 
-def _write_rows(path: Path, rows: list[Row]) -> None:
-    with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
+def most_repeats(study: Study) -> int:
+    """As many as the study may come to."""
+    return study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
 
 
-def _run_tasks(tasks: list[_Task], irradiance: SpectralImage, jobs: int) -> Iterator[list[Row]]:
-    """Rows of each pitch as they come. Workers never import Mitsuba."""
-    if jobs == 1 or len(tasks) < 2:
-        yield from (evaluate_pitch(task, irradiance) for task in tasks)
-        return
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config("loky", inner_max_num_threads=1):
-        parallel = Parallel(n_jobs=min(jobs, len(tasks)), return_as="generator_unordered")
-        yield from parallel(delayed(evaluate_pitch)(task, irradiance) for task in tasks)
+def frames_fit(study: Study, camera: Camera) -> bool:
+    """Whether all frames of a study may be kept without driving out most of the cache."""
+    code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
+    die_um = 1e3 * camera.die_mm
+    pitches = [pitch_um for each in study.technologies for pitch_um in study_pitches_um(study, each).tolist()]
+    return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * study.repeats)
 
 
-def evaluate_all(
-    study: Study, camera: Camera, irradiance: SpectralImage, results: Path, jobs: int, progress: Progress | None = None
-) -> list[Row]:
+def tasks_of(content: Content, technology: str, done: Container[str]) -> Iterator[Task]:
+    """What is missing of a technology, small pixels first, since they take longest."""
+    study, light_key = content.study, content.light(technology)
+    keep = frames_fit(study, content.camera)
+    for pitch_um, keys in content.keys(technology, study.repeats):
+        missing = [(repeat, (row, frame if keep else "")) for repeat, (row, frame) in keys.items() if row not in done]
+        for first in range(0, len(missing), REPEATS_A_TASK):
+            some = dict(missing[first : first + REPEATS_A_TASK])
+            yield Task(study, content.camera, technology, pitch_um, light_key, some)
+
+
+def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Progress | None = None) -> list[Row]:
     """Bring results.csv up to date: rows that fit are kept, missing ones are appended as they come, then all are sorted."""
-    keys = _row_keys(study, camera, irradiance)
-    known = _read_rows(results)
-    done = {key: known[key] for key in keys.values() if key in known}
-    if results.is_file() and (len(done) < len(known) or (not known and results.stat().st_size > len(",".join(COLUMNS)) + 2)):
-        shutil.copyfile(results, results.with_name(results.name + ".old"))  # rows of another study, or no rows at all
-    _write_rows(results, list(done.values()))
-    tasks = _missing_tasks(study, camera, keys, done)
-    missing = total = sum(len(task.keys) for task in tasks)
-    with results.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        for rows in _run_tasks(tasks, irradiance, jobs):
-            writer.writerows(rows)
-            file.flush()
-            done |= {row["key"]: row for row in rows}
-            missing -= len(rows)
-            if progress:
-                progress(1 - missing / total)
-    _write_rows(results, [done[key] for key in keys.values() if key in done])
-    return [done[key] for (_, _, repeat), key in keys.items() if repeat < study.repeats]
+    study = lights.study
+    content = Content(study, lights.camera, lights.irradiance)
+    ledger = Ledger(results, COLUMNS, TEXTS)
+    pitches = [keys for each in study.technologies for _, keys in content.keys(each, most_repeats(study))]
+    wanted = [row for keys in pitches for row, _ in keys.values()]
+    done = ledger.begin(set(wanted))
+    tasks = {technology: list(tasks_of(content, technology, done)) for technology in study.technologies}
+    missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
+    with ledger.appending() as append:
+        for group in lights.groups():
+            calls = [(task, lights.of(technology)) for technology in group for task in tasks[technology]]
+            for rows in results_of(evaluate_task, calls, workers):
+                append(rows)
+                done |= {row["key"]: row for row in rows}
+                missing -= len(rows)
+                if progress:
+                    progress(1 - missing / total)
+    ledger.write([done[key] for key in wanted if key in done])
+    return [done[row] for keys in pitches for repeat, (row, _) in keys.items() if repeat < study.repeats]

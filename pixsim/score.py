@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from pixsim import display as displays
@@ -18,7 +19,7 @@ from pixsim.light import refuse_impossible_light
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab
-from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, integrate_pixels, running_integral
+from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, frame_of, integrate_pixels, running_integral
 from pixsim.spectral import Array, SpectralImage
 
 CLIPPED_WARNING = 0.01
@@ -104,12 +105,26 @@ class Bench:
 
     def score(self, *key: object) -> Score:
         """Another sensor and another frame for each key."""
-        return self.score_with(stream(*key, "sensor"), stream(*key, "frame"))
+        return self.view(self.capture(*key))
 
     def score_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Score:
         """The picture of the sensor that one generator draws, with the temporal noise of the other."""
+        return self.view(self.capture_with(sensor_rng, frame_rng))
+
+    def capture(self, *key: object) -> Frame:
+        """The frame behind `score`."""
+        return self.capture_with(stream(*key, "sensor"), stream(*key, "frame"))
+
+    def capture_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Frame:
         sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
-        frame = capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
+        return capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
+
+    def frame_of(self, dn: NDArray[Any]) -> Frame:
+        """The frame that gave these digital numbers."""
+        return frame_of(dn.astype(np.int32), self.signal_e_per_s, self.physics, self.exposure)
+
+    def view(self, frame: Frame) -> Score:
+        """What a viewer sees of a frame."""
         white_e = self.white_e_per_s * frame.integration_s
         luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display)
         image = displays.shown_luminance(luminance, self.display)

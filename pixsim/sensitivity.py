@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from pixsim.config import merge
+from pixsim.engine import workers_for
 from pixsim.evaluations import Progress
 from pixsim.files import output_folder
 from pixsim.parameters import Camera, PitchRange, Record, Study, content_hash
@@ -140,6 +141,7 @@ def run_sensitivity(
     *,
     quick: bool = False,
     jobs: int | None = None,
+    scheduler: Any = None,
     variant: str | None = None,
     progress: Callable[[str], Progress] | None = None,
 ) -> SensitivityResult:
@@ -163,9 +165,9 @@ def run_sensitivity(
         if key not in renders:
             renders[key] = render_for(study, variant, stage("render"))
         results = folder / "cases" / f"{name}.csv"
-        return sweep_pitches(study, *renders[key], results, jobs or os.cpu_count() or 1, lambda: stage(name))
+        return sweep_pitches(study, *renders[key], results, workers, lambda: stage(name))
 
-    with output_folder(out) as folder:
+    with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         (folder / "cases").mkdir(exist_ok=True)
         first = run(base, "base")
         done = [

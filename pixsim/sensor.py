@@ -194,16 +194,21 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
             "Make the sensor with the camera and the film's aspect that the irradiance was rendered with.",
         )
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
-    mean_e = signal_e_per_s * time_s
+    return frame_of(expose(signal_e_per_s * time_s, time_s, sensor, rng), signal_e_per_s, p, exposure)
+
+
+def frame_of(dn: NDArray[np.int32], signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure) -> Frame:
+    """Digital numbers with what is known about them, from the mean photo-electron rates that gave them."""
+    time_s = integration_time_s(exposure, physics, float(signal_e_per_s.max()))
     return Frame(
-        dn=expose(mean_e, time_s, sensor, rng),
-        mean_e=mean_e,
+        dn=dn,
+        mean_e=signal_e_per_s * time_s,
         integration_s=time_s,
-        dn_per_e=p.dn_per_e,
-        black_level_dn=p.pixel.black_level_dn,
-        mean_dark_e=p.dark_current_e_per_s * time_s,
-        pitch_um=p.pitch_um,
-        bits=p.pixel.bits,
+        dn_per_e=physics.dn_per_e,
+        black_level_dn=physics.pixel.black_level_dn,
+        mean_dark_e=physics.dark_current_e_per_s * time_s,
+        pitch_um=physics.pitch_um,
+        bits=physics.pixel.bits,
     )
 
 

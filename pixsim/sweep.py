@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,23 @@ import numpy as np
 
 from pixsim.config import packaged, read_toml
 from pixsim.display import white_cd_per_m2
+from pixsim.engine import Workers, workers_for
 from pixsim.errors import refuse
-from pixsim.evaluations import COLUMNS, Progress, Row, bench_for, evaluate_all, pixel_of, stream_key, study_pitches_um
+from pixsim.evaluations import (
+    COLUMNS,
+    Content,
+    Lights,
+    Progress,
+    bench_at,
+    evaluate_all,
+    frames_fit,
+    pixel_of,
+    score_of,
+    stream_key,
+    study_pitches_um,
+)
 from pixsim.files import output_folder
+from pixsim.ledger import Row
 from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
 from pixsim.parameters import Camera, Study
 from pixsim.pixel import derive
@@ -30,8 +45,6 @@ from pixsim.technology import load_technology
 if TYPE_CHECKING:
     from pixsim.accuracy.settle import Settled
     from pixsim.scene import Scene
-
-FEWEST_REPEATS = 2  # of a study: fewer tell no interval
 
 
 @dataclass(frozen=True)
@@ -78,6 +91,10 @@ class StudyResult:
     camera: Camera
     budget: dict[str, Any] | None = None  # of the first curve, where a tolerance of ΔE was asked for
 
+    @cached_property
+    def lights(self) -> Lights:
+        return Lights(self.study, self.irradiance, self.camera)
+
     def as_dict(self) -> dict[str, Any]:
         """summary.json."""
         budget = {"error_budget": self.budget} if self.budget else {}
@@ -89,9 +106,17 @@ class StudyResult:
 
     def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
         """Pictures of the study again, for showing: the first `repeats` sensors, or all."""
-        bench = bench_for(self.study, self.irradiance, self.camera, technology, pitch_um)
+        bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
         count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
-        return [bench.score(*stream_key(self.study, technology, pitch_um, repeat)) for repeat in range(count)]
+        frames = self._frames(technology, pitch_um)
+        return [score_of(bench, stream_key(self.study, technology, pitch_um, each), frames.get(each, "")) for each in range(count)]
+
+    def _frames(self, technology: str, pitch_um: float) -> dict[int, str]:
+        """Where the frames of a pitch are kept."""
+        if not frames_fit(self.study, self.camera):
+            return {}
+        pitches = dict(Content(self.study, self.camera, self.irradiance).keys(technology, self.study.repeats))
+        return {repeat: frame for repeat, (_, frame) in pitches.get(pitch_um, {}).items()}
 
     def __repr__(self) -> str:
         found = "; ".join(
@@ -197,16 +222,24 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
 
 
 def sweep_pitches(
-    study: Study, irradiance: SpectralImage, camera: Camera, results: Path, jobs: int, progress: Callable[[], Progress | None]
+    study: Study,
+    irradiance: SpectralImage,
+    camera: Camera,
+    results: Path,
+    workers: Workers,
+    progress: Callable[[], Progress | None],
 ) -> StudyResult:
     """Evaluate what is missing in results.csv, add sensors until the target interval is met, and fit the optima."""
     white_cd_per_m2(irradiance, study.display)  # refuse an unknown white before any file is made
     while True:
-        rows = evaluate_all(study, camera, irradiance, results, jobs, progress())
+        lights = Lights(study, irradiance, camera)
+        rows = evaluate_all(lights, results, workers, progress())
         curves = tuple(curve_of(technology, rows) for technology in study.technologies)
         repeats = repeats_for_target(study, curves)
         if repeats <= study.repeats:
-            return StudyResult(study, curves, irradiance, camera)
+            result = StudyResult(study, curves, irradiance, camera)
+            result.__dict__["lights"] = lights  # they were dear
+            return result
         study = study.model_copy(update={"repeats": repeats})
 
 
@@ -216,6 +249,7 @@ def study(
     *,
     quick: bool = False,
     jobs: int | None = None,
+    scheduler: Any = None,
     variant: str | None = None,
     progress: Callable[[str], Progress] | None = None,
 ) -> StudyResult:
@@ -227,6 +261,8 @@ def study(
     out : folder, made if need be
     quick : with the study's `quick` table
     jobs : processes; None takes one a core. The results do not depend on it.
+    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers take the place of
+        processes here; on one kind of processor their results are the same bits
     progress : gives a callback for each named stage
 
     Raises PixsimError for input that cannot be used.
@@ -235,42 +271,18 @@ def study(
     chosen = chosen.quickened if quick else chosen
     refuse_bad_pitches(chosen)
     stage = progress or (lambda _: lambda *_: None)
-    with output_folder(out) as folder:
-        settled = None
-        if chosen.tolerance_delta_e:
-            stage("calibrate")
-            chosen, settled = settled_study(chosen, variant)
-        irradiance, camera = render_for(chosen, variant, stage("render"))
-        workers = jobs or os.cpu_count() or 1
-        result = sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))
-    return replace(result, budget=study_budget(settled, result)) if settled else result
-
-
-def settled_study(study: Study, variant: str | None) -> tuple[Study, Settled]:
-    """The study with the settings of least work for its tolerance, calibrated around the optimum of its first technology."""
-    from pixsim.accuracy.probe import Setup
-    from pixsim.accuracy.settle import settle
-
-    scene, camera = scene_for(study, variant)
-    assert study.tolerance_delta_e
-    pixel = pixel_of(study, study.technologies[0], study.pitch.max_um)
-    setup = Setup(camera, pixel, study.exposure, study.display, study.seed, at_optimum=True)
-    settled = settle(scene, camera, setup, study.tolerance_delta_e)
-    choice, parameters = settled.choice, dict(study.scene.parameters)
-    if "resolution" in settled.scene.parameters:
-        parameters["resolution"] = int(settled.scene.parameters["resolution"])
-    own = {
-        "render_noise": choice.render_noise,
-        "tolerance_e": choice.tolerance_e,
-        "repeats": min(max(FEWEST_REPEATS, choice.sensors), max(FEWEST_REPEATS, study.max_repeats)),
-        "scene": study.scene.model_copy(update={"parameters": parameters}),
-    }
-    return study.model_copy(update=own), settled
-
-
-def study_budget(settled: Settled, result: StudyResult) -> dict[str, Any]:
-    """The error budget of the first technology around its optimum."""
     from pixsim.convergence import RenderNoise
 
-    noise = RenderNoise(**result.irradiance.header["render_noise"])
-    return settled.budget(noise, result.irradiance.header["bound_e"], result.study.repeats)
+    with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
+        settled: Settled | None = None
+        if chosen.tolerance_delta_e:
+            stage("calibrate")
+            from pixsim.accuracy.settle import settled_study
+
+            chosen, settled = settled_study(chosen, *scene_for(chosen, variant))
+        irradiance, camera = render_for(chosen, variant, stage("render"))
+        result = sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))
+    if settled is None:
+        return result
+    noise = RenderNoise(**irradiance.header["render_noise"])
+    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], result.study.repeats))

@@ -24,7 +24,7 @@ TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FIL
 MODULES = sorted(TREES.keys() - {"__init__", "__main__"})
 LONGEST_MODULE = 300  # lines: one that a physicist reads in one sitting
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They come in where they are used.
-HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral"}
+HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
 
 
 def is_type_checking(node: ast.AST) -> bool:

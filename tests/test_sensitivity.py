@@ -23,6 +23,7 @@ from pixsim.plates import Plate
 from pixsim.score import Bench
 from pixsim.sensitivity import Case, Sensitivity, SensitivityResult, cases_of, file_name, run_sensitivity
 from pixsim.sensitivity_report import meets, tornado
+from pixsim.sensor import Frame
 from pixsim.sweep import Curve, StudyResult, load_study, refuse_bad_pitches
 from pixsim.technology import load_technology
 
@@ -70,11 +71,11 @@ settings = [
 
 
 @pytest.fixture
-def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Grows by one with every picture that is taken in this process."""
-    taken: list[tuple[object, ...]] = []
-    score = Bench.score
-    monkeypatch.setattr(Bench, "score", lambda self, *key: taken.append(key) or score(self, *key))
+    taken: list[Frame] = []
+    view = Bench.view
+    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(frame) or view(self, frame))
     return taken
 
 
@@ -132,7 +133,7 @@ def test_the_widest_range_comes_first(done: tuple[SensitivityResult, Path]) -> N
 
 
 def test_a_second_run_evaluates_nothing_and_a_lost_case_is_done_again(
-    done: tuple[SensitivityResult, Path], evaluations: list[tuple[object, ...]]
+    done: tuple[SensitivityResult, Path], evaluations: list[Frame]
 ) -> None:
     result, folder = done
     before = cases(folder)

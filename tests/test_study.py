@@ -18,6 +18,7 @@ import pixsim
 from pixsim import cli
 from pixsim.config import merge
 from pixsim.score import Bench, stream
+from pixsim.sensor import Frame
 from pixsim.sweep import StudyResult
 
 COMMAND = Path(sys.executable).with_name("pixsim")
@@ -64,11 +65,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
 
 
 @pytest.fixture
-def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Grows by one with every picture that is taken in this process."""
-    taken: list[tuple[object, ...]] = []
-    score = Bench.score
-    monkeypatch.setattr(Bench, "score", lambda self, *key: taken.append(key) or score(self, *key))
+    taken: list[Frame] = []
+    view = Bench.view
+    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(frame) or view(self, frame))
     return taken
 
 
@@ -134,7 +135,7 @@ def test_two_workers_on_one_core_give_the_same_bytes(by_command: Path, tmp_path:
     assert {name for name in mine if mine[name] != theirs[name]} <= recorded_times
 
 
-def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[tuple[object, ...]]) -> None:
+def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
     _, folder = done
     before = (folder / "results.csv").read_bytes()
     again = pixsim.study(tiny(), folder, jobs=1)
@@ -143,7 +144,7 @@ def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluati
     assert again.as_dict() == done[0].as_dict()
 
 
-def test_sensors_that_a_target_asked_for_are_kept_too(tmp_path: Path, evaluations: list[tuple[object, ...]]) -> None:
+def test_sensors_that_a_target_asked_for_are_kept_too(tmp_path: Path, evaluations: list[Frame]) -> None:
     study = tiny(repeats=2, target_ci_um=1e-6, max_repeats=3, pitch={"values_um": PITCHES_UM[:5]})
     first = pixsim.study(study, tmp_path, jobs=1)
     assert (len(evaluations), first.curves[0].delta_e.shape) == (15, (5, 3))
@@ -157,7 +158,7 @@ def test_sensors_that_a_target_asked_for_are_kept_too(tmp_path: Path, evaluation
 # 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
 @pytest.mark.parametrize("cut_bytes", [4, 60, 2000])
 def test_a_file_that_was_cut_off_is_completed(
-    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[tuple[object, ...]]
+    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
 ) -> None:
     whole = (done[1] / "results.csv").read_bytes()
     (tmp_path / "results.csv").write_bytes(whole[:-cut_bytes])
@@ -190,7 +191,7 @@ def test_rows_of_another_content_are_not_taken_for_finished(done: tuple[StudyRes
     assert set(keys(tmp_path / "words")) < own
 
 
-def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, evaluations: list[tuple[object, ...]]) -> None:
+def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, evaluations: list[Frame]) -> None:
     chart = tmp_path / "chart.exr"
     scene = {"parameters": {"chart": str(chart)}}
     study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[:5]}, scene=scene)
@@ -205,7 +206,7 @@ def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, e
 
 
 def test_more_of_the_same_computes_the_difference_only(
-    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[tuple[object, ...]]
+    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
 ) -> None:
     (tmp_path / "results.csv").write_bytes((done[1] / "results.csv").read_bytes())
     pixsim.study(tiny(repeats=4, technologies=("0.35um", "0.25um")), tmp_path, jobs=1)
@@ -281,7 +282,7 @@ display = { dots = 192 }
 """
 
 
-def test_ctrl_c_keeps_what_is_finished(tmp_path: Path, evaluations: list[tuple[object, ...]]) -> None:
+def test_ctrl_c_keeps_what_is_finished(tmp_path: Path, evaluations: list[Frame]) -> None:
     toml, out = tmp_path / "slow.toml", tmp_path / "out"
     toml.write_text(SLOW_TOML, encoding="utf-8")
     results = out / "results.csv"

@@ -10,9 +10,12 @@ from pixsim.accuracy.budget import Calibration, Effect, calibrate, effects, tota
 from pixsim.accuracy.choice import Choice, choose
 from pixsim.accuracy.probe import Setup
 from pixsim.convergence import RenderNoise
-from pixsim.parameters import Camera
+from pixsim.evaluations import pixel_of
+from pixsim.parameters import Camera, Study
 from pixsim.plan import make_render_plan
 from pixsim.scene import Scene
+
+FEWEST_REPEATS = 2  # of a study: fewer tell no interval
 
 
 @dataclass(frozen=True)
@@ -68,3 +71,21 @@ def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float)
         )
     chosen = scene.with_parameters(resolution=choice.width) if free else scene
     return Settled(chosen, tolerance_delta_e, found, choice)
+
+
+def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Settled]:
+    """The study with the settings of least work for its tolerance, calibrated around the optimum of its first technology."""
+    assert study.tolerance_delta_e
+    pixel = pixel_of(study, study.technologies[0], study.pitch.max_um)
+    setup = Setup(camera, pixel, study.exposure, study.display, study.seed, at_optimum=True)
+    settled = settle(scene, camera, setup, study.tolerance_delta_e)
+    choice, parameters = settled.choice, dict(study.scene.parameters)
+    if "resolution" in settled.scene.parameters:
+        parameters["resolution"] = int(settled.scene.parameters["resolution"])
+    own = {
+        "render_noise": choice.render_noise,
+        "tolerance_e": choice.tolerance_e,
+        "repeats": min(max(FEWEST_REPEATS, choice.sensors), max(FEWEST_REPEATS, study.max_repeats)),
+        "scene": study.scene.model_copy(update={"parameters": parameters}),
+    }
+    return study.model_copy(update=own), settled

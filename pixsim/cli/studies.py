@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pixsim.cli.base import DEFAULT_OUT, Json, Out, Variant, app, described, show
-from pixsim.errors import PixsimError
 from pixsim.progress import stages
 from pixsim.wording import budget_lines, found_line, sensitivity_lines
 
@@ -19,6 +18,9 @@ def study(
     *,
     quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
     jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
+    scheduler: Annotated[
+        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786), whose workers take the place of --jobs.")
+    ] = None,
     tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
     variant: Variant = None,
     out: Out = None,
@@ -38,13 +40,11 @@ def study(
     """
     from pixsim import sweep
 
-    if jobs is not None and jobs < 1:
-        raise PixsimError(f"--jobs: got {jobs}; allowed: 1 or more.")
     table = sweep.read_study(study)
     if tolerance_delta_e is not None:
         table["tolerance_delta_e"] = tolerance_delta_e
     seconds: dict[str, float] = {}
-    how: dict[str, Any] = {"quick": quick, "jobs": jobs, "variant": variant}
+    how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
     with stages(seconds) as stage:
         if "vary" in table:
             from pixsim.sensitivity import Sensitivity, run_sensitivity

@@ -1,0 +1,207 @@
+"""Calls on worker processes: of this machine by loky, of many by Dask, both through joblib; what a dead worker had is retried."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pixsim import cache
+from pixsim.errors import PixsimError, refuse
+
+Task = TypeVar("Task")
+Shared = TypeVar("Shared")
+Result = TypeVar("Result")
+Call = tuple[Task, Shared]
+
+TRIES_WITHOUT_PROGRESS = 2
+NAMED_TASKS = 4  # in a message
+CONNECT_SECONDS = 10.0
+WORKER_SECONDS = 30.0  # until a cluster has one
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where calls run: in this process (1 job), in processes of this machine, or on a Dask cluster.
+
+    client : a connected distributed.Client, or None
+    """
+
+    jobs: int = 1
+    client: Any = None
+
+    def __str__(self) -> str:
+        return f"the cluster at {self.client.scheduler.address}" if self.client else f"{self.jobs} processes"
+
+
+@contextmanager
+def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Workers]:
+    """The workers asked for.
+
+    Parameters
+    ----------
+    jobs : processes of this machine; None takes one a core
+    scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which stays open
+
+    Raises PixsimError for both, fewer than one job, a cluster that is not there, has no worker, or runs another pixsim.
+    """
+    if jobs is not None and (jobs < 1 or scheduler is not None):
+        got = f"{jobs} with a scheduler" if scheduler is not None else jobs
+        raise refuse("--jobs", got, "1 or more processes of this machine, or a --scheduler, which knows its workers")
+    if scheduler is None:
+        yield Workers(jobs or os.cpu_count() or 1)
+    elif isinstance(scheduler, str):
+        client = _connected(scheduler)
+        try:
+            yield _checked(client)
+        finally:
+            client.close()
+    else:
+        yield _checked(scheduler)
+
+
+def _connected(address: str) -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise refuse("--scheduler", f"'{address}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
+    try:
+        return distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
+        got = f"'{address}' ({' '.join(str(error).split()) or type(error).__name__})"
+        raise refuse("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
+
+
+def _checked(client: Any) -> Workers:
+    """PixsimError where a worker would compute something else."""
+    try:
+        client.wait_for_workers(1, timeout=WORKER_SECONDS)
+        theirs = client.run(cache.made_by)
+    except TimeoutError:
+        mend = "Start some with `dask worker ADDRESS`."
+        raise refuse("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", mend) from None
+    except (ImportError, AttributeError) as error:
+        raise refuse("--scheduler", f"a worker without this pixsim ({error})", f"{cache.made_by()} on all of them") from None
+    ours = cache.made_by()
+    for address, other in theirs.items():
+        if other != ours:
+            raise refuse("--scheduler", f"{other} at {address}", f"{ours}, as here, so that all rows are alike")
+    return Workers(client=client)
+
+
+def results_of(
+    function: Callable[[Task, Shared], Result], calls: Sequence[Call[Task, Shared]], workers: Workers
+) -> Iterator[Result]:
+    """`function(task, shared)` of each call, in the order in which they come.
+
+    Calls with the same `shared` object share one copy of it a worker. Where a worker dies, what is left is tried again, what
+    was under way last.
+
+    Raises PixsimError, with what is left named, where workers die twice and nothing is done in between.
+    """
+    left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
+    without_progress = 0
+    while left:
+        before = len(left)
+        try:
+            for index, result in _once(function, left, workers):
+                del left[index]
+                yield result
+        except Exception as error:
+            if not is_death(error):
+                raise
+            without_progress = without_progress + 1 if len(left) == before else 0
+            if without_progress == TRIES_WITHOUT_PROGRESS:
+                raise PixsimError(_told(left, workers)) from None
+            warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
+            left = _later(left)
+
+
+def is_death(error: BaseException) -> bool:
+    """Whether an error is that of a worker or a cluster, and not of the work; told by name, since neither need be installed."""
+    names = {kind.__name__ for kind in type(error).__mro__}
+    return bool(names & {"BrokenProcessPool", "KilledWorker", "CommClosedError", "FutureCancelledError", "CancelledError"})
+
+
+def _later(left: dict[int, Call[Task, Shared]]) -> dict[int, Call[Task, Shared]]:
+    """Those that were begun first may be what kills: the others go before them."""
+    indices = list(left)
+    half = len(indices) // 2
+    return {index: left[index] for index in [*indices[half:], *indices[:half]]}
+
+
+def _told(left: dict[int, Call[Task, Shared]], workers: Workers) -> str:
+    tasks = [str(task) for task, _ in left.values()]
+    named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
+    return (
+        f"workers: they died {TRIES_WITHOUT_PROGRESS} times in a row with nothing done ({workers}), left are {named}; "
+        "often it is the system that is out of memory. What is finished is kept, and the same command goes on from there. "
+        "Take fewer --jobs, or --jobs 1 to see the error."
+    )
+
+
+def _once(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], workers: Workers
+) -> Iterator[tuple[int, Result]]:
+    """Each call's number and result, as they come."""
+    if workers.client:
+        yield from _on_cluster(function, calls, workers.client)
+    elif workers.jobs == 1 or len(calls) == 1:
+        yield from ((index, function(*call)) for index, call in list(calls.items()))
+    else:
+        yield from _on_processes(function, calls, min(workers.jobs, len(calls)))
+
+
+def _on_cluster(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], client: Any
+) -> Iterator[tuple[int, Result]]:
+    from joblib import Parallel, delayed, parallel_config
+
+    shared = list({id(each): each for _, each in calls.values()}.values())
+    with parallel_config("dask", client=client, scatter=shared):
+        parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
+        yield from parallel(delayed(_numbered)(function, index, *call) for index, call in list(calls.items()))
+
+
+def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result]:
+    return index, function(task, shared)
+
+
+def _on_processes(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], jobs: int
+) -> Iterator[tuple[int, Result]]:
+    """What is shared lies in files that the workers map into their memory: one copy for all of them.
+
+    (joblib would do so by itself, but waits a second at the end for workers to let go.)
+    """
+    from joblib import Parallel, delayed, dump, parallel_config
+
+    with tempfile.TemporaryDirectory(prefix="pixsim-", ignore_cleanup_errors=True) as folder:
+        paths: dict[int, str] = {}
+        for _, shared in calls.values():
+            if id(shared) not in paths:
+                paths[id(shared)] = str(Path(folder) / f"{len(paths)}.joblib")
+                dump(shared, paths[id(shared)])
+        with parallel_config("loky", inner_max_num_threads=1):
+            parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
+            yield from parallel(
+                delayed(_numbered_from)(function, index, task, paths[id(shared)]) for index, (task, shared) in list(calls.items())
+            )
+
+
+@lru_cache(maxsize=1)
+def _mapped(path: str) -> Any:
+    from joblib import load
+
+    return load(path, mmap_mode="r")
+
+
+def _numbered_from(function: Callable[[Task, Any], Result], index: int, task: Task, path: str) -> tuple[int, Result]:
+    return index, function(task, _mapped(path))
