@@ -87,8 +87,9 @@ def _checked(client: Any) -> Workers:
     except TimeoutError:
         mend = "Start some with `dask worker ADDRESS`."
         raise refuse("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", mend) from None
-    except (ImportError, AttributeError) as error:
-        raise refuse("--scheduler", f"a worker without this pixsim ({error})", f"{cache.made_by()} on all of them") from None
+    except Exception as error:  # whatever happens there: Dask tells it as a plain Exception
+        got = f"a worker that cannot tell which pixsim it has ({error})"
+        raise refuse("--scheduler", got, f"{cache.made_by()} on all of them") from None
     ours = cache.made_by()
     for address, other in theirs.items():
         if other != ours:
@@ -107,6 +108,7 @@ def results_of(
     Raises PixsimError, with what is left named, where workers die twice and nothing is done in between.
     """
     left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
+    workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
     without_progress = 0
     while left:
         before = len(left)
@@ -153,10 +155,11 @@ def _once(
     """Each call's number and result, as they come."""
     if workers.client:
         yield from _on_cluster(function, calls, workers.client)
-    elif workers.jobs == 1 or len(calls) == 1:
+    elif workers.jobs == 1:
         yield from ((index, function(*call)) for index, call in list(calls.items()))
     else:
-        yield from _on_processes(function, calls, min(workers.jobs, len(calls)))
+        # At least two: what is left after a worker's death may be what killed it, and must not come to this process.
+        yield from _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
 
 
 def _on_cluster(

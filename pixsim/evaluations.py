@@ -232,23 +232,26 @@ def tasks_of(content: Content, technology: str, done: Container[str]) -> Iterato
 
 
 def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Progress | None = None) -> list[Row]:
-    """Bring results.csv up to date: rows that fit are kept, missing ones are appended as they come, then all are sorted."""
+    """Bring results.csv up to date: rows that fit are kept, missing ones are appended as they come, then all are sorted.
+
+    PixsimError where the file cannot be written (what is finished stays), or another process writes it.
+    """
     study = lights.study
     content = Content(study, lights.camera, lights.irradiance)
-    ledger = Ledger(results, COLUMNS, TEXTS)
     pitches = [keys for each in study.technologies for _, keys in content.keys(each, most_repeats(study))]
     wanted = [row for keys in pitches for row, _ in keys.values()]
-    done = ledger.begin(set(wanted))
-    tasks = {technology: list(tasks_of(content, technology, done)) for technology in study.technologies}
-    missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
-    with ledger.appending() as append:
+    ledger = Ledger(results, COLUMNS, TEXTS)
+    with ledger.alone():
+        done = ledger.begin(set(wanted))
+        tasks = {technology: list(tasks_of(content, technology, done)) for technology in study.technologies}
+        missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
         for group in lights.groups():
             calls = [(task, lights.of(technology)) for technology in group for task in tasks[technology]]
             for rows in results_of(evaluate_task, calls, workers):
-                append(rows)
+                ledger.append(rows)
                 done |= {row["key"]: row for row in rows}
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
-    ledger.write([done[key] for key in wanted if key in done])
+        ledger.write([done[key] for key in wanted if key in done])
     return [done[row] for keys in pitches for repeat, (row, _) in keys.items() if repeat < study.repeats]

@@ -6,13 +6,16 @@ One writer appends rows as they come, so that whatever ends a study keeps what i
 from __future__ import annotations
 
 import csv
+import errno
+import io
 import math
+import os
 import shutil
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
+from pixsim.errors import PixsimError, refuse
 from pixsim.files import replacing
 
 Row = dict[str, str]
@@ -51,23 +54,53 @@ class Ledger:
 
     def write(self, rows: Collection[Row]) -> None:
         """The file anew, whole or not at all."""
-        with replacing(self.path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-            self._writer(file, header=True).writerows(rows)
+        with self._told(), replacing(self.path) as partial:
+            partial.write_bytes(self._text([dict(zip(self.columns, self.columns, strict=True)), *rows]))
+
+    def append(self, rows: Collection[Row]) -> None:
+        """Add rows, all of them or none."""
+        text = self._text(rows)
+        with self._told(), self.path.open("ab", buffering=0) as file:
+            before = file.tell()
+            try:
+                if file.write(text) != len(text):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            except BaseException:
+                file.truncate(before)
+                raise
 
     @contextmanager
-    def appending(self) -> Iterator[Any]:
-        """A function that adds rows, each call to the disk's cache at once."""
-        with self.path.open("a", newline="", encoding="utf-8") as file:
-            writer = self._writer(file)
+    def alone(self) -> Iterator[None]:
+        """As the one writer; PixsimError where another process is. The lock goes with the process, however that ends."""
+        try:
+            import fcntl
+        except ImportError:  # Windows
+            yield
+            return
+        lock = self.path.with_name(f".{self.path.name}.lock")
+        with self._told(), lock.open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                mend = "Wait for it, or take another --out."
+                raise refuse("study", f"'{self.path.parent}', where another process is at work", "one at a time", mend) from None
+            try:
+                yield
+            finally:
+                lock.unlink(missing_ok=True)
 
-            def append(rows: Collection[Row]) -> None:
-                writer.writerows(rows)
-                file.flush()
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """A disk that is full or a folder that cannot be written, in words."""
+        try:
+            yield
+        except OSError as error:
+            raise PixsimError(
+                f"results: '{self.path}' cannot be written ({error.strerror or error}). What is finished is kept: make room, "
+                "and give the same command again."
+            ) from None
 
-            yield append
-
-    def _writer(self, file: Any, header: bool = False) -> csv.DictWriter[str]:
-        writer = csv.DictWriter(file, self.columns)
-        if header:
-            writer.writeheader()
-        return writer
+    def _text(self, rows: Iterable[Row]) -> bytes:
+        text = io.StringIO(newline="")
+        csv.DictWriter(text, self.columns).writerows(rows)
+        return text.getvalue().encode()

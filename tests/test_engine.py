@@ -1,0 +1,358 @@
+"""Workers come and go: what comes out does not depend on them, and nothing that is finished is lost or done twice."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pixsim
+from pixsim import cache, engine
+from pixsim.engine import Workers, results_of, workers_for
+
+COMMAND = Path(sys.executable).with_name("pixsim")
+TOML = """
+name = "tiny"
+repeats = 4
+scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
+pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
+display = { dots = 96, samples_per_deg = 10.0 }
+"""
+ROWS = 24
+
+
+@pytest.fixture(scope="module")
+def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("study") / "tiny.toml"
+    path.write_text(TOML, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """results.csv of one process, nothing kept."""
+    out = tmp_path_factory.mktemp("one")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(cache.LIMIT_VARIABLE, "0")
+        pixsim.study(toml, out, jobs=1)
+    return (out / "results.csv").read_bytes()
+
+
+# --- calls -------------------------------------------------------------------------------------------------------------
+
+
+def double(task: int, shared: dict[str, np.ndarray]) -> tuple[int, float]:
+    return task, task * float(shared["values"].sum())
+
+
+def die_once(task: int, marks: Path) -> int:
+    """The third task ends its process, the first time."""
+    mark = marks / f"{task}"
+    if task == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    (marks / f"{task}-{os.getpid()}").touch()
+    return task
+
+
+def die_always(task: int, _: object) -> int:
+    if task == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task
+
+
+def fail(task: int, _: object) -> int:
+    return 1 // task
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_call_comes_once(jobs: int) -> None:
+    first, second = {"values": np.ones(300_000)}, {"values": np.full(3, 2.0)}
+    calls = [(task, first if task % 2 else second) for task in range(20)]
+    found = sorted(results_of(double, calls, Workers(jobs)))
+    assert found == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
+
+
+def test_what_a_dead_worker_had_is_done_by_another(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="a worker died"):
+        found = sorted(results_of(die_once, [(task, tmp_path) for task in range(12)], Workers(2)))
+    assert found == list(range(12))
+
+
+def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
+    found: list[int] = []
+    results = results_of(die_always, [(task, None) for task in range(12)], Workers(2))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        with pytest.raises(pixsim.PixsimError, match=r"died 2 times in a row.*2 processes.*left are 3;.*--jobs 1"):
+            found.extend(results)
+    assert "a worker died; what is left" in str(told[0].message)
+    assert sorted(found) == [task for task in range(12) if task != 3]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_of_the_work_itself_is_not_retried(jobs: int) -> None:
+    with pytest.raises(ZeroDivisionError):
+        list(results_of(fail, [(task, None) for task in (2, 1, 0, 3)], Workers(jobs)))
+
+
+def busy(_: int, __: object) -> float:
+    """Processor seconds over wall seconds of an evaluation's kernels on a picture that threads would be tempted by."""
+    from pixsim.score import make_bench
+
+    picture = np.random.default_rng(0).random((1, 768, 768)).astype(np.float32)
+    image = pixsim.SpectralImage(np.array([550.0]), 10.0, 2.65, factors=(np.ones((1, 1)), picture))
+    image.header["luminance_cd_per_m2"] = 1000.0
+    wall, processor = time.perf_counter(), time.process_time()
+    make_bench(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).score("busy")
+    return (time.process_time() - processor) / (time.perf_counter() - wall)
+
+
+def test_a_worker_takes_one_core() -> None:
+    """One thread cannot use more than one second a second; clocks and a start-up thread leave 10 %."""
+    loads = list(results_of(busy, [(task, None) for task in range(4)], Workers(2)))
+    assert max(loads) < 1.1, loads
+
+
+@pytest.mark.parametrize(
+    ("jobs", "scheduler", "told"),
+    [
+        (0, None, "--jobs: got 0; allowed: 1 or more"),
+        (-1, None, "--jobs: got -1"),
+        (2, "tcp://127.0.0.1:1", "--jobs: got 2 with a scheduler"),
+        (None, "tcp://127.0.0.1:1", r"--scheduler: got 'tcp://127.0.0.1:1'.*allowed: the address of a running Dask scheduler"),
+        (None, "nowhere at all", "--scheduler: got 'nowhere at all'"),
+    ],
+)
+def test_workers_that_cannot_be_had(jobs: int | None, scheduler: str | None, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "CONNECT_SECONDS", 1.0)
+    with pytest.raises(pixsim.PixsimError, match=told), workers_for(jobs, scheduler):
+        pass
+
+
+def test_without_dask_the_message_says_how_to_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(pixsim.PixsimError, match=r"pip install 'pixsim\[cluster\]'"), workers_for(None, "tcp://127.0.0.1:1"):
+        pass
+
+
+# --- a study -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("keeping", [True, False])
+def test_two_workers_give_the_same_bytes(keeping: bool, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+    if not keeping:
+        monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    pixsim.study(toml, tmp_path, jobs=2)
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def children(pid: int) -> list[int]:
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            text = stat.read_text(encoding="utf-8")
+            if int(text.rpartition(")")[2].split()[1]) == pid:
+                found.append(int(stat.parent.name))
+    return found
+
+
+def is_worker(pid: int) -> bool:
+    with contextlib.suppress(OSError):
+        return b"loky.backend.popen_loky" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
+
+
+SCRIPT = "import sys, pixsim; pixsim.study(sys.argv[1], sys.argv[2], **eval(sys.argv[3]))"
+
+
+def started(toml: Path, out: Path, **how: object) -> subprocess.Popen[str]:
+    """The study in a process of its own, without the report, until its first rows are there."""
+    return until_rows([sys.executable, "-c", SCRIPT, toml, out, repr(how)], out)
+
+
+def until_rows(command: list[object], out: Path, **how: object) -> subprocess.Popen[str]:
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **how)
+    deadline = time.monotonic() + 60
+    results = out / "results.csv"
+    while not (results.is_file() and results.read_bytes().count(b"\n") > 1):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+    return process
+
+
+SLOWER = TOML.replace("dots = 96", "dots = 512").replace('"tiny"', '"slower"')  # some 20 ms a row
+
+
+@pytest.fixture(scope="module")
+def slower(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
+    """A study that takes a while, and its rows."""
+    folder = tmp_path_factory.mktemp("slower")
+    toml = folder / "slower.toml"
+    toml.write_text(SLOWER, encoding="utf-8")
+    pixsim.study(toml, folder / "out", jobs=2)
+    return toml, (folder / "out/results.csv").read_bytes()
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds workers in /proc")
+def test_a_study_goes_on_when_a_worker_is_killed(slower: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))  # with kept frames it would be over too soon
+    process = started(slower[0], tmp_path / "out", jobs=2)
+    workers = [pid for pid in children(process.pid) if is_worker(pid)]
+    assert workers
+    os.kill(workers[0], signal.SIGKILL)
+    _, complaints = process.communicate(timeout=120)
+    assert process.returncode == 0, complaints
+    assert "a worker died" in complaints
+    assert (tmp_path / "out/results.csv").read_bytes() == slower[1]
+
+
+def test_a_killed_study_goes_on_where_it_stopped(slower: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
+    process = started(slower[0], tmp_path / "out", jobs=1)
+    process.kill()
+    process.communicate(timeout=60)
+    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
+    assert 0 < len(finished) < ROWS
+    assert set(finished) < set(slower[1].splitlines())
+    taken = []
+    view = pixsim.score.Bench.view
+    monkeypatch.setattr(pixsim.score.Bench, "view", lambda self, frame: taken.append(1) or view(self, frame))
+    pixsim.study(slower[0], tmp_path / "out", jobs=1)
+    assert len(taken) == ROWS - len(finished)
+    assert (tmp_path / "out/results.csv").read_bytes() == slower[1]
+
+
+def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(slower, tmp_path: Path, monkeypatch) -> None:
+    """The limit of a file's size stands for the disk's: the write fails in the same place."""
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    room = len(slower[1]) // 2
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    command = [COMMAND, "study", slower[0], "--out", tmp_path / "out", "--jobs", "1"]
+    process = until_rows(command, tmp_path / "out", preexec_fn=limit)
+    told, complaints = process.communicate(timeout=120)
+    assert (process.returncode, told) == (2, "")
+    assert "Traceback" not in complaints
+    assert "results.csv' cannot be written (No space left on device). What is finished is kept" in complaints
+    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
+    assert 0 < len(finished) < ROWS
+    assert set(finished) < set(slower[1].splitlines()), "half a row"
+    assert [path.name for path in (tmp_path / "out").rglob("*")] == ["results.csv"]
+    pixsim.study(slower[0], tmp_path / "out", jobs=2)
+    assert (tmp_path / "out/results.csv").read_bytes() == slower[1]
+
+
+def test_two_studies_in_one_folder_are_one_too_many(slower: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    process = started(slower[0], tmp_path / "out", jobs=1)
+    with pytest.raises(pixsim.PixsimError, match=r"another process is at work.*one at a time.*--out"):
+        pixsim.study(slower[0], tmp_path / "out", jobs=1)
+    _, complaints = process.communicate(timeout=120)
+    assert process.returncode == 0, complaints
+    assert (tmp_path / "out/results.csv").read_bytes() == slower[1]
+
+
+# --- a cluster ---------------------------------------------------------------------------------------------------------
+
+
+Cluster = tuple[str, list[subprocess.Popen[bytes]]]  # the scheduler's address, the workers
+
+
+@contextlib.contextmanager
+def running_cluster(folder: Path, count: int, **environment: str) -> Iterator[Cluster]:
+    """A Dask scheduler and workers, processes of their own, as on other machines: each with a cache of its own."""
+    pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
+    address = folder / "scheduler.json"
+    common = ["--scheduler-file", str(address), "--no-dashboard", "--host", "127.0.0.1"]
+    with (folder / "log").open("wb") as log, contextlib.ExitStack() as stack:
+
+        def start(kind: str, *more: str, **own: str) -> subprocess.Popen[bytes]:
+            command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *more, *common]
+            process = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | own, cwd=folder)
+            stack.callback(process.wait, 30)
+            stack.callback(process.kill)
+            return process
+
+        start("scheduler", "--port", "0")
+        workers = []
+        for number in range(count):
+            own = str(folder / f"worker-{number}")
+            more = ["--nthreads", "1", "--no-nanny", "--local-directory", own]
+            workers.append(start("worker", *more, **{cache.FOLDER_VARIABLE: own + "-cache"}, **environment))
+        deadline = time.monotonic() + 30
+        while not address.is_file():
+            assert time.monotonic() < deadline, (folder / "log").read_text(encoding="utf-8")
+            time.sleep(0.05)
+        yield json.loads(address.read_text(encoding="utf-8"))["address"], workers
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    with running_cluster(tmp_path_factory.mktemp("cluster"), 2) as running:
+        yield running
+
+
+def test_a_cluster_gives_the_same_bytes(cluster, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    pixsim.study(toml, tmp_path, scheduler=cluster[0])
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def test_a_client_serves_and_stays_open(cluster, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    from distributed import Client
+
+    with Client(cluster[0]) as client:
+        pixsim.study(toml, tmp_path, scheduler=client)
+        assert client.status == "running"
+        assert len(client.scheduler_info()["workers"]) == 2
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        ("changed", r"got pixsim .* at tcp.*as here, so that all rows are alike"),
+        ("none", r"got a worker that cannot tell which pixsim"),
+    ],
+)
+def test_workers_of_another_pixsim_are_refused(kind: str, told: str, tmp_path: Path) -> None:
+    other = tmp_path / "other/pixsim"
+    if kind == "changed":
+        shutil.copytree(Path(pixsim.__file__).parent, other, ignore=shutil.ignore_patterns("__pycache__"))
+        with (other / "units.py").open("a", encoding="utf-8") as file:
+            file.write("# a change\n")
+    else:
+        other.mkdir(parents=True)
+        (other / "__init__.py").touch()
+    with (
+        running_cluster(tmp_path, 1, PYTHONPATH=str(other.parent)) as (address, _),
+        pytest.raises(pixsim.PixsimError, match="--scheduler: " + told),
+        workers_for(None, address),
+    ):
+        pass
+
+
+def test_a_study_goes_on_when_a_worker_of_the_cluster_is_killed(cluster, slower: tuple[Path, bytes], tmp_path: Path) -> None:
+    """The last test of the cluster: one of its two workers is gone afterwards."""
+    address, workers = cluster
+    process = started(slower[0], tmp_path / "out", scheduler=address)
+    workers[0].kill()
+    _, complaints = process.communicate(timeout=120)
+    assert process.returncode == 0, complaints
+    assert (tmp_path / "out/results.csv").read_bytes() == slower[1]
