@@ -10,8 +10,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-import shutil
-import tempfile
+import threading
 import time
 import warnings
 import zipfile
@@ -140,11 +139,13 @@ def _keep(path: Path, write: Callable[[Path], object], size_bytes: int) -> None:
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # In a folder of its own, so that two processes with the same key do not write to one file.
-        with tempfile.TemporaryDirectory(prefix=".", dir=path.parent, ignore_cleanup_errors=True) as own:
-            partial = Path(own) / path.name
+        # A name of its own, so that two processes with the same key do not write to one file.
+        partial = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
+        try:
             write(partial)
             partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
     except OSError as error:
         warnings.warn(f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}", stacklevel=4)
         return
@@ -202,9 +203,9 @@ def trim() -> int:
         freed += entry.size_bytes
     for kind in _kinds(None):
         for each in os.scandir(kind):
-            with suppress(FileNotFoundError):
+            with suppress(OSError):
                 if each.name.startswith(".") and time.time() - each.stat().st_mtime > ABANDONED_S:
-                    shutil.rmtree(each.path, ignore_errors=True)
+                    Path(each).unlink()
     return freed
 
 

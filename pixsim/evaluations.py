@@ -118,8 +118,8 @@ def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> t
 class Task:
     """Some sensors of one pitch.
 
-    light_key : of all that its light depends on
-    keys : repeat -> hashes of all that its row, and the frame behind it, depend on; the frame's is empty where none is kept
+    light_key, frames_key : hashes of all that their light and their frames depend on; frames without a key are not kept
+    keys : repeat -> hash of all that its row depends on
     """
 
     study: Study
@@ -127,7 +127,8 @@ class Task:
     technology: str
     pitch_um: float
     light_key: str
-    keys: dict[int, tuple[str, str]]
+    frames_key: str
+    keys: dict[int, str]
 
     def __str__(self) -> str:
         return f"{self.technology} at {self.pitch_um:g} µm"
@@ -136,22 +137,28 @@ class Task:
 def evaluate_task(task: Task, light: Light) -> list[Row]:
     """The rows of a task."""
     bench, rows = _bench(task, light), []
-    for repeat, (row_key, frame_key) in task.keys.items():
-        score = score_of(bench, stream_key(task.study, task.technology, task.pitch_um, repeat), frame_key)
+    for repeat, score in scores_of(bench, task.study, list(task.keys), task.frames_key):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
-        rows.append({"key": row_key, "technology": task.technology, "repeat": str(repeat), **numbers})
+        rows.append({"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat), **numbers})
     return rows
 
 
-def score_of(bench: Bench, key: tuple[object, ...], frame_key: str) -> Score:
-    """`bench.score` of a key, its frame from the cache, or kept there, where it has a key there."""
-    kept = cache.arrays("frame", frame_key) if frame_key else None
-    if kept and kept["dn"].shape == bench.signal_e_per_s.shape:
-        return bench.view(bench.frame_of(kept["dn"]))
-    frame = bench.capture(*key)
-    if frame_key:
-        cache.keep_arrays("frame", frame_key, {"dn": frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))})
-    return bench.view(frame)
+def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
+    """Each repeat with `bench.score` of its stream, its frame from the cache; those that are not there are kept."""
+    technology, pitch_um = bench.physics.pixel.technology, bench.physics.pitch_um
+    known = (cache.arrays("frames", frames_key) if frames_key else None) or {}
+    frames = {name: dn for name, dn in known.items() if dn.shape == bench.signal_e_per_s.shape}
+    before = len(frames)
+    for repeat in repeats:
+        if (name := str(repeat)) in frames:
+            yield repeat, bench.view(bench.frame_of(frames[name]))
+        else:
+            frame = bench.capture(*stream_key(study, technology, pitch_um, repeat))
+            if frames_key:
+                frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
+            yield repeat, bench.view(frame)
+    if len(frames) > before:
+        cache.keep_arrays("frames", frames_key, frames)
 
 
 _recent = threading.local()  # a thread's last light and last bench: both are dear, and tasks come in their order
@@ -193,18 +200,21 @@ class Content:
     def process(self, technology: str) -> dict[str, Any]:
         return load_technology(technology).model_dump(exclude={"sources"})
 
-    def keys(self, technology: str, repeats: int) -> Iterator[tuple[float, dict[int, tuple[str, str]]]]:
-        """Each pitch with row key and frame key of each repeat."""
-        process, made_by = self.process(technology), cache.made_by("mitsuba", "drjit")
+    def pixels(self, technology: str) -> Iterator[tuple[float, str]]:
+        """Each pitch with the hash of all that its frames depend on."""
+        process = self.process(technology)
         for pitch_um in study_pitches_um(self.study, technology).tolist():
-            pixel = content_hash([self.picture, process, pixel_of(self.study, technology, pitch_um).model_dump()])
-            yield (
-                pitch_um,
-                {
-                    repeat: (content_hash([pixel, self.display, repeat]), content_hash([pixel, made_by, repeat]))
-                    for repeat in range(repeats)
-                },
-            )
+            yield pitch_um, content_hash([self.picture, process, pixel_of(self.study, technology, pitch_um).model_dump()])
+
+    def rows(self, technology: str, repeats: int) -> Iterator[tuple[float, dict[int, str]]]:
+        """Each pitch with the key of each repeat's row."""
+        for pitch_um, pixel in self.pixels(technology):
+            yield pitch_um, {repeat: content_hash([pixel, self.display, repeat]) for repeat in range(repeats)}
+
+    def frames(self, technology: str) -> dict[float, str]:
+        """Pitch -> what its frames are kept under, empty where those of the study would drive out most of the cache."""
+        made_by, keep = cache.made_by("mitsuba", "drjit"), frames_fit(self.study, self.camera)
+        return {pitch_um: content_hash([pixel, made_by]) if keep else "" for pitch_um, pixel in self.pixels(technology)}
 
 
 def most_repeats(study: Study) -> int:
@@ -220,15 +230,20 @@ def frames_fit(study: Study, camera: Camera) -> bool:
     return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * study.repeats)
 
 
+def block_key(frames_key: str, block: int) -> str:
+    """Frames of as many sensors as a task has are kept in one file."""
+    return frames_key and f"{frames_key}-{block}"
+
+
 def tasks_of(content: Content, technology: str, done: Container[str]) -> Iterator[Task]:
     """What is missing of a technology, small pixels first, since they take longest."""
-    study, light_key = content.study, content.light(technology)
-    keep = frames_fit(study, content.camera)
-    for pitch_um, keys in content.keys(technology, study.repeats):
-        missing = [(repeat, (row, frame if keep else "")) for repeat, (row, frame) in keys.items() if row not in done]
-        for first in range(0, len(missing), REPEATS_A_TASK):
-            some = dict(missing[first : first + REPEATS_A_TASK])
-            yield Task(study, content.camera, technology, pitch_um, light_key, some)
+    study, light_key, frames = content.study, content.light(technology), content.frames(technology)
+    for pitch_um, keys in content.rows(technology, study.repeats):
+        for block in range(-(-study.repeats // REPEATS_A_TASK)):
+            repeats = range(block * REPEATS_A_TASK, min(study.repeats, (block + 1) * REPEATS_A_TASK))
+            missing = {repeat: keys[repeat] for repeat in repeats if keys[repeat] not in done}
+            if missing:
+                yield Task(study, content.camera, technology, pitch_um, light_key, block_key(frames[pitch_um], block), missing)
 
 
 def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Progress | None = None) -> list[Row]:
@@ -238,8 +253,8 @@ def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Prog
     """
     study = lights.study
     content = Content(study, lights.camera, lights.irradiance)
-    pitches = [keys for each in study.technologies for _, keys in content.keys(each, most_repeats(study))]
-    wanted = [row for keys in pitches for row, _ in keys.values()]
+    pitches = [keys for each in study.technologies for _, keys in content.rows(each, most_repeats(study))]
+    wanted = [key for keys in pitches for key in keys.values()]
     ledger = Ledger(results, COLUMNS, TEXTS)
     with ledger.alone():
         done = ledger.begin(set(wanted))
@@ -254,4 +269,4 @@ def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Prog
                 if progress:
                     progress(1 - missing / total)
         ledger.write([done[key] for key in wanted if key in done])
-    return [done[row] for keys in pitches for repeat, (row, _) in keys.items() if repeat < study.repeats]
+    return [done[key] for keys in pitches for repeat, key in keys.items() if repeat < study.repeats]

@@ -21,15 +21,15 @@ from pixsim.engine import Workers, workers_for
 from pixsim.errors import refuse
 from pixsim.evaluations import (
     COLUMNS,
+    REPEATS_A_TASK,
     Content,
     Lights,
     Progress,
     bench_at,
+    block_key,
     evaluate_all,
-    frames_fit,
     pixel_of,
-    score_of,
-    stream_key,
+    scores_of,
     study_pitches_um,
 )
 from pixsim.files import output_folder
@@ -108,15 +108,10 @@ class StudyResult:
         """Pictures of the study again, for showing: the first `repeats` sensors, or all."""
         bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
         count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
-        frames = self._frames(technology, pitch_um)
-        return [score_of(bench, stream_key(self.study, technology, pitch_um, each), frames.get(each, "")) for each in range(count)]
-
-    def _frames(self, technology: str, pitch_um: float) -> dict[int, str]:
-        """Where the frames of a pitch are kept."""
-        if not frames_fit(self.study, self.camera):
-            return {}
-        pitches = dict(Content(self.study, self.camera, self.irradiance).keys(technology, self.study.repeats))
-        return {repeat: frame for repeat, (_, frame) in pitches.get(pitch_um, {}).items()}
+        frames = Content(self.study, self.camera, self.irradiance).frames(technology).get(pitch_um, "")
+        blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
+        each = (scores_of(bench, self.study, own, block_key(frames, block)) for block, own in enumerate(blocks))
+        return [score for block in each for _, score in block]
 
     def __repr__(self) -> str:
         found = "; ".join(

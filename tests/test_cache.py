@@ -221,8 +221,7 @@ def test_a_limit_that_is_none_is_refused(monkeypatch, text):
 def test_what_a_killed_process_left_goes_after_an_hour(folder):
     cache.keep_arrays("kind", "key", CONTENT)
     for name, age_s in ((".old", 7200), (".new", 60)):
-        (folder / "kind" / name).mkdir()
-        (folder / "kind" / name / "key.npz").write_bytes(b"half")
+        (folder / "kind" / name).write_bytes(b"half")
         then = time.time() - age_s
         os.utime(folder / "kind" / name, (then, then))
     cache.trim()

@@ -1,0 +1,162 @@
+"""How time and memory grow with the work: resolution, samples, bands, pitches, sensors, workers; with fitted exponents.
+
+    python tests/benchmarks/growth.py [--largest 8192] [--out docs/pictures/growth.svg]
+
+Each point is a process of its own: seconds are wall time after a warm-up on a small picture, memory is the largest resident
+set of the process, Python, Mitsuba and compiler included. An exponent p of time ~ n^p is fitted to the points of the larger
+half; memory is told as it is. Nothing is taken from the cache. 8192² takes some minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import pixsim
+from pixsim.sweep import render_for, study
+
+GIB = 1 << 20  # of ru_maxrss, in KiB on Linux
+PITCHES_UM = np.geomspace(5.2, 15.0, 64).round(4).tolist()
+
+
+def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
+    """The stages of `pixsim run csf` on a film of so many samples a side."""
+    from pixsim.convergence import render_until
+    from pixsim.score import make_bench
+    from pixsim.sensor_plan import make_plan
+
+    seconds: dict[str, float] = {}
+    for size in (64, resolution):
+        own = {} if spp is None else {"spp": spp}
+        scene = pixsim.load_scene("csf", resolution=size, **own)
+        camera, pixel, exposure = scene.camera(), pixsim.Pixel(), pixsim.Exposure()
+        start = time.perf_counter()
+        plan = make_plan(scene, camera, pixel)
+        planned = time.perf_counter()
+        image, _ = render_until(scene, camera, plan, [pixel], exposure)
+        rendered = time.perf_counter()
+        bench = make_bench(image, camera, pixel, exposure, pixsim.Display())
+        projected = time.perf_counter()
+        bench.score("growth")
+        seconds = {
+            "plan": planned - start,
+            "render": rendered - planned,
+            "optics, pixels": projected - rendered,
+            "sensor, S-CIELAB": time.perf_counter() - projected,
+        }
+    return seconds
+
+
+def bands_run(count: int) -> dict[str, float]:
+    """Diffraction of a general image of 1024², a transform a band."""
+    from pixsim.pixel import derive
+    from pixsim.sensor import diffracted_rate
+
+    rng = np.random.default_rng(0)
+    image = pixsim.SpectralImage(np.linspace(400, 700, count), 300 / count, 2.65, data=rng.random((1024, 1024, count), np.float32))
+    physics = derive(pixsim.Pixel())
+    start = time.perf_counter()
+    diffracted_rate(image, pixsim.Camera(), physics)
+    return {"optics": time.perf_counter() - start}
+
+
+def study_run(pitches: int, repeats: int, jobs: int) -> dict[str, float]:
+    """The evaluations of a study of 512 dots; without render and report."""
+    table = {
+        "name": "growth",
+        "repeats": repeats,
+        "scene": {"file": "csf", "parameters": {"resolution": 512}},
+        "pitch": {"values_um": PITCHES_UM[:: len(PITCHES_UM) // pitches][:pitches]},
+    }
+    asked = pixsim.Study.model_validate(table)
+    start = time.perf_counter()
+    render_for(asked)
+    rendered = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        study(asked, folder, jobs=jobs)
+    return {"evaluate": max(time.perf_counter() - rendered - (rendered - start), 0.0)}
+
+
+Axis = tuple[str, Callable[[int], dict[str, float]], tuple[int, ...]]
+AXES: dict[str, Axis] = {
+    "resolution": ("samples a side", chart_run, (256, 512, 1024, 2048, 4096, 8192)),
+    "samples": ("samples a cell, 512²", lambda spp: chart_run(512, spp), (4, 16, 64, 256, 1024)),
+    "bands": ("bands, general image of 1024²", bands_run, (4, 8, 16, 32, 64)),
+    "pitches": ("pitches, 2 sensors each", lambda n: study_run(n, 2, 1), (8, 16, 32, 64)),
+    "sensors": ("sensors, 5 pitches", lambda n: study_run(5, n, 1), (4, 8, 16, 32)),
+    "workers": ("processes, 32 pitches × 8 sensors", lambda n: study_run(32, 8, n), (1, 2)),
+}
+
+
+def measured(axis: str, value: int) -> dict[str, float]:
+    """In a process of its own, without the cache: seconds of each stage, and memory in GiB."""
+    command = [sys.executable, __file__, "--point", axis, str(value)]
+    environment = os.environ | {"PIXSIM_CACHE_GIB": "0"}
+    found = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
+    return json.loads(found.stdout.splitlines()[-1])
+
+
+def exponent(values: list[int], seconds: list[float]) -> float:
+    """p of time ~ n^p over the larger half."""
+    half = slice(len(values) // 2 - (len(values) < 4), None)
+    return float(np.polyfit(np.log(values[half]), np.log(np.maximum(seconds[half], 1e-4)), 1)[0])
+
+
+def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Path) -> None:
+    from pixsim.figures import COLOURS, new_figure, save_svg
+
+    figure = new_figure(9.0, 5.6)
+    grid = figure.subplots(2, len(results) // 2, squeeze=False)
+    for axes, (name, (values, points)) in zip(grid.flat, results.items(), strict=True):
+        stages = [stage for stage in points[0] if stage != "GiB"]
+        for stage, colour, marker in zip(stages, COLOURS, "os^D", strict=False):
+            seconds = [point[stage] for point in points]
+            label = f"{stage}, n^{exponent(values, seconds):.2f}"
+            axes.loglog(values, seconds, marker=marker, ms=4, lw=1.2, color=colour, label=label)
+        axes.loglog(values, [point["GiB"] for point in points], "s:", ms=3, lw=1, color="#555555", label="memory (GiB)")
+        axes.set_xlabel(AXES[name][0])
+        axes.set_ylabel("seconds, GiB")
+        axes.set_xticks(values, [str(value) for value in values], fontsize=7)
+        axes.minorticks_off()
+        axes.grid(alpha=0.25)
+        axes.legend(frameon=False, fontsize=6.5)
+    save_svg(figure, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("axes", nargs="*", choices=[*AXES, []], default=[])
+    parser.add_argument("--largest", type=int, default=8192)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--point", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.point:
+        found = AXES[options.point[0]][1](int(options.point[1]))
+        print(json.dumps(found | {"GiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / GIB}))
+        return
+    results = {}
+    for name in options.axes or AXES:
+        values = [value for value in AXES[name][2] if value <= options.largest]
+        points = [measured(name, value) for value in values]
+        results[name] = values, points
+        print(f"\n{AXES[name][0]:36}" + "".join(f"{value:>9}" for value in values) + "   exponent")
+        for stage in points[0]:
+            own = [point[stage] for point in points]
+            power = "" if stage == "GiB" else f"{exponent(values, own):11.2f}"
+            print(f"  {stage:34}" + "".join(f"{each:9.3f}" for each in own) + power, flush=True)
+    if options.out:
+        draw(results, options.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""What a study costs beside its work: 10 000 evaluations of a small study on 1 and 2 processes, from an empty folder.
+
+    python tests/benchmarks/study_engine.py [--repeats 2000] [--scheduler tcp://host:8786]
+
+The work is `Bench.score(...).statistics()` in a loop in this process, in the same run; what a study takes beyond it, over
+the number of evaluations, is its overhead: keys, tasks, workers, frames and rows. On several processes the work is shared
+out, so that their own start counts too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from pathlib import Path
+
+import pixsim
+from pixsim.evaluations import Lights, bench_at, stream_key
+from pixsim.sweep import render_for
+
+PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
+TIMED = 100  # evaluations of each pitch that tell what the work costs
+TARGET_MS = 2.0
+
+
+def small_study(repeats: int) -> pixsim.Study:
+    table = {
+        "name": "small",
+        "repeats": repeats,
+        "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4}},
+        "pitch": {"values_um": PITCHES_UM},
+        "camera": {"die_mm": 0.5},
+        "display": {"dots": 96},
+    }
+    return pixsim.Study.model_validate(table)
+
+
+def work_s(study: pixsim.Study) -> float:
+    """Seconds of one evaluation, mean over the pitches."""
+    irradiance, camera = render_for(study)
+    light = Lights(study, irradiance, camera).of("0.35um")
+    start = time.perf_counter()
+    for pitch_um in PITCHES_UM:
+        bench = bench_at(study, light, camera, "0.35um", pitch_um)
+        for repeat in range(TIMED):
+            bench.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
+    return (time.perf_counter() - start) / (TIMED * len(PITCHES_UM))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--repeats", type=int, default=2000)
+    parser.add_argument("--scheduler")
+    options = parser.parse_args()
+    study = small_study(options.repeats)
+    count = options.repeats * len(PITCHES_UM)
+    own_ms = 1e3 * work_s(study)
+    print(f"{count} evaluations of {own_ms:.2f} ms; overhead asked for: {TARGET_MS:g} ms each")
+    ways: list[tuple[str, dict[str, object], int]] = [("1 process", {"jobs": 1}, 1), ("2 processes", {"jobs": 2}, 2)]
+    if options.scheduler:
+        ways.append(("cluster", {"scheduler": options.scheduler}, 2))
+    for kept in ("frames kept", "frames found", "nothing kept"):
+        for name, how, processes in ways:
+            with tempfile.TemporaryDirectory() as folder:
+                os.environ["PIXSIM_CACHE_GIB"] = "0" if kept == "nothing kept" else "4"
+                os.environ["PIXSIM_CACHE_DIR"] = str(Path(folder) / "cache")
+                if kept == "frames found":
+                    pixsim.study(study, Path(folder) / "before", **how)
+                start = time.perf_counter()
+                pixsim.study(study, Path(folder) / "out", **how)
+                taken_ms = 1e3 * (time.perf_counter() - start)
+            each_ms = taken_ms / count
+            beyond_ms = each_ms - own_ms / processes
+            print(f"{name:12} {kept:13} {taken_ms / 1e3:6.1f} s, {each_ms:5.2f} ms each, beyond the work {beyond_ms:5.2f} ms")
+
+
+if __name__ == "__main__":
+    main()
