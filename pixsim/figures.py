@@ -46,6 +46,9 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 def save_svg(figure: Figure, path: Path) -> None:
     """Write a figure; its ids are numbered, since Matplotlib's hash coordinates that vary in their last digit."""
+    if layout := figure.get_layout_engine():
+        layout.execute(figure)
+        figure.set_layout_engine(None)  # else savefig draws it all once more to lay it out
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "pixsim"})
     numbers: dict[str, str] = {}
