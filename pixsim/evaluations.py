@@ -111,6 +111,7 @@ def bench_at(study: Study, light: Light, camera: Camera, technology: str, pitch_
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
+    """Of the technology by its name: where its file lies is no part of a result."""
     return study.name, study.seed, technology, pitch_um, repeat
 
 
@@ -145,7 +146,7 @@ def evaluate_task(task: Task, light: Light) -> list[Row]:
 
 def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
     """Each repeat with `bench.score` of its stream, its frame from the cache; those that are not there are kept."""
-    technology, pitch_um = bench.physics.pixel.technology, bench.physics.pitch_um
+    technology, pitch_um = bench.physics.technology.name, bench.physics.pitch_um
     known = (cache.arrays("frames", frames_key) if frames_key else None) or {}
     frames = {name: dn for name, dn in known.items() if dn.shape == bench.signal_e_per_s.shape}
     before = len(frames)

@@ -5,42 +5,20 @@ Lengths on the sensor are in µm, the die and the focal length in mm, distances 
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from pixsim import bounds
 from pixsim.config import merge
+from pixsim.pixel_record import Pixel as Pixel
+from pixsim.pixel_record import PixelOptions as PixelOptions
+from pixsim.record import Record as Record
+from pixsim.record import content_hash as content_hash
 
 FASTEST_WORKING_F_NUMBER = 0.5
-
-
-class Record(BaseModel):
-    """A frozen set of parameters; an unknown name is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _no_truth_for_a_number(cls, value: Any, info: ValidationInfo) -> Any:
-        """Pydantic takes true for 1: `bits = true` would be a sensor of one bit."""
-        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
-            raise ValueError(f"got {value}; allowed: a number or a name")
-        return value
-
-    @property
-    def content_hash(self) -> str:
-        return content_hash(self.model_dump(mode="json"))
-
-
-def content_hash(content: object) -> str:
-    """16 hexadecimal digits (BLAKE2b) that depend on the JSON content only, not on the order of the keys."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 class Camera(Record):
@@ -123,59 +101,6 @@ class CameraOptions(Record):
 
     def over(self, camera: Camera) -> Camera:
         return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True))
-
-
-class PixelOptions(Record):
-    """A pixel but for its process and size. What is left at None is derived from the technology."""
-
-    capacitance: Literal["mosis", "paper"] = Field(
-        "mosis", description="junction capacitance of the process, or 2.6 fF + 0.22 fF/µm² and a swing of 1 V"
-    )
-    well_limit: Literal["swing", "diode"] = Field(
-        "swing", description="what fills the well: the voltage swing (hard clip), or the diode turning forward (soft, about twice)"
-    )
-    conversion: Literal["linear", "junction"] = Field(
-        "linear", description="charge to voltage: proportional, or by the junction's capacitance, which grows as it discharges"
-    )
-    response: Literal["scaled", "literal"] = Field(
-        "scaled", description="reading of the response curve: A/W scaled to the measured peak, or literally a QE"
-    )
-    quantum_efficiency: bounds.Fraction | None = Field(
-        None, description="of the photodiode at every wavelength; None: the response curve"
-    )
-    infrared_cut_nm: bounds.Wavelength | None = Field(None, description="no response beyond this wavelength")
-    fill_factor_law: Literal["technology", "inset", "inset_unlimited"] = Field(
-        "technology", description="photodiode area against pitch: the technology's, or another fit to the paper's numbers"
-    )
-    fill_factor: bounds.Fraction | None = Field(None, description="photodiode area over pixel area")
-    full_well_e: bounds.Well | None = Field(None, description="charge that the ADC's top code stands for")
-    dark_current_e_per_s: bounds.Current | None = Field(None, description="per pixel")
-    read_noise_e: bounds.NoiseElectrons | None = Field(None, description="temporal, beside the reset noise")
-    reset_noise_factor: bounds.ResetFactor | None = Field(
-        None, description="n in the variance n kTC/q²: 1 in the paper, ½ soft reset, 2 hard with delta double sampling"
-    )
-    prnu: bounds.GainSpread | None = Field(None, description="standard deviation of the gain over its mean")
-    dsnu: bounds.DarkSpread | None = Field(None, description="standard deviation of the dark signal over its mean")
-    offset_fpn: bounds.OffsetSpread | None = Field(None, description="per pixel, fraction of the full well")
-    column_fpn: bounds.OffsetSpread | None = Field(None, description="per column, fraction of the full well")
-    bits: Annotated[int, Field(ge=1, le=24)] = Field(10, description="of the ADC")
-    black_level_dn: Annotated[float, Field(ge=0, lt=2**24)] = Field(
-        0.0, description="added before the ADC; at least 6 σ of the dark for data sheets"
-    )
-    temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(300.15, description="of dark current and reset noise")
-
-    @model_validator(mode="after")
-    def _black_below_white(self) -> Self:
-        if self.black_level_dn >= 2**self.bits - 1:
-            raise ValueError(f"black_level_dn = {self.black_level_dn:g} leaves no codes below {2**self.bits - 1}")
-        return self
-
-
-class Pixel(PixelOptions):
-    """One pixel of a sensor; `pixsim.pixel.derive` fills in what is left at None."""
-
-    technology: str = Field("0.35um", description="a packaged technology, or the path of a TOML file")
-    pitch_um: bounds.Pitch = Field(6.5, description="centre to centre")
 
 
 class Exposure(Record):

@@ -17,6 +17,7 @@ from pixsim.junction import C_PER_FF_V as C_PER_FF_V
 from pixsim.junction import ELECTRON_C as ELECTRON_C
 from pixsim.junction import Diode
 from pixsim.parameters import Pixel
+from pixsim.quantum_efficiency import Curve
 from pixsim.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S, Array
 from pixsim.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.wells import mean_junction_ff as mean_junction_ff
@@ -85,6 +86,15 @@ def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficien
     return np.interp(np.asarray(wavelength_nm, float), table_nm, raw * scale, left=0.0, right=0.0)
 
 
+def given_efficiency(wavelength_nm: ArrayLike, given: float | Curve) -> Array:
+    """QE of a data sheet: its number, or straight lines between the points of its curve; nothing beyond its ends."""
+    nm = np.asarray(wavelength_nm, float)
+    if not isinstance(given, tuple):
+        return np.full(nm.shape, given)
+    known_nm, efficiency = np.array(given).T
+    return np.interp(nm, known_nm, efficiency, left=0.0, right=0.0)
+
+
 @dataclass(frozen=True)
 class PixelPhysics:
     """What a pixel is, derived or measured. Currents and charges are per pixel."""
@@ -122,7 +132,7 @@ class PixelPhysics:
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         if self.pixel.quantum_efficiency is not None:
-            qe = np.full(wavelength_nm.shape, self.pixel.quantum_efficiency)
+            qe = given_efficiency(wavelength_nm, self.pixel.quantum_efficiency)
         elif self.technology.response_curve == "silicon":
             qe = silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
         else:

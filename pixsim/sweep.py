@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.config import packaged, read_toml
+from pixsim.config import Layer, beside, packaged, read_toml
 from pixsim.display import white_cd_per_m2
 from pixsim.engine import Workers, workers_for
 from pixsim.errors import refuse
@@ -34,6 +34,7 @@ from pixsim.evaluations import (
 )
 from pixsim.files import output_folder
 from pixsim.ledger import Row
+from pixsim.messages import checked
 from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
 from pixsim.parameters import Camera, Study
 from pixsim.pixel import derive
@@ -121,24 +122,32 @@ class StudyResult:
         return f"<StudyResult {self.study.name}: {found}>"
 
 
-def read_study(name: str | os.PathLike[str]) -> dict[str, Any]:
-    """The table of a packaged study by name, or of a TOML file."""
+def read_study(name: str | os.PathLike[str]) -> Layer:
+    """The table of a packaged study by name, or of a TOML file; files that it names may lie beside it."""
     known = packaged("studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
         raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}")
-    return read_toml(path)
+    table = read_toml(path)
+    if isinstance(names := table.get("technologies"), list):
+        table["technologies"] = [beside(path, each) for each in names]
+    for room, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
+        if isinstance(own := table.get(room), dict) and key in own:
+            own[key] = beside(path, own[key])
+    return Layer(table, str(path))
 
 
 def load_study(name: str | os.PathLike[str]) -> Study:
-    """A packaged study by name, or a TOML file."""
-    return checked_study(read_study(name))
+    """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it."""
+    return checked_study([read_study(name)])
 
 
-def checked_study(table: dict[str, Any]) -> Study:
-    """A study's table as a record; its `quick` table is checked too, whether or not it will be used."""
-    study = Study.model_validate(table)
-    _ = study.quickened
+def checked_study(layers: Sequence[Layer]) -> Study:
+    """A study's table, and options over it, as a record; its `quick` table is checked too, whether or not it will be used."""
+    study: Study = checked(Study, layers)
+    if study.quick:
+        bare = [Layer({key: value for key, value in each.table.items() if key != "quick"}, each.source) for each in layers]
+        checked(Study, [*bare, *(Layer(each.table["quick"], f"{each.source} [quick]") for each in layers if "quick" in each.table)])
     return study
 
 

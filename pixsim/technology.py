@@ -12,6 +12,7 @@ from pixsim import bounds
 from pixsim.config import packaged, read_toml
 from pixsim.errors import PixsimError, refuse
 from pixsim.parameters import Record
+from pixsim.pixel_record import NO_TECHNOLOGY
 
 Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
 Grading = Annotated[float, Field(ge=0, le=0.99)]  # ½ abrupt, ⅓ linear
@@ -90,6 +91,27 @@ class Technology(Record):
         return self
 
 
+# Of a sensor that is known by its data sheet (`pixsim.pixel_record.DATA_SHEET`). What that leaves open is absent or ideal: no
+# non-uniformity, no offsets, no reset noise beside the read noise, a photodiode that fills the pixel (a data sheet's quantum
+# efficiency is that of the whole pixel, microlens included). The other numbers stand for none and are not used.
+NO_PROCESS = Technology(
+    name=NO_TECHNOLOGY,
+    feature_size_um=1e-4,
+    full_well_e_per_um2=1.0,
+    reset_noise_factor=0.0,
+    response_curve="silicon",
+    dark_current_na_per_cm2=0.0,
+    dark_doubling_k=8.0,
+    peak_quantum_efficiency=1.0,
+    prnu=0.0,
+    dsnu=0.0,
+    offset_fpn=0.0,
+    column_fpn=0.0,
+    read_noise_e=0.0,
+    fill_factor_limit=1.0,
+    fill_factor_zero_pitch_features=1e-6,
+)
+
 # Other laws that meet the paper's three fill factors about as well: (limit, zero pitch, inset), as `fill_factor_law` takes.
 OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
 
@@ -106,14 +128,16 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
 
 @lru_cache
 def load_technology(name: str) -> Technology:
-    """A packaged technology by name, or a user's by the path of its TOML file.
+    """A packaged technology by name, a user's by the path of its TOML file, or none.
 
     Every number is a table `{value, confidence, source}`. PixsimError for an unknown name, naming the known ones.
     """
+    if name == NO_TECHNOLOGY:
+        return NO_PROCESS
     known = packaged("data/technologies")
     path = known.get(name) or Path(name)
     if path.suffix != ".toml":
-        raise refuse("technology", f"'{name}'", ", ".join(known), "Or give the path of a technology's TOML file.")
+        raise refuse("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), "Or give the path of a technology's TOML file.")
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     try:

@@ -8,9 +8,11 @@ from typing import Annotated, Any
 from cyclopts import App, Parameter
 
 import pixsim
-from pixsim.config import merge, read_toml
-from pixsim.errors import PixsimError
+from pixsim.config import Layer, beside, read_toml
+from pixsim.errors import PixsimError, refuse
+from pixsim.messages import checked
 from pixsim.parameters import Run
+from pixsim.pixel_record import DATA_SHEET, NO_TECHNOLOGY
 
 DEFAULT_OUT = Path("pixsim-out")
 FILE_WIDTH = 160  # columns of a table that does not go to a terminal
@@ -42,14 +44,40 @@ Variant = Annotated[str | None, Parameter(help="Mitsuba variant; by default the 
 
 
 def settings_of(config: list[Path] | None, tables: dict[str, Any], define: list[str] | None, values: dict[str, str | None]) -> Run:
-    """Defaults ← files ← options, checked once."""
-    layers = [read_toml(path) for path in config or []]
-    layers.append({name: own for name, table in tables.items() if (own := given(table))})
-    layers.append({"scene": definitions(define or [])} | {name: value for name, value in values.items() if value is not None})
-    settings: dict[str, Any] = {}
-    for layer in layers:
-        settings = merge(settings, layer)
-    return Run.model_validate(settings)
+    """Defaults ← files ← options, checked once. PixsimError with all that is wrong."""
+    options: dict[str, Any] = {name: own for name, table in tables.items() if (own := given(table))}
+    options |= {"scene": definitions(define)} if define else {}
+    options |= {name: value for name, value in values.items() if value is not None}
+    files = [settings_layer(path) for path in config or []]
+    settings: Run = checked(Run, [*without_technology(files, options), Layer(options)])
+    return settings
+
+
+def settings_layer(path: Path) -> Layer:
+    """A file of settings; the files that it names lie beside it, or where the command is given."""
+    table = read_toml(path)
+    pixel = table.get("pixel")
+    if isinstance(pixel, dict):
+        own = {name: beside(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel}
+        table = {**table, "pixel": pixel | own}
+    return Layer(table, str(path))
+
+
+def without_technology(files: list[Layer], options: dict[str, Any]) -> list[Layer]:
+    """A [pixel] table that tells what was measured and names no technology is a data sheet: nothing is derived for it.
+
+    PixsimError that names what such a table lacks.
+    """
+    pixels = [table for layer in files if isinstance(table := layer.table.get("pixel"), dict)]
+    told = {name for table in [*pixels, options.get("pixel", {})] for name in table}
+    if "technology" in told or not any(name in table for table in pixels for name in DATA_SHEET):
+        return files
+    source = ", ".join(layer.source for layer in files if "pixel" in layer.table)
+    if missing := [name for name in ("pitch_um", *DATA_SHEET) if name not in told]:
+        got = f"a sensor without a technology, and without {', '.join(missing)}"
+        mend = 'Add them, or the technology that they are derived from, as technology = "0.35um".'
+        raise refuse(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", mend)
+    return [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files]
 
 
 def given(table: Any) -> dict[str, str]:

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pixsim.cli.base import DEFAULT_OUT, Json, Out, Variant, app, described, show
+from pixsim.config import Layer
+from pixsim.messages import checked
 from pixsim.progress import stages
 from pixsim.wording import budget_lines, found_line, sensitivity_lines
 
@@ -41,16 +43,16 @@ def study(
     from pixsim import sweep
 
     table = sweep.read_study(study)
-    if tolerance_delta_e is not None:
-        table["tolerance_delta_e"] = tolerance_delta_e
+    options = {} if tolerance_delta_e is None else {"tolerance_delta_e": tolerance_delta_e}
+    layers = [table, Layer(options)]
     seconds: dict[str, float] = {}
     how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
     with stages(seconds) as stage:
-        if "vary" in table:
+        if "vary" in table.table:
             from pixsim.sensitivity import Sensitivity, run_sensitivity
             from pixsim.sensitivity_report import write_sensitivity_report
 
-            moved = Sensitivity.model_validate(table)
+            moved: Sensitivity = checked(Sensitivity, layers)
             folder = study_folder(out, moved.name, quick)
             outcome = run_sensitivity(moved, folder, progress=stage, **how)
             stage("report")
@@ -59,7 +61,7 @@ def study(
         else:
             from pixsim.report import write_report
 
-            plan = sweep.checked_study(table)
+            plan = sweep.checked_study(layers)
             folder = study_folder(out, plan.name, quick)
             result = sweep.study(plan, folder, progress=stage, **how)
             stage("report")

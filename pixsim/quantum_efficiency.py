@@ -1,0 +1,81 @@
+"""Quantum efficiency as a data sheet tells it: one number, or a curve in a CSV file."""
+
+from __future__ import annotations
+
+import csv
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from pixsim.bounds import SMALLEST_FRACTION
+
+Curve = tuple[tuple[float, float], ...]  # (wavelength in nm, electrons per photon), wavelengths increasing
+LARGEST_FILE_BYTES = 1 << 20
+ALLOWED_NM = (100.0, 2000.0)
+ALLOWED = "wavelengths in nm that increase, 100 to 2000, each with a quantum efficiency of 0 to 1, not all of them 0"
+
+
+def as_quantum_efficiency(value: Any) -> Any:
+    """A number, or the pairs of a curve, from a number, pairs, or the path of a CSV file. ValueError, in words, for others."""
+    if value is None:
+        return None
+    if isinstance(value, Path):
+        return read_curve(value)
+    if isinstance(value, str):
+        try:
+            value = float(value)
+        except ValueError:
+            return read_curve(Path(value))
+    if isinstance(value, int | float):
+        if not SMALLEST_FRACTION <= value <= 1:
+            raise ValueError(f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in nm and value")
+        return float(value)
+    try:
+        pairs = tuple((float(nm), float(efficiency)) for nm, efficiency in value)
+    except (TypeError, ValueError):
+        raise ValueError("got no number, file or list of pairs; allowed: 0.6, 'qe.csv', or [[400, 0.3], [550, 0.6]]") from None
+    return _checked(pairs, "the list")
+
+
+def read_curve(path: Path) -> Curve:
+    """The first two columns of a CSV file; lines before the first number are titles. ValueError where it is no curve."""
+    try:
+        if path.stat().st_size > LARGEST_FILE_BYTES:
+            raise ValueError(f"'{path}' has {path.stat().st_size} bytes; allowed: a curve of up to {LARGEST_FILE_BYTES}")
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(
+            f"got '{path}' ({_reason(error)}); allowed: a number, or a CSV file of wavelength in nm and value"
+        ) from None
+    pairs: list[tuple[float, float]] = []
+    separator = ";" if any(";" in line for line in lines) else ","
+    for number, row in enumerate(csv.reader(lines, delimiter=separator), 1):
+        cells = [cell.strip() for cell in row]
+        if not any(cells) or cells[0].startswith("#"):
+            continue
+        try:
+            pairs.append((float(cells[0]), float(cells[1])))
+        except (ValueError, IndexError):
+            if pairs:
+                raise ValueError(f"'{path}', line {number}: got {','.join(row)!r}; allowed: wavelength in nm, value") from None
+    return _checked(tuple(pairs), f"'{path}'")
+
+
+def _reason(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error)
+
+
+def _checked(pairs: Curve, what: str) -> Curve:
+    if len(pairs) < 2:
+        raise ValueError(f"{what} has {len(pairs)} points; allowed: two and more, {ALLOWED}")
+    for (nm, efficiency), (following, _) in pairwise([*pairs, (math.inf, 0.0)]):
+        if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
+            hint = " Micrometres times 1000 are nm." if 0 < nm < 2 else ""
+            raise ValueError(f"{what} has {nm:g} nm followed by {following:g} nm; allowed: {ALLOWED}.{hint}")
+        if not 0 <= efficiency <= 1:
+            hint = " Divide per cent by 100." if 1 < efficiency <= 100 else ""
+            raise ValueError(f"{what} has {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}")
+    if not any(efficiency >= SMALLEST_FRACTION for _, efficiency in pairs):
+        raise ValueError(f"{what} is 0 at every wavelength; allowed: {ALLOWED}")
+    return pairs
