@@ -28,10 +28,11 @@ from numpy.typing import NDArray
 
 import pixsim
 from pixsim.errors import refuse
+from pixsim.files import FOLDER_VARIABLE as FOLDER_VARIABLE
+from pixsim.files import cache_folder
 
 Kept = TypeVar("Kept")
 Arrays = dict[str, NDArray[Any]]
-FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 LIMIT_VARIABLE = "PIXSIM_CACHE_GIB"
 DEFAULT_GIB = 4.0
 GIB = 1 << 30
@@ -44,13 +45,7 @@ DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, EOFError, zi
 _written_bytes = 0  # by this process since it last trimmed
 
 
-def folder() -> Path:
-    """$PIXSIM_CACHE_DIR, else pixsim in the user's cache folder (XDG base directories)."""
-    named = os.environ.get(FOLDER_VARIABLE)
-    if named:
-        return Path(named)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "pixsim"
+folder = cache_folder
 
 
 def limit_bytes() -> int:
@@ -186,8 +181,8 @@ def _kinds(kind: str | None) -> list[Path]:
 
 def _in(kind: Path) -> Iterator[Entry]:
     for each in os.scandir(kind):
-        if each.name.endswith((".json", ".npz")) and not each.name.startswith("."):
-            with suppress(FileNotFoundError):  # another process has removed it
+        with suppress(FileNotFoundError):  # another process has removed it
+            if each.is_file() and not each.name.startswith("."):
                 about = each.stat()
                 yield Entry(Path(each), about.st_size, about.st_mtime)
 

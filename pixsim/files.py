@@ -9,6 +9,17 @@ from pathlib import Path
 
 from pixsim.errors import PixsimError
 
+FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
+
+
+def cache_folder() -> Path:
+    """$PIXSIM_CACHE_DIR, else pixsim in the user's cache folder (XDG base directories)."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "pixsim"
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -43,3 +54,14 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
             for each in made:
                 each.rmdir()
         raise
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a file that is not there yet, whole. PixsimError where it is, or cannot be written."""
+    if path.exists():
+        raise PixsimError(f"output file: '{path}' exists already; allowed: a new name. Move it away, or take another.")
+    try:
+        with replacing(path) as partial:
+            partial.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Take another name.") from None

@@ -153,10 +153,10 @@ class Effort(Record):
 class PitchRange(Record):
     """Pitches at equal ratios, from the pitch with `min_fill_factor` to `max_um`; or the list `values_um`."""
 
-    min_fill_factor: bounds.Fraction = 0.05
-    max_um: bounds.Pitch = 15.0
-    count: Annotated[int, Field(ge=5, le=1000)] = 24
-    values_um: tuple[bounds.Pitch, ...] | None = None
+    min_fill_factor: bounds.Fraction = Field(0.05, description="of the smallest pixel that is tried")
+    max_um: bounds.Pitch = Field(15.0, description="the largest pixel that is tried, centre to centre")
+    count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="pixel sizes that are tried")
+    values_um: tuple[bounds.Pitch, ...] | None = Field(None, description="these pixel sizes in place of the others")
 
 
 class StudyScene(Record):
@@ -167,10 +167,12 @@ class StudyScene(Record):
 class Study(Effort):
     """Mean ΔE for many pitches, technologies and individual sensors."""
 
-    name: Annotated[str, Field(pattern=r"^[\w.\-]+$")]
-    title: str = ""
-    seed: Annotated[int, Field(ge=0)] = 0
-    technologies: Annotated[tuple[str, ...], Field(min_length=1)] = ("0.35um",)
+    name: Annotated[str, Field(pattern=r"^[\w.\-]+$", description="letters, digits, dots and dashes; random streams depend on it")]
+    title: str = Field("", description="of the report")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the render, the sensors and their noise")
+    technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+        ("0.35um",), description="packaged technologies, or paths of TOML files; each is a curve"
+    )
     pitch: PitchRange = PitchRange()
     repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="individual sensors for each pitch")
     target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
@@ -202,8 +204,8 @@ class Study(Effort):
 class Run(Effort):
     """The options of `pixsim run`, as tables."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
-    scene: dict[str, float | int | str] = Field(default_factory=dict)
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the render, the sensor and its noise")
+    scene: dict[str, float | int | str] = Field(default_factory=dict, description="set <default> parameters, as -D does")
     camera: CameraOptions = CameraOptions()
     pixel: Pixel = Pixel()
     exposure: Exposure = Exposure()

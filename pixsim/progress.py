@@ -11,7 +11,7 @@ Stage = Callable[[str], Told]
 
 
 @contextmanager
-def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
+def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iterator[Stage]:
     """Progress bars on a terminal's stderr, one a stage; `seconds` collects how long each took."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -26,7 +26,7 @@ def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
+        disable=quiet or not console.is_terminal,
     ) as bars:
 
         def close() -> None:

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +30,10 @@ def command(line: str) -> tuple[int, str, str]:
     """`pixsim LINE` in this process: exit code, stdout, stderr."""
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(cli, "app", partial(cli.app, shlex.split(line)))
+        words = shlex.split(line)
         patch.setattr(warnings, "showwarning", warnings.showwarning)  # main() sets it
         with pytest.raises(SystemExit) as end:
-            cli.main()
+            cli.main(words)
     return end.value.code, out.getvalue(), err.getvalue()
 
 

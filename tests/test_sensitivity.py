@@ -8,7 +8,6 @@ import json
 import shlex
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -152,10 +151,10 @@ def test_a_second_run_evaluates_nothing_and_a_lost_case_is_done_again(
 def command(line: str) -> tuple[int, str, str]:
     """`pixsim LINE` in this process: exit code, stdout, stderr."""
     out, err = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(cli, "app", partial(cli.app, shlex.split(line)))
+    with redirect_stdout(out), redirect_stderr(err):
+        words = shlex.split(line)
         with pytest.raises(SystemExit) as end:
-            cli.main()
+            cli.main(words)
     return end.value.code, out.getvalue(), err.getvalue()
 
 

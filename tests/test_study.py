@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stdout
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -94,10 +93,10 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("command")
     toml = folder / "tiny.toml"
     toml.write_text(TINY_TOML, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as out:
-        patch.setattr(cli, "app", partial(cli.app, ["study", str(toml), "--out", str(folder / "out"), "--jobs", "1"]))
+    with redirect_stdout(io.StringIO()) as out:
+        words = ["study", str(toml), "--out", str(folder / "out"), "--jobs", "1"]
         with pytest.raises(SystemExit, match="0"):
-            cli.main()
+            cli.main(words)
     (folder / "stdout").write_text(out.getvalue(), encoding="utf-8")
     return folder
 

@@ -1,13 +1,17 @@
 """The `pixsim` command: options in, messages and files out. The only place that prints or exits.
 
-Results go to stdout, everything else to stderr. Exit codes: 0 done, 2 input that cannot be used, 130 interrupted.
+Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 something unexpected, or a problem that doctor found, 2
+input that cannot be used, 130 interrupted.
 """
 
 from __future__ import annotations
 
 import signal
 import sys
+import traceback
 import warnings
+from collections.abc import Sequence
+from typing import NoReturn
 
 from cyclopts.exceptions import CycloptsError
 from pydantic import ValidationError
@@ -15,6 +19,7 @@ from pydantic import ValidationError
 # Errors name the commands in this order.
 # isort: off
 from pixsim.cli.base import app as app
+from pixsim.cli.base import keep_helpers_files_together, manner
 from pixsim.cli.render import run as run
 from pixsim.cli.render import plan as plan
 from pixsim.cli.studies import study as study
@@ -22,34 +27,49 @@ from pixsim.cli.worth import accuracy as accuracy
 from pixsim.cli.datasheet import datasheet as datasheet
 from pixsim.cli.edges import sfr as sfr
 from pixsim.cli.charts import chart as chart
+from pixsim.cli.templates import template as template
+from pixsim.cli.templates import schema as schema
 from pixsim.cli.caches import cache as cache
+from pixsim.cli.completion import completion as completion
 
 # isort: on
 from pixsim.errors import PixsimError
 from pixsim.messages import explain
 
-OK, UNUSABLE_INPUT, INTERRUPTED, TERMINATED = 0, 2, 130, 143
+OK, UNEXPECTED, UNUSABLE_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 
-def main() -> None:
-    """Run the command; one message and an exit code for whatever the user can mend."""
+def main(tokens: Sequence[str] | None = None) -> None:
+    """Run the command; one message and an exit code for whatever the user can mend.
+
+    tokens : the words after `pixsim`; None takes those of the process
+    """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # else worker processes are orphaned
-    warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)
+    words = manner.take(sys.argv[1:] if tokens is None else tokens)
+    keep_helpers_files_together()
+    warnings.showwarning = lambda message, *_, **__: manner.note(f"warning: {message}")
     try:
-        app(exit_on_error=False, print_error=False)
+        app(words, exit_on_error=False, print_error=False)
     except (PixsimError, ValidationError) as error:
-        print(f"pixsim: {explain(error)}", file=sys.stderr)
-        sys.exit(UNUSABLE_INPUT)
+        end(explain(error), UNUSABLE_INPUT)
     except CycloptsError as error:
-        print(f"pixsim: {error}\nTry 'pixsim --help'.", file=sys.stderr)
-        sys.exit(UNUSABLE_INPUT)
+        end(f"{error}\nTry 'pixsim --help'.", UNUSABLE_INPUT)
     except BrokenPipeError:  # the reader, as head, has seen enough
         sys.stderr.close()
         sys.exit(OK)
     except OSError as error:
-        print(f"pixsim: {error.filename or 'system'}: {error.strerror or error}", file=sys.stderr)
-        sys.exit(UNUSABLE_INPUT)
+        end(f"{error.filename or 'system'}: {error.strerror or error}", UNUSABLE_INPUT)
+    except MemoryError:
+        end("the system is out of memory; a coarser film (-D resolution=512), larger pixels or fewer --jobs take less", UNEXPECTED)
     except KeyboardInterrupt:
-        print("pixsim: interrupted; what was finished is kept, and the same command goes on from there", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        end("interrupted; what was finished is kept, and the same command goes on from there", INTERRUPTED)
+    except Exception as error:
+        end(f"unexpected {type(error).__name__}: {error}\nThis is a mistake of pixsim's. --verbose tells where.", UNEXPECTED)
     sys.exit(OK)
+
+
+def end(message: str, code: int) -> NoReturn:
+    if manner.verbose:
+        traceback.print_exc()
+    print(f"pixsim: {message}", file=sys.stderr)
+    sys.exit(code)

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
 import pixsim
+from pixsim import progress
 from pixsim.config import Layer, beside, read_toml
 from pixsim.errors import PixsimError, refuse
+from pixsim.files import cache_folder
 from pixsim.messages import checked
 from pixsim.parameters import Run
 from pixsim.pixel_record import DATA_SHEET, NO_TECHNOLOGY
+from pixsim.progress import Stage
 
 DEFAULT_OUT = Path("pixsim-out")
+QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
 FILE_WIDTH = 160  # columns of a table that does not go to a terminal
 
 app = App(
@@ -22,8 +30,52 @@ app = App(
     version=pixsim.__version__,
     help="From a Mitsuba 3 scene to the pixel size with the least visible error.",
     default_parameter=Parameter(negative=()),
+    help_epilogue=(
+        "Every command takes --quiet (no progress, no warnings), --verbose (times of the stages; where an error arose) "
+        "and --json (the result for programs)."
+    ),
     suppress_keyboard_interrupt=False,  # main() tells what is kept
 )
+
+
+class Manner:
+    """How much a command says on stderr; results on stdout stay as they are."""
+
+    def __init__(self) -> None:
+        self.quiet = self.verbose = False
+
+    def take(self, words: Sequence[str]) -> list[str]:
+        """The words without --quiet and --verbose, which may stand anywhere."""
+        self.quiet = any(each in words for each in QUIET)
+        self.verbose = not self.quiet and any(each in words for each in VERBOSE)
+        return [each for each in words if each not in (*QUIET, *VERBOSE)]
+
+    def note(self, text: str) -> None:
+        if not self.quiet:
+            print(text, file=sys.stderr)
+
+
+manner = Manner()
+
+
+def keep_helpers_files_together() -> None:
+    """Mitsuba's kernels and Matplotlib's fonts are kept in pixsim's cache folder, unless their own variables say where."""
+    for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
+        folder = cache_folder() / name
+        with suppress(OSError):  # then they find places of their own
+            if variable not in os.environ:
+                folder.mkdir(parents=True, exist_ok=True)
+                os.environ[variable] = str(folder)
+
+
+@contextmanager
+def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
+    """`pixsim.progress.stages` in the manner asked for."""
+    clock: dict[str, float] = {} if seconds is None else seconds
+    with progress.stages(clock, quiet=manner.quiet) as stage:
+        yield stage
+    if manner.verbose:
+        manner.note("\n".join(f"{name}: {taken:.2f} s" for name, taken in clock.items()))
 
 
 def described(name: str) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from pixsim.cli.base import app
+from pixsim.cli.base import Json, app, show
 
 
 @app.command
@@ -18,6 +18,7 @@ def chart(
     width: Annotated[int | None, Parameter(help="Texels across.")] = None,
     height: Annotated[int | None, Parameter(help="Texels down.")] = None,
     die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+    json: Json = False,
 ) -> None:
     """Make a chart texture for -D chart=FILE.
 
@@ -32,4 +33,6 @@ def chart(
 
     texels = charts.make_chart(kind, width, height, die_mm)
     charts.write_chart(output, texels)
-    print(f"{texels.shape[1]} × {texels.shape[0]} texels in {output}")
+    height_texels, width_texels = texels.shape
+    found = {"file": str(output), "kind": kind, "width": width_texels, "height": height_texels}
+    show(found, json, f"{width_texels} × {height_texels} texels in {output}")

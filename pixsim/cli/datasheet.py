@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from pixsim.cli.base import DEFAULT_OUT, Config, Json, Out, app, settings_of, show
+from pixsim.cli.base import DEFAULT_OUT, Config, Json, Out, app, settings_of, show, stages
 from pixsim.cli.tables import NO_EXPOSURE, NO_PIXEL, ExposureTable, PixelTable
 from pixsim.config import read_toml
 from pixsim.errors import PixsimError
-from pixsim.progress import stages
 
 
 @app.command

@@ -24,6 +24,7 @@ from pixsim.cli.base import (
     described,
     settings_of,
     show,
+    stages,
 )
 from pixsim.cli.tables import (
     NO_CAMERA,
@@ -35,7 +36,6 @@ from pixsim.cli.tables import (
     ExposureTable,
     PixelTable,
 )
-from pixsim.progress import stages
 from pixsim.wording import budget_lines, plan_table, score_line
 
 

@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from pixsim.cli.base import DEFAULT_OUT, Json, Out, Variant, app, described, show
+from pixsim.cli.base import DEFAULT_OUT, Json, Out, Variant, app, described, show, stages
 from pixsim.config import Layer
 from pixsim.messages import checked
-from pixsim.progress import stages
 from pixsim.wording import budget_lines, found_line, sensitivity_lines
 
 

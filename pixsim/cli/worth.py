@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from pixsim.cli.base import DEFAULT_OUT, Config, Define, Json, Out, Seed, SensorId, Variant, app, settings_of, show
+from pixsim.cli.base import DEFAULT_OUT, Config, Define, Json, Out, Seed, SensorId, Variant, app, settings_of, show, stages
 from pixsim.cli.tables import (
     NO_CAMERA,
     NO_DISPLAY,
@@ -17,7 +17,6 @@ from pixsim.cli.tables import (
     ExposureTable,
     PixelTable,
 )
-from pixsim.progress import stages
 
 
 @app.command

@@ -1,0 +1,166 @@
+"""Templates and schemas say what the records say: every field, and nothing that a record would refuse."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shlex
+import tomllib
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from pydantic import BaseModel
+
+import pixsim
+from pixsim import cli
+from pixsim.config import packaged, read_toml
+from pixsim.parameters import Run, Study
+from pixsim.pixel_record import DATA_SHEET
+from pixsim.templates import UNITS, allowed, json_schema, template, unit_of
+
+RECORDS = {"sensor": Run, "study": Study}
+
+
+def uncommented(text: str) -> dict[str, Any]:
+    """Every field set: lines of one # without it."""
+    return tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE))
+
+
+def fields(record: type[BaseModel], path: str = "") -> set[str]:
+    found = set()
+    for name, field in record.model_fields.items():
+        kind = field.annotation
+        inner = isinstance(kind, type) and issubclass(kind, BaseModel)
+        found |= fields(kind, f"{path}{name}.") if inner else {path + name}
+    return found
+
+
+def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:
+    found = set()
+    for name, value in table.items():
+        kind = record.model_fields[name].annotation
+        inner = isinstance(kind, type) and issubclass(kind, BaseModel)
+        found |= dotted(value, kind, f"{path}{name}.") if inner else {path + name}
+    return found
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_a_template_has_every_field_and_can_be_used_as_it_is(kind: str) -> None:
+    text = template(kind)
+    record = RECORDS[kind]
+    assert dotted(uncommented(text), record) == fields(record)
+    record.model_validate(tomllib.loads(text))
+    everything = uncommented(text)
+    everything.pop("quick", None)
+    record.model_validate(everything)
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_every_field_is_explained_before_it_stands(kind: str) -> None:
+    lines = template(kind).splitlines()
+    for number, line in enumerate(lines):
+        if re.match(r"(# )?\w+ = ", line):
+            assert lines[number - 1].startswith("##"), line
+    told = template(kind)
+    assert "## standard deviation of the gain over its mean; 0 to 0.3; open\n" in told
+    assert "in electrons per second; 0 to 1e+18; open\n" in told
+    assert '## junction capacitance of the process, or 2.6 fF + 0.22 fF/µm² and a swing of 1 V; "mosis", "paper";' in told
+
+
+def test_defaults_in_a_template_are_the_records_own() -> None:
+    """Where a line is commented out and its record has a default, the line shows that."""
+    text = template("study")
+    shown = re.sub(r"^(\w+ = )", r"# \1", text, flags=re.MULTILINE).replace("# ", "")
+    assert shown != text
+    for line in ("# repeats", "# count"):
+        assert line not in text, "shown, not commented out"
+    table = uncommented(text)
+    defaults = Study(name="x").model_dump(mode="json")
+    for path in ("seed", "max_repeats", "iso_delta_e", "paper", "display.gamma", "display.dots", "exposure.well_target"):
+        mine, theirs = table, defaults
+        for part in path.split("."):
+            mine, theirs = mine[part], theirs[part]
+        assert mine == theirs, path
+
+
+def test_a_sensor_of_the_template_is_known_by_its_data_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "my_sensor.toml"
+    run_cli(f"template sensor -o {path}")
+    settings = cli.base.settings_of([path], {}, None, {})
+    assert settings.pixel.technology == "none"
+    assert all(getattr(settings.pixel, name) is not None for name in DATA_SHEET)
+    physics = pixsim.derive(settings.pixel)
+    assert (physics.reset_noise_e, physics.offset_fpn_e, physics.fill_factor) == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("kind", RECORDS)
+def test_a_schema_takes_what_its_record_takes(kind: str) -> None:
+    schema = json_schema(kind)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    check = jsonschema.Draft202012Validator(schema)
+    everything = uncommented(template(kind))
+    assert not list(check.iter_errors(everything))
+    wrong: dict[str, Any] = {"pixel": {"bits": 99}, "display": {"gama": 2.2}, "camera": {"f_number": -1.0}}
+    for table, own in wrong.items():
+        found = list(check.iter_errors(everything | {table: everything[table] | own}))
+        assert found, table
+    assert set(schema["properties"]) == set(RECORDS[kind].model_fields)
+
+
+def test_packaged_studies_fit_the_schema() -> None:
+    check = jsonschema.Draft202012Validator(json_schema("study"))
+    names = [name for name, path in packaged("studies").items() if "vary" not in read_toml(path)]
+    assert {"chen2000", "modern"} <= set(names)
+    for name in names:
+        assert not list(check.iter_errors(read_toml(packaged("studies")[name]))), name
+
+
+def test_units_are_those_that_names_end_in() -> None:
+    assert unit_of("dark_current_e_per_s") == "in electrons per second"
+    assert unit_of("full_well_e") == "in electrons"
+    assert unit_of("white_cd_per_m2") == "in cd/m²"
+    assert unit_of("max_seconds") == "in s"
+    assert unit_of("tolerance_e") == unit_of("delta_e") == unit_of("bits") == ""
+    names = {path.rpartition(".")[2] for record in RECORDS.values() for path in fields(record)}
+    with_unit = {name for name in names if re.search(r"_(um|mm|nm|m|s|e|k|dn|cd_per_m2|e_per_s|per_deg|seconds)$", name)}
+    assert {name for name in with_unit if not unit_of(name)} == {"tolerance_e", "delta_e"}
+    assert UNITS["_e"] == "electrons"
+
+
+def test_ranges_in_words() -> None:
+    properties = json_schema("sensor")["$defs"]["PixelOptions" if False else "Pixel"]["properties"]
+    assert allowed(properties["bits"]) == "whole numbers, 1 to 24"
+    assert allowed(properties["prnu"]) == "0 to 0.3"
+    assert allowed(properties["fill_factor"]) == "above 0 to 1"
+    assert allowed(properties["well_limit"]) == '"swing", "diode"'
+
+
+def run_cli(line: str) -> tuple[int, str]:
+    out = io.StringIO()
+    with redirect_stdout(out), pytest.raises(SystemExit) as end:
+        cli.main(shlex.split(line))
+    return int(end.value.code or 0), out.getvalue()
+
+
+def test_a_file_that_is_there_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("# my own", encoding="utf-8")
+    assert run_cli(f"template sensor -o {path}")[0] == 2
+    assert "exists already" in capsys.readouterr().err
+    assert path.read_text(encoding="utf-8") == "# my own"
+
+
+def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("template study") == (0, template("study"))
+    code, out = run_cli("schema study")
+    assert (code, json.loads(out)) == (0, json_schema("study"))
+    code, out = run_cli(f"template study -o '{tmp_path / 'my study.toml'}' --json")
+    assert (code, json.loads(out)["file"]) == (0, str(tmp_path / "my study.toml"))
+    assert run_cli("template lens")[0] == 2
+    assert "kind: got 'lens'; allowed: sensor or study" in capsys.readouterr().err
+    assert run_cli(f"template sensor -o {tmp_path}/none/a.toml")[0] == 2
+    assert run_cli(f"template sensor -o {tmp_path}/a.txt")[0] == 2
