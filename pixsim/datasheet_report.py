@@ -10,8 +10,8 @@ from pixsim.accuracy.page import write_table
 from pixsim.datasheet import DataSheet
 from pixsim.datasheet_entries import Entry, entries, summary
 from pixsim.datasheet_plots import datasheet_plates
-from pixsim.files import output_folder
-from pixsim.report import file_label, versions, write_json, write_page, write_plates
+from pixsim.files import output_folder, versions, write_json
+from pixsim.report import file_label, write_page, write_plates
 
 TERMINAL_WIDTH = 132
 ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but for dark currents in the deep cold

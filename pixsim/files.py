@@ -1,11 +1,14 @@
-"""Output files that are whole or not there."""
+"""Output files that are whole or not there, and the versions of what made them."""
 
 from __future__ import annotations
 
+import json
 import os
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from pixsim.errors import PixsimError
 
@@ -19,6 +22,9 @@ def cache_folder() -> Path:
         return Path(named)
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "pixsim"
+
+
+DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
 
 
 @contextmanager
@@ -65,3 +71,14 @@ def write_new(path: Path, text: str) -> None:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Take another name.") from None
+
+
+def versions() -> dict[str, str]:
+    from importlib import metadata  # 20 ms
+
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in ("pixsim", *DEPENDENCIES)}}
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    with replacing(path) as partial:
+        partial.write_text(json.dumps(content, indent=2, sort_keys=True, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -16,10 +16,9 @@ import numpy as np
 
 from pixsim.display import white_header
 from pixsim.errors import refuse
-from pixsim.figures import save_delta_e_png, save_png
-from pixsim.files import output_folder
+from pixsim.files import output_folder, versions, write_json
 from pixsim.parameters import Camera, Run
-from pixsim.report import versions, write_json
+from pixsim.pictures import save_delta_e_png, save_png
 from pixsim.score import Bench, Score, describe, make_bench
 from pixsim.sensor import pixels_along
 from pixsim.spectral import SpectralImage, write_channels, write_exr

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import base64
-import json
-import platform
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import metadata, resources
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pixsim.figures import save_svg
-from pixsim.files import replacing
+from pixsim.files import replacing, versions, write_json
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import paper_plates
 from pixsim.parameters import Record
@@ -28,7 +26,6 @@ FIGURE_NUMBERS = {
     "delta_e_against_pitch_all": "Figure 8. ",
     "optimum_against_technology": "Figure 9. ",
 }
-DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
 
 
 def file_label(technology: str) -> str:
@@ -39,15 +36,6 @@ def file_label(technology: str) -> str:
 def nearest_pitch_um(curve: Curve) -> float:
     """The evaluated pitch nearest the optimum."""
     return float(curve.pitch_um[np.argmin(np.abs(np.log(curve.pitch_um / curve.optimum.pitch_um)))])
-
-
-def versions() -> dict[str, str]:
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in ("pixsim", *DEPENDENCIES)}}
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    with replacing(path) as partial:
-        partial.write_text(json.dumps(content, indent=2, sort_keys=True, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def study_plates(result: StudyResult) -> list[Plate]:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.figures import COLOURS, new_figure
+from pixsim.files import versions, write_json
 from pixsim.plates import Column, Plate
-from pixsim.report import versions, write_json, write_page, write_plates
+from pixsim.report import write_page, write_plates
 from pixsim.sensitivity import Case, SensitivityResult
 
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from pixsim.errors import PixsimError, refuse
 from pixsim.figures import COLOURS, new_figure, save_svg
-from pixsim.files import output_folder, replacing
+from pixsim.files import output_folder, replacing, write_json
 from pixsim.plates import Plate
-from pixsim.report import write_json
 from pixsim.sfr import NYQUIST_CY_PER_PX, EdgeResponse
 from pixsim.spectral import read_channels
 

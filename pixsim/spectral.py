@@ -7,25 +7,30 @@ Pictures are stored upright: row 0 is the top of the scene and column 0 its left
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.errors import PixsimError, refuse
-from pixsim.files import replacing
+from pixsim.exr import Rows, write_rows, writing
+from pixsim.exr import read_channels as read_channels
+from pixsim.exr import read_header as read_header
+from pixsim.exr import write_channels as write_channels
 
 Array = NDArray[np.float64]
 
 PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
 PARTS_OF_A_BAND = 10
+WHOLE = slice(None)
+BLOCK_SAMPLES = 1 << 18  # in float64 2 MiB: in a processor's cache
+MOST_BAND_BYTES = 1 << 30  # of a file's channels: where they would be more, one of illuminance stands for them
 CHANNEL_WIDTH_NM = 10.0  # of a file's channels, where finer bands are in its header
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
@@ -55,6 +60,12 @@ def d65(wavelength_nm: ArrayLike) -> Array:
 def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
     """What turns band values per nm into photometric ones: lx from W m⁻² nm⁻¹, cd/m² from W m⁻² sr⁻¹ nm⁻¹."""
     return LUMINOUS_EFFICACY_LM_PER_W * photopic_efficiency(wavelength_nm) * np.asarray(band_width_nm, float)
+
+
+def row_blocks(height: int, width: int) -> Iterator[slice]:
+    """The rows of a picture in blocks of about `BLOCK_SAMPLES`."""
+    step = max(1, BLOCK_SAMPLES // max(1, width))
+    return (slice(top, min(top + step, height)) for top in range(0, height, step))
 
 
 class SpectralImage:
@@ -113,13 +124,13 @@ class SpectralImage:
         """(H, W, B) float32, W m⁻² nm⁻¹; made from the factors when first asked for."""
         return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
 
-    def band(self, index: int) -> NDArray[np.float32]:
-        """(H, W) float32, W m⁻² nm⁻¹, of one band."""
+    def band(self, index: int, rows: slice = WHOLE) -> NDArray[np.float32]:
+        """(H, W) float32, W m⁻² nm⁻¹, of one band, or some of its rows."""
         if not self.factors:
-            return self.data[:, :, index]
-        spectra, pictures = self.factors
-        total = np.zeros(self.shape, np.float32)
-        for spectrum, picture in zip(spectra.astype(np.float32), pictures, strict=True):
+            return self.data[rows, :, index]
+        spectra, pictures = self.factors[0].astype(np.float32), self.factors[1][:, rows]
+        total = np.zeros(pictures.shape[1:], np.float32)
+        for spectrum, picture in zip(spectra, pictures, strict=True):
             total += spectrum[index] * picture
         return total
 
@@ -130,13 +141,22 @@ class SpectralImage:
 
     def weighted(self, weight: Array) -> Array:
         """Σ_b weight_b · E_b per pixel, (H, W) float64; elementwise, so that it does not depend on threads."""
-        total = np.zeros(self.shape)
+        total = np.empty(self.shape)
+        for rows in row_blocks(*self.shape):  # so that no second picture of this size is needed
+            total[rows] = self.weighted_part(weight, (rows, WHOLE))
+        return total
+
+    def weighted_part(self, weight: Array, part: tuple[slice, slice]) -> Array:
+        """`weighted` of some rows and columns, to the same bits."""
         if self.factors:
-            for spectrum, picture in zip(*self.factors, strict=True):
-                total += (weight * spectrum).sum() * picture.astype(float)
+            totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
+            terms = ((total, picture[part]) for total, picture in zip(totals, self.factors[1], strict=True))
         else:
-            for band in np.flatnonzero(weight):
-                total += weight[band] * self.data[:, :, band]
+            terms = ((weight[band], self.data[part][:, :, band]) for band in np.flatnonzero(weight))
+        height, width = (len(range(*each.indices(n))) for each, n in zip(part, self.shape, strict=True))
+        total = np.zeros((height, width))
+        for factor, picture in terms:
+            total += factor * picture.astype(float)
         return total
 
     def mean_spectrum(self) -> Array:
@@ -181,55 +201,33 @@ def _band_channel(wavelength_nm: float) -> str:
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 
 
-def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any]) -> None:
-    """Contiguous float32 channels (others are written wrong without a word) to a lossless EXR, moved into place."""
-    import OpenEXR
-
-    planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
-    top = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
-    try:
-        with replacing(Path(path)) as partial, OpenEXR.File(top, planes) as file:
-            file.write(str(partial))
-    except (OSError, RuntimeError) as error:
-        raise refuse("output file", f"'{path}' ({error})", "a path that can be written") from None
-
-
-@contextmanager
-def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
-    """An OpenEXR file; PixsimError where it is missing or not an EXR."""
-    import OpenEXR
-
-    if not Path(path).is_file():
-        raise refuse("EXR file", f"'{path}', which does not exist", "a readable OpenEXR file")
-    try:
-        with OpenEXR.File(str(path), separate_channels=True, **options) as file:
-            yield file
-    except (OSError, RuntimeError, ValueError) as error:
-        raise refuse("EXR file", f"'{path}' ({error})", "a readable OpenEXR file") from None
-
-
-def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The header of an EXR, `channels` their names, no pixels read; PixsimError where it is missing or not an EXR."""
-    with _opened(path, header_only=True) as file:
-        header = dict(file.header())
-        return header | {"channels": [channel.name for channel in header["channels"]]}
-
-
-def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """Name -> (H, W) float32 and the header of an EXR; PixsimError where it is missing or not an EXR."""
-    with _opened(path) as file:
-        planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
-        return planes, dict(file.header())
-
-
 def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
     """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the same bits back.
 
     Channels `S0.550,000000nm` in W m⁻² nm⁻¹ for any reader, and `factor.N` pictures where the image has factors; then bands
-    finer than 10 nm stand in the header, and the channels hold their means over 10 nm.
+    finer than 10 nm stand in the header, and the channels hold their means over 10 nm. Where those would take more than 1 GiB
+    beside the factors, which tell all of them, one channel `Y` in lx (`illuminanceUnits`) stands in their place.
+
+    Not compressed: OpenEXR's lossless ways take ten times as long for two thirds of the bytes.
     """
     shown = _merged(image) if image.factors else image
-    channels: dict[str, Any] = {_band_channel(nm): shown.band(band) for band, nm in enumerate(shown.wavelength_nm)}
+    header = {"emissiveUnits": "W.m^-2.nm^-1"}
+    channels: dict[str, Rows]
+    if image.factors and 4 * shown.wavelength_nm.size * math.prod(image.shape) > MOST_BAND_BYTES:
+        weight = image.luminous_weight()
+        channels = {"Y": lambda rows: image.weighted_part(weight, (rows, WHOLE)).astype(np.float32)}
+        header["illuminanceUnits"] = "lx"
+    else:
+        channels = {_band_channel(nm): partial(shown.band, band) for band, nm in enumerate(shown.wavelength_nm)}
+        header["spectralLayoutVersion"] = "1.0"
+    if image.factors:
+        channels |= {f"factor.{r}": picture.__getitem__ for r, picture in enumerate(image.factors[1])}
+    header["pixsim"] = json.dumps(_own_header(image), sort_keys=True)
+    with writing(path) as unfinished:
+        write_rows(unfinished, channels, image.shape, header)
+
+
+def _own_header(image: SpectralImage) -> dict[str, Any]:
     own: dict[str, Any] = {
         "wavelength_nm": image.wavelength_nm.tolist(),
         "band_width_nm": image.band_width_nm.tolist(),
@@ -238,15 +236,7 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
         "within_shares": image.within[1].tolist(),
         "header": image.header,
     }
-    if image.factors:
-        own["spectra_w_per_m2_nm"] = image.factors[0].tolist()
-        channels |= {f"factor.{r}": picture for r, picture in enumerate(image.factors[1])}
-    header = {
-        "spectralLayoutVersion": "1.0",
-        "emissiveUnits": "W.m^-2.nm^-1",
-        "pixsim": json.dumps(own, sort_keys=True),
-    }
-    write_channels(path, channels, header)
+    return own | ({"spectra_w_per_m2_nm": image.factors[0].tolist()} if image.factors else {})
 
 
 def _merged(image: SpectralImage) -> SpectralImage:

@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 
 import pixsim
-from pixsim import spectral, variant
+from pixsim import exr, spectral, variant
 from pixsim.bands import BAND_EDGES_NM
 from pixsim.errors import PixsimError
 from pixsim.mitsuba_xml import import_mitsuba
@@ -149,6 +149,40 @@ def test_fractions_of_a_nanometre_have_a_decimal_comma(tmp_path):
     assert pixsim.read_exr(tmp_path / "image.exr").wavelength_nm.tolist() == [632.8, 1064.25]
 
 
+@pytest.mark.parametrize("blocks", [1, 4, 5])
+def test_rows_come_in_blocks_of_any_size(blocks, tmp_path, monkeypatch):
+    image = factored((23, 7))
+    pixsim.write_exr(tmp_path / "whole.exr", image)
+    monkeypatch.setattr(exr, "BLOCK_BYTES", blocks * (8 + 48 * 7 * 4))
+    monkeypatch.setattr(spectral, "BLOCK_SAMPLES", blocks * 7)
+    pixsim.write_exr(tmp_path / "blocks.exr", image)
+    assert (tmp_path / "blocks.exr").read_bytes() == (tmp_path / "whole.exr").read_bytes()
+    lux = image.illuminance_lx()
+    monkeypatch.undo()
+    assert np.array_equal(lux, image.illuminance_lx())
+    part = image.weighted_part(image.luminous_weight(), np.s_[3:17, 2:5])
+    assert np.array_equal(part, lux[3:17, 2:5])
+
+
+def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, monkeypatch):
+    image = factored()
+    monkeypatch.setattr(spectral, "MOST_BAND_BYTES", 4 * 46 * 5 * 7)
+    pixsim.write_exr(tmp_path / "bands.exr", image)
+    assert len(spectral.read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
+    monkeypatch.setattr(spectral, "MOST_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    channels, header = spectral.read_channels(tmp_path / "image.exr")
+    assert sorted(channels) == ["Y", "factor.0", "factor.1"]
+    assert header["illuminanceUnits"] == "lx"
+    assert np.array_equal(channels["Y"], image.illuminance_lx().astype(np.float32))
+    back = pixsim.read_exr(tmp_path / "image.exr")
+    assert np.array_equal(back.factors[0], image.factors[0])
+    assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
+    assert np.array_equal(bits(back.data), bits(image.data))
+    pixsim.write_exr(tmp_path / "general.exr", general())  # nothing else tells its bands
+    assert len(spectral.read_header(tmp_path / "general.exr")["channels"]) == 46
+
+
 @pytest.mark.parametrize("make", [general, factored])
 def test_mitsuba_reads_the_file(make, tmp_path):
     image = make()
@@ -234,12 +268,11 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
     pixsim.write_exr(path, factored())
     before = path.read_bytes()
 
-    def full_disk(self, name):
-        with open(name, "wb") as file:
-            file.write(b"half")
-        raise RuntimeError("no space left on device")
+    def full_disk(name, *_):
+        name.write_bytes(b"half")
+        raise OSError("no space left on device")
 
-    monkeypatch.setattr(OpenEXR.File, "write", full_disk)
+    monkeypatch.setattr(spectral, "write_rows", full_disk)
     with pytest.raises(PixsimError, match="no space left on device"):
         pixsim.write_exr(path, general())
     assert path.read_bytes() == before

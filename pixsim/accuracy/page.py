@@ -10,8 +10,8 @@ from typing import Any
 from pixsim.accuracy.lines import SHORT, accuracy_lines, errors_told, number, verdict
 from pixsim.accuracy.plots import plates_of
 from pixsim.accuracy.result import METRICS, Accuracy
-from pixsim.files import output_folder, replacing
-from pixsim.report import versions, write_json, write_page, write_plates
+from pixsim.files import output_folder, replacing, versions, write_json
+from pixsim.report import write_page, write_plates
 
 
 def write_accuracy(found: Accuracy, out: Path) -> Path:

@@ -1,0 +1,192 @@
+"""Pictures as PNG without Matplotlib, which takes longer to load and to draw than a sensor's picture takes to make."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources, util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.charts import DIE_MM, LOWEST_CONTRAST, LUMINANCE_CD_PER_M2, csf_frequency_lp_per_mm
+from pixsim.display import picture_size_um
+from pixsim.spectral import Array, SpectralImage
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+    from PIL.ImageDraw import ImageDraw
+
+DELTA_E_SHOWN = 10.0  # top of the fixed colour scale, so that two maps can be compared
+VIEWING_GAMMA = 2.2
+MOST_TICKS = 7
+# Of a map with axes, in px.
+MAP, LEFT, TOP, BELOW, BESIDE = 560, 110, 70, 90, 160
+BAR, BAR_GAP, TICK, GAP, POINT = 30, 50, 7, 5, 20
+BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Marks along a side of a picture: (mm on the sensor, text)."""
+
+    label: str
+    ticks: tuple[tuple[float, str], ...]
+
+
+def save_png(path: Path, luminance: Array) -> None:
+    """A grey picture of relative luminance, encoded for a display of gamma 2.2."""
+    codes = np.rint(255 * np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8)
+    _save(path, np.repeat(codes[:, :, None], 3, axis=2))
+
+
+def save_delta_e_png(path: Path, delta_e: Array, irradiance: SpectralImage) -> None:
+    """The map with its scale and axes."""
+    from PIL import Image, ImageDraw
+
+    shown = _enlarged(delta_e_colours(delta_e))
+    height, width = shown.shape[:2]
+    canvas = Image.new("RGB", (LEFT + width + BESIDE, TOP + height + BELOW), WHITE)
+    canvas.paste(Image.fromarray(shown), (LEFT, TOP))
+    draw = ImageDraw.Draw(canvas)
+    title = f"S-CIELAB difference from the ideal image, mean {delta_e.mean():.3f}"
+    draw.text((LEFT + width / 2, TOP - POINT), title, BLACK, _font(18), anchor="ms")
+    x, y = axes_of(irradiance)
+    height_um, width_um = picture_size_um(irradiance)
+    for at_mm, text in x.ticks:
+        _mark(draw, LEFT + at_mm * 1e3 / width_um * width, TOP + height, text, down=True)
+    for at_mm, text in y.ticks:
+        _mark(draw, LEFT, TOP + at_mm * 1e3 / height_um * height, text, down=False)
+    draw.text((LEFT + width / 2, TOP + height + 45), x.label, BLACK, _font(15), anchor="mt")
+    _upright(canvas, y.label, LEFT - 95, TOP + height / 2)
+    _colour_bar(canvas, draw, LEFT + width + BAR_GAP, height)
+    _save(path, np.asarray(canvas))
+
+
+def delta_e_colours(delta_e: Array) -> NDArray[np.uint8]:
+    """(H, W, 3) codes of the fixed scale, 0 to `DELTA_E_SHOWN`; what is beyond has its last colour."""
+    table = _viridis()
+    place = np.clip(delta_e / DELTA_E_SHOWN * len(table), 0, len(table) - 1)
+    return np.asarray(table[place.astype(int)])
+
+
+@lru_cache
+def _viridis() -> NDArray[np.uint8]:
+    return np.loadtxt(str(resources.files("pixsim") / "data/viridis.csv"), np.uint8, delimiter=",", skiprows=2)
+
+
+def _enlarged(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """About `MAP` px along the longer side: each dot several px, or several dots one."""
+    from PIL import Image
+
+    height, width = colours.shape[:2]
+    scale = MAP / max(height, width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    how = Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.BOX
+    return np.asarray(Image.fromarray(colours).resize(size, how))
+
+
+def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:
+    from PIL import Image
+
+    high = max(height - POINT, 1)
+    ramp = delta_e_colours(np.linspace(DELTA_E_SHOWN, 0, high)[:, None])
+    canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (left, TOP + height - high))
+    top = TOP + height - high
+    point = [(left, top), (left + BAR / 2, top - POINT), (left + BAR - 1, top)]
+    draw.polygon(point, fill=tuple(_viridis()[-1].tolist()), outline=BLACK)
+    draw.rectangle((left, top, left + BAR - 1, TOP + height), outline=BLACK)
+    for value in range(0, int(DELTA_E_SHOWN) + 1, 2):
+        at = top + (1 - value / DELTA_E_SHOWN) * high
+        draw.line((left + BAR, at, left + BAR + TICK, at), BLACK)
+        draw.text((left + BAR + TICK + GAP, at), str(value), BLACK, _font(15), anchor="lm")
+    _upright(canvas, "ΔE", left + BAR + 48, TOP + height / 2)
+
+
+def _mark(draw: ImageDraw, x: float, y: float, text: str, down: bool) -> None:
+    end = (x, y + TICK) if down else (x - TICK, y)
+    draw.line((x, y, *end) if down else (x - 1, y, *end), BLACK)  # the map keeps its border
+    beyond = (x, y + TICK + GAP) if down else (x - TICK - GAP, y)
+    draw.text(beyond, text, BLACK, _font(15), anchor="mt" if down else "rm")
+
+
+def _upright(canvas: Image, text: str, left: float, middle: float) -> None:
+    """A text that is read from below."""
+    from PIL import Image, ImageDraw
+
+    box = _font(15).getbbox(text, anchor="lt")
+    own = Image.new("RGB", (math.ceil(box[2]) + 1, math.ceil(box[3]) + 1), WHITE)
+    ImageDraw.Draw(own).text((0, 0), text, BLACK, _font(15), anchor="lt")
+    turned = own.transpose(Image.Transpose.ROTATE_90)
+    canvas.paste(turned, (round(left), round(middle - turned.height / 2)))
+
+
+@lru_cache
+def _font(size: int) -> Any:
+    """Matplotlib's DejaVu Sans, found without importing Matplotlib."""
+    from PIL import ImageFont
+
+    home = util.find_spec("matplotlib")
+    folder = next(iter(home.submodule_search_locations or [])) if home else ""
+    return ImageFont.truetype(str(Path(folder) / "mpl-data/fonts/ttf/DejaVuSans.ttf"), size)
+
+
+def _save(path: Path, codes: NDArray[np.uint8]) -> None:
+    from PIL import Image, PngImagePlugin
+
+    told = PngImagePlugin.PngInfo()
+    told.add_text("Software", "pixsim")
+    Image.fromarray(codes).save(path, "png", pnginfo=told)
+
+
+# --- Axes of a sensor's picture ---------------------------------------------------------------------------------------
+
+
+def extent(irradiance: SpectralImage) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top in mm on the sensor, row 0 on top."""
+    height_um, width_um = picture_size_um(irradiance)
+    return 0.0, 1e-3 * width_um, 1e-3 * height_um, 0.0
+
+
+def is_csf(irradiance: SpectralImage) -> bool:
+    header = irradiance.header
+    return bool(header.get("scene") == "csf.xml" and "chart" not in header.get("parameters", {}))
+
+
+def axes_of(irradiance: SpectralImage) -> tuple[Axis, Axis]:
+    """Across and down: frequency and contrast for the CSF chart, else the position on the sensor."""
+    _, width_mm, height_mm, _ = extent(irradiance)
+    if is_csf(irradiance):
+        return _csf_axes(width_mm, height_mm)
+    across, down = (Axis(f"{name} on the sensor (mm)", _even_ticks(mm)) for name, mm in (("x", width_mm), ("y", height_mm)))
+    return across, down
+
+
+def _csf_axes(width_mm: float, height_mm: float) -> tuple[Axis, Axis]:
+    # The chart fills the die, so another die than the chart's own scales its frequencies.
+    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(end)) for end in (0.0, 1.0))
+    inner = np.array([1, 2, 5, 10, 20, 50, 100, 200])
+    frequencies = np.array([lowest, *inner[(inner > 1.4 * lowest) & (inner < 0.75 * highest)], highest])
+    x_mm = np.log(frequencies / lowest) / np.log(highest / lowest) * width_mm
+    low, high = LUMINANCE_CD_PER_M2
+    largest = (high - low) / (high + low)
+    contrasts = np.array([0.01, 0.03, 0.1, 0.3, 0.951])
+    y_mm = (1 - np.log(contrasts / largest) / np.log(LOWEST_CONTRAST)) * height_mm
+    across = _ticks(x_mm, (f"{f:.3g}" for f in frequencies))
+    return Axis("spatial frequency on the sensor (lp/mm)", across), Axis("contrast", _ticks(y_mm, (f"{c:g}" for c in contrasts)))
+
+
+def _ticks(at_mm: Array, texts: Iterable[str]) -> tuple[tuple[float, str], ...]:
+    return tuple(zip(at_mm.tolist(), texts, strict=True))
+
+
+def _even_ticks(length_mm: float) -> tuple[tuple[float, str], ...]:
+    """From 0 in steps of 1, 2 or 5 times a power of ten."""
+    rough = length_mm / (MOST_TICKS - 1)
+    unit = 10.0 ** math.floor(math.log10(rough))
+    step = unit * min(each for each in (1, 2, 5, 10) if each * unit >= rough * (1 - 1e-9))
+    return tuple((step * n, f"{step * n:.3g}") for n in range(math.floor(length_mm / step * (1 + 1e-9)) + 1))

@@ -1,0 +1,85 @@
+"""PNGs as others read them: codes of a display, the ΔE map in the colours of its scale, marks where they belong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib import colormaps
+from PIL import Image
+
+import pixsim
+from pixsim import pictures
+from pixsim.pictures import LEFT, MAP, TOP, axes_of, delta_e_colours, save_delta_e_png, save_png
+
+
+def light(shape: tuple[int, int] = (16, 16), die_mm: float = 2.7136, **header) -> pixsim.SpectralImage:
+    return pixsim.SpectralImage([550.0], 10.0, 1e3 * die_mm / shape[1], data=np.ones((*shape, 1)), header=header)
+
+
+def test_grey_is_encoded_for_a_display(tmp_path):
+    save_png(tmp_path / "grey.png", np.array([[0.0, 0.2, 1.0], [-0.1, 0.5, 1.5]]))
+    codes = np.asarray(Image.open(tmp_path / "grey.png"))
+    assert codes.shape == (2, 3, 3)
+    assert codes[:, :, 0].tolist() == [[0, round(255 * 0.2 ** (1 / 2.2)), 255], [0, round(255 * 0.5 ** (1 / 2.2)), 255]]
+
+
+def test_colours_are_viridis():
+    delta_e = np.linspace(-1, 12, 500)[:, None]
+    expected = colormaps["viridis"](np.clip(delta_e / 10, 0, 1), bytes=True)[:, :, :3]
+    np.testing.assert_array_equal(delta_e_colours(delta_e), expected)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (16, 48), (1024, 512)])
+def test_the_map_is_where_its_axes_are(shape, tmp_path):
+    """Bright in the upper left quarter and dark elsewhere, whatever the number of dots."""
+    delta_e = np.zeros(shape)
+    delta_e[: shape[0] // 2, : shape[1] // 2] = 10
+    save_delta_e_png(tmp_path / "map.png", delta_e, light(shape))
+    shown = np.asarray(Image.open(tmp_path / "map.png")).astype(int)
+    height, width = (MAP * n // max(shape) for n in shape)
+    inside = shown[TOP : TOP + height, LEFT : LEFT + width]
+    bright = np.abs(inside - delta_e_colours(np.array([[10.0]]))[0, 0]).sum(axis=2) == 0
+    assert bright[: height // 2 - 1, : width // 2 - 1].all()
+    assert not bright[height // 2 + 1 :].any()
+    assert not bright[:, width // 2 + 1 :].any()
+    assert (shown[: TOP // 4] == 255).all(), "white around it"
+    assert (shown[TOP // 2 : TOP, LEFT : LEFT + width] < 128).any(), "a title"
+
+
+def test_marks_of_the_csf_chart_follow_its_formula():
+    across, down = axes_of(light(scene="csf.xml"))
+    marks = {text: at_mm / 2.7136 for at_mm, text in across.ticks}
+    assert marks["1"] == 0
+    assert marks["33.3"] == pytest.approx(1)
+    for text, at in marks.items():
+        assert float(pixsim.charts.csf_frequency_lp_per_mm(at)) == pytest.approx(float(text), rel=2e-3)
+    for at_mm, text in down.ticks:
+        contrast = pixsim.charts.csf_contrast(at_mm / 2.7136)
+        assert contrast == pytest.approx(float(text), rel=2e-3)
+    assert "frequency" in across.label
+
+
+@pytest.mark.parametrize(("die_mm", "texts"), [(2.7136, "0 0.5 1 1.5 2 2.5"), (6.0, "0 1 2 3 4 5 6"), (0.0119, "0 0.002 0.004")])
+def test_other_marks_are_round_numbers(die_mm, texts):
+    across, down = axes_of(light((8, 16), die_mm))
+    assert " ".join(text for _, text in across.ticks).startswith(texts)
+    assert all(at == pytest.approx(float(text)) for at, text in across.ticks)
+    assert 3 <= len(across.ticks) <= pictures.MOST_TICKS
+    assert across.ticks[-1][0] <= die_mm * (1 + 1e-6)
+    assert down.ticks[-1][0] <= die_mm / 2 * (1 + 1e-6)
+
+
+def test_equal_maps_are_equal_bytes(tmp_path):
+    for name in ("a.png", "b.png"):
+        save_delta_e_png(tmp_path / name, np.ones((8, 8)), light((8, 8)))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_run_needs_neither_matplotlib_nor_a_study():
+    code = "import sys, pixsim.outputs, pixsim.pictures; pixsim.pictures._font(15); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "pixsim.pictures" in loaded
+    assert not {"matplotlib", "scipy.stats", "pixsim.sweep", "mitsuba"} & set(loaded)
