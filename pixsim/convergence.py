@@ -14,10 +14,10 @@ import numpy as np
 from pixsim.parameters import Camera, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.plan import Plan
-from pixsim.renderer import LEVEL_FACTOR, Renderer
+from pixsim.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene import Scene
 from pixsim.sensor import frame_variance_dn2, ideal_rate, integrate_pixels, integration_time_s
-from pixsim.spectral import Array, SpectralImage
+from pixsim.spectral import WHOLE, Array, SpectralImage, row_blocks
 
 Told = Callable[[float, str], None]  # fraction done, and the present error in words
 
@@ -56,6 +56,7 @@ def render_until(
     render_noise: float = RENDER_NOISE,
     max_seconds: float = MAX_SECONDS,
     progress: Told | None = None,
+    keep: bool = False,
 ) -> tuple[SpectralImage, RenderNoise]:
     """The mean of as many independent renders as the noise of the sensors allows, at least two.
 
@@ -65,6 +66,7 @@ def render_until(
     render_noise : as a fraction of the sensor's temporal noise, RMS over pixels
     max_seconds : of rendering; a warning says so where they end it
     progress : called with the fraction done and the present error
+    keep : take renders from the cache where it has them, and leave new ones there; bit for bit the same
 
     Two halves, of independent renders each, give the mean of both, and half of their difference has its variance, pixel by
     pixel. Samples are added in pairs of renders, weighted by their samples; where much is missing, every second pair has
@@ -74,7 +76,7 @@ def render_until(
 
     Returns the irradiance, with the noise in its header, and the noise.
     """
-    job, start = Renderer(scene, camera, plan, seed), time.perf_counter()
+    job, start = Renderer(scene, camera, plan, seed, keep=keep), time.perf_counter()
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0, 0, 0.0, 0
     found = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
@@ -83,10 +85,9 @@ def render_until(
         began = time.perf_counter()
         for number, half in enumerate(halves):
             pictures, spp = job.run(runs, _told(progress, number, found), level)
-            half = half or [np.zeros(picture.shape) for picture in pictures]
-            for sum_, picture in zip(half, pictures, strict=True):
-                sum_ += spp * picture
-            halves[number] = half
+            halves[number] = half or [np.zeros(picture.shape) for picture in pictures]
+            _add(halves[number], pictures, spp)
+            del pictures  # beside the halves it would be the third picture in memory
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, pixels, exposure)
@@ -111,7 +112,15 @@ def render_until(
     for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
         mean += odd
         mean /= 2 * weight
+    halves.pop()
     return job.image(halves[0], samples, render_noise=_header(found)), found
+
+
+def _add(sums: list[Array], pictures: Sequence[Picture], weight: int) -> None:
+    """Add weighted pictures in place, a few rows at a time."""
+    for sum_, picture in zip(sums, pictures, strict=True):
+        for rows in row_blocks(*sum_.shape[:2]):
+            sum_[rows] += weight * picture[rows]
 
 
 def _told(progress: Told | None, number: int, found: RenderNoise) -> Callable[[float], None] | None:
@@ -135,7 +144,8 @@ def noise_of(
     for pixel in pixels:
         physics = derive(pixel)
         side = physics.pitch_um, physics.photodiode_side_um
-        even, odd = (integrate_pixels(_rate(job, half, physics), job.pitch_um, *side) / weight for half in halves)
+        units = _electrons_of_pulses(job, halves[0], physics)
+        even, odd = (integrate_pixels(_rate(job, half, units), job.pitch_um, *side) / weight for half in halves)
         rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
         time_s = integration_time_s(exposure, physics, float(rate.max()))
         variance_e2 = frame_variance_dn2(rate * time_s, time_s, physics, fixed_pattern=False) / physics.dn_per_e**2
@@ -146,10 +156,23 @@ def noise_of(
     return worst, worst_relative
 
 
-def _rate(job: Renderer, pictures: list[Array], physics: PixelPhysics) -> Array:
+def _electrons_of_pulses(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics) -> list[Array]:
+    """Of each light, (pulses,): electrons s⁻¹ µm⁻² for a unit of each pulse's picture, on the axis."""
+    return np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
+
+
+def _rate(job: Renderer, pictures: Sequence[Picture], units: list[Array]) -> Array:
     """`ideal_rate` of the pictures' image, straight from the pulses: it is linear, and the bands would fill the memory."""
-    units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
-    rate = np.zeros(job.size)
+    rate = np.empty(job.size)
+    for rows in row_blocks(*job.size):
+        rate[rows] = _rate_part(job, pictures, units, (rows, WHOLE))
+    return rate
+
+
+def _rate_part(job: Renderer, pictures: Sequence[Picture], units: list[Array], part: tuple[slice, slice]) -> Array:
+    """`_rate` of some rows and columns."""
+    fall_off = job.fall_off(*part)
+    rate = np.zeros(fall_off.shape)
     for picture, unit in zip(pictures, units, strict=True):
-        rate += np.einsum("ijp,p->ij", picture, unit)
-    return rate * job.fall_off
+        rate += np.einsum("ijp,p->ij", picture[part], unit)
+    return rate * fall_off

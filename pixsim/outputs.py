@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from pixsim.pictures import save_delta_e_png, save_png
 from pixsim.score import Bench, Score, describe, make_bench
 from pixsim.sensor import pixels_along
 from pixsim.spectral import SpectralImage, write_channels, write_exr
+
+if TYPE_CHECKING:
+    from pixsim.accuracy.settle import Settled
 
 Stage = Callable[[str], Callable[..., None]]
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
@@ -99,8 +102,6 @@ def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
 ) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
     """Everything that can be refused before a render, and the render."""
-    from pixsim.accuracy.probe import Setup
-    from pixsim.accuracy.settle import Settled, settle
     from pixsim.convergence import render_until
     from pixsim.scene import load_scene
     from pixsim.sensor_plan import make_plan
@@ -110,6 +111,9 @@ def _prepare(
     pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
     settled: Settled | None = None
     if settings.tolerance_delta_e:
+        from pixsim.accuracy.probe import Setup  # with scipy.stats they take 0.2 s to load
+        from pixsim.accuracy.settle import settle
+
         progress("calibrate")
         settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
         chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
@@ -131,6 +135,7 @@ def _prepare(
             render_noise=settings.render_noise,
             max_seconds=settings.max_seconds,
             progress=progress("render"),
+            keep=True,
         )
         more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict()}
         if settled:

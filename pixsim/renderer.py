@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,14 +13,16 @@ from numpy.typing import NDArray
 
 import pixsim
 from pixsim import optics
-from pixsim.bands import Pulse
 from pixsim.errors import refuse
-from pixsim.mitsuba_xml import children, nodes_of, plain, speaking_mitsuba
+from pixsim.kept_renders import KeptRenders, Pictures, hash_of_job
+from pixsim.mitsuba_scene import SCALAR_BLOCK, load_light
+from pixsim.mitsuba_scene import film as film
+from pixsim.mitsuba_scene import film_response as film_response
+from pixsim.mitsuba_xml import plain, speaking_mitsuba
 from pixsim.parameters import Camera
-from pixsim.plan import Light, Plan, make_render_plan
-from pixsim.rules import irregular_tables
+from pixsim.plan import Plan, make_render_plan
 from pixsim.scene import Scene, film_size, sensor_node
-from pixsim.spectral import Array, SpectralImage
+from pixsim.spectral import WHOLE, Array, SpectralImage, row_blocks
 
 Progress = Callable[[float], None]
 Picture = NDArray[np.float32] | Array
@@ -26,7 +30,6 @@ Picture = NDArray[np.float32] | Array
 # A kernel of so many samples runs about 1.5 s on two cores; between kernels Ctrl-C is heard and progress is told.
 SAMPLES_PER_KERNEL = 1 << 25
 SCALAR_STRIPS = 16
-SCALAR_BLOCK = 32  # fixed: left to itself Mitsuba makes blocks, and with them seeds, by the number of threads
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; longer averages are ours, in float64
 ALLOWED_SPP = (1, 1 << 20)
 ALLOWED_RESOLUTION = (1, 16384)
@@ -82,9 +85,12 @@ def _part(progress: Progress | None, number: int, of: int) -> Progress | None:
 
 
 class Renderer:
-    """One scene, loaded once for each lamp spectrum; every run is an independent picture of it."""
+    """One scene, loaded once for each lamp spectrum, when first needed; every run is an independent picture of it.
 
-    def __init__(self, scene: Scene, camera: Camera, plan: Plan, seed: int) -> None:
+    keep : take pictures from the cache where it has them, and leave new ones there
+    """
+
+    def __init__(self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False) -> None:
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
         state = scene.for_camera(camera)
         node = sensor_node(state, scene.sensor_id)[1]
@@ -98,15 +104,27 @@ class Renderer:
                 raise refuse(name, value, f"{low} to {high}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.on_axis = float(optics.irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
-        factor = optics.field_factor(self.size, self.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-        self.fall_off = factor * (camera.transmittance / self.on_axis)  # of irradiance, relative to that on the axis
         self.scalar = scene.choice.variant.startswith("scalar")
+        self.sensor = self._sensor(node)
+        self.kept = KeptRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
+
+    @cached_property
+    def _loaded(self) -> list[tuple[Any, Any]]:
+        """Mitsuba's scene and integrator for each light."""
         with self._mitsuba() as mi:
-            self.sensor = self._sensor(node)
-            self.scenes = [
-                _load(mi, scene, scene.for_camera(camera), light, self.scalar, plan.regular_tables) for light in plan.lights
-            ]
-            self.integrators = [self._integrator(mi, each) for each in self.scenes]
+            states = ((light, self.source.for_camera(self.camera)) for light in self.plan.lights)
+            scenes = [load_light(mi, self.source, state, light, self.scalar, self.plan.regular_tables) for light, state in states]
+            return [(each, self._integrator(mi, each)) for each in scenes]
+
+    def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
+        """Of irradiance, relative to that on the axis, at the middle of each sample of some rows and columns."""
+        y_um, x_um = (
+            ((np.arange(n) + 0.5) - n / 2)[part] * self.pitch_um for n, part in zip(self.size, (rows, columns), strict=True)
+        )
+        camera = self.camera
+        tan_field = np.hypot(x_um[None, :], y_um[:, None]) / (1e3 * camera.image_distance_mm)
+        factor = optics.irradiance_factor(camera.f_number, tan_field, camera.magnification)
+        return factor * (camera.transmittance / self.on_axis)
 
     def _integrator(self, mi: Any, scene: Any) -> Any:
         own = None if self.plan.integrator else scene.integrator()
@@ -125,52 +143,56 @@ class Renderer:
         kept = {key: value for key, value in plain(node) if key not in left_out}
         return kept | lens
 
-    def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[list[NDArray[np.float32]], int]:
+    def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
         """Picture of each pulse of each light, (H, W, pulses) relative to its lamp, and the samples of a film cell.
 
         Runs of another index or level are independent; each level has four times the samples of the one before.
         """
+        found = self.kept.find(index, level) if self.kept else None
+        if found is None:
+            found = self._rendered(index, level, progress)
+            if self.kept:
+                self.kept.keep(index, level, *found)
+        elif progress:
+            progress(1.0)
+        return found
+
+    def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
         pictures, number = [], 0
         with self._mitsuba() as mi:
             # Long renders are averages of shorter ones; most samplers round their samples up to what it can stratify.
             asked = self.plan.spp * LEVEL_FACTOR**level
             renders = -(-asked // SPP_PER_RENDER)
             spp = mi.load_dict({"type": self.plan.sampler, "sample_count": -(-asked // renders)}).sample_count()
-            for light, scene, integrator in zip(self.plan.lights, self.scenes, self.integrators, strict=True):
+            for light, (scene, integrator) in zip(self.plan.lights, self._loaded, strict=True):
                 planes = np.zeros((*self.size, len(light.pulses)), np.float32)
                 for each in light.passes:
                     films = [film_response(light.pulses[pulse]) for pulse in each]
                     first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE
                     job = _Pass(scene, integrator, films, spp, renders, first, index * self.plan.passes + number)
-                    told = _part(progress, number, self.plan.passes)
-                    planes[:, :, list(each)] = self._pass(mi, job, told)
+                    for rows, values in self._strips(mi, job, _part(progress, number, self.plan.passes)):
+                        planes[rows, :, list(each)] = values
                     number += 1
                 pictures.append(planes)
         return pictures, renders * spp
 
-    def _pass(self, mi: Any, job: _Pass, progress: Progress | None) -> Array:
-        """Radiance through each response, (H, W, channels) float64: strips of rows, averages of renders."""
+    def _strips(self, mi: Any, job: _Pass, progress: Progress | None) -> Iterator[tuple[slice, Array]]:
+        """Radiance through each response, (rows, W, channels) float64, strip after strip; averages of renders."""
         height, width = self.size
         strips = SCALAR_STRIPS if self.scalar else -(-height * width * job.spp // SAMPLES_PER_KERNEL)
-        rows = np.linspace(0, height, min(strips, height) + 1).astype(int)
-        total = np.zeros((height, width, len(job.responses)))
+        rows = np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
         count = job.renders * (len(rows) - 1)
         sampler = {"sampler": {"type": self.plan.sampler, "sample_count": job.spp}}
-        for index in range(count):
-            top, bottom = rows[index // job.renders], rows[index // job.renders + 1]
+        for strip, (top, bottom) in enumerate(pairwise(rows)):
+            total = np.zeros((bottom - top, width, len(job.responses)))
             sensor = mi.load_dict(self.sensor | sampler | {"film": film(job.responses, self.size, top, bottom)})
-            seed = (job.first_seed + job.number * count + index) % 2**32
-            strip = mi.render(job.scene, sensor=sensor, integrator=job.integrator, spp=job.spp, seed=seed)
-            values = np.asarray(strip, float)
-            if values.shape[2] != len(job.responses):
-                raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
-            if not np.isfinite(values).all() or values.min() < 0:
-                mend = "Check the scene's spectra and textures."
-                raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", mend)
-            total[top:bottom] += values / job.renders
-            if progress:
-                progress((index + 1) / count)
-        return total
+            for index in range(strip * job.renders, (strip + 1) * job.renders):
+                seed = (job.first_seed + job.number * count + index) % 2**32
+                rendered = mi.render(job.scene, sensor=sensor, integrator=job.integrator, spp=job.spp, seed=seed)
+                total += _checked(np.asarray(rendered, float), len(job.responses)) / job.renders
+                if progress:
+                    progress((index + 1) / count)
+            yield slice(top, bottom), total
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
         """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
@@ -182,19 +204,22 @@ class Renderer:
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored = np.empty((len(planes), *self.size), np.float32)
-            for place, plane in zip(stored, planes, strict=True):
-                place[:] = plane * self.fall_off
+            for rows in row_blocks(*self.size):
+                fall_off = self.fall_off(rows)
+                for place, plane in zip(stored, planes, strict=True):
+                    place[rows] = plane[rows] * fall_off
             return self._image(header, factors=(self.spectra, stored))
         data = np.empty((*self.size, self.plan.bands.width_nm.size), np.float32)
-        for band, values in enumerate(self._bands(pictures)):
-            data[:, :, band] = values
+        for rows in row_blocks(*self.size):
+            for band, values in enumerate(self._bands([picture[rows] for picture in pictures], self.fall_off(rows))):
+                data[rows, :, band] = values
         return self._image(header, data=data)
 
-    def _bands(self, pictures: Sequence[Picture]) -> Iterator[Array]:
+    def _bands(self, pictures: Sequence[Picture], fall_off: Array) -> Iterator[Array]:
         """The irradiance in each band, one after the other: all of them in float64 would fill the memory."""
-        factor = self.on_axis * self.fall_off
+        factor = self.on_axis * fall_off
         for band in range(self.plan.bands.width_nm.size):
-            total = np.zeros(self.size)
+            total = np.zeros(fall_off.shape)
             for light, planes in zip(self.plan.lights, pictures, strict=True):
                 for pulse in np.flatnonzero(light.spectra[:, band]):
                     total += light.spectra[pulse, band] * planes[:, :, pulse]
@@ -215,6 +240,16 @@ class Renderer:
         bands = self.plan.bands
         within = bands.nodes_nm, bands.shares
         return SpectralImage(bands.wavelength_nm, bands.width_nm, self.pitch_um, within=within, header=header, **light)
+
+
+def _checked(values: Array, channels: int) -> Array:
+    """PixsimError for what is no light."""
+    if values.shape[2] != channels:
+        raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
+    if not np.isfinite(values).all() or values.min() < 0:
+        mend = "Check the scene's spectra and textures."
+        raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", mend)
+    return values
 
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
@@ -238,56 +273,3 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
         header["luminance_cd_per_m2"] = float(f"{white:.9g}")
     return header
-
-
-def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
-    """A specfilm for some rows: float32 and a box, so that a cell holds its mean and runs repeat."""
-    height, width = size
-    return {
-        "type": "specfilm",
-        "width": width,
-        "height": height,
-        "component_format": "float32",
-        "rfilter": {"type": "box"},
-        "crop_offset_x": 0,
-        "crop_offset_y": int(top),
-        "crop_width": width,
-        "crop_height": int(bottom - top),
-        **{f"band{channel}": response for channel, response in enumerate(responses)},
-    }
-
-
-def film_response(pulse: Pulse) -> dict[str, Any]:
-    return _regular(pulse.low_nm, pulse.high_nm, pulse.values)
-
-
-def _regular(low_nm: float, high_nm: float, values: Array) -> dict[str, Any]:
-    text = ", ".join(repr(float(value)) for value in values)
-    return {"type": "regular", "wavelength_min": low_nm, "wavelength_max": high_nm, "values": text}
-
-
-def _load(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, regular_tables: bool) -> Any:
-    """The scene with the emitters of one light only, each as its neutral picture or relative power: the spectrum is in the
-    pulses. Emitters whose colours vary stay as they are, and the pulses are flat."""
-    emitters = nodes_of(state, "Emitter")
-    dark = {index for index, _ in emitters} - light.lamp.pictures.keys()
-    for parent in state.nodes if dark else ():
-        for name, child in children(parent, state).items():
-            if child in dark:
-                del parent.props[name]
-    for index, node in emitters:
-        if index in light.lamp.pictures and light.lamp.spectrum is not None:
-            name, picture = light.lamp.pictures[index]
-            if isinstance(picture, int):
-                node.props[name] = mi.Properties.ResolvedReference(picture)
-            else:
-                node.props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
-    for _, node in nodes_of(state, "Integrator"):
-        if scalar and "block_size" not in node.props:
-            node.props["block_size"] = SCALAR_BLOCK
-    for (index, name), (table, values) in irregular_tables(state).items() if regular_tables else ():
-        state.nodes[index].props[name] = mi.load_dict(_regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
-    config = mi.parser.ParserConfig(scene.choice.variant)
-    mi.parser.transform_all(config, state)
-    built = mi.parser.instantiate(config, state)
-    return next(each for each in built if isinstance(each, mi.Scene)) if isinstance(built, list) else built

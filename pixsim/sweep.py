@@ -221,6 +221,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
         render_noise=study.render_noise,
         max_seconds=study.max_seconds,
         progress=progress,
+        keep=True,
     )
     return image, camera
 

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from pixsim import cache as kept
 from pixsim.cli.base import Json, app, show
 from pixsim.errors import refuse
 
@@ -28,6 +27,8 @@ def cache(
     space. PIXSIM_CACHE_DIR moves the folder, PIXSIM_CACHE_GIB bounds it (4 by default, 0 keeps nothing); what was not used
     for the longest time goes first.
     """
+    from pixsim import cache as kept  # with NumPy, which help does without
+
     kinds = sorted({entry.kind for entry in kept.entries()})
     if kind is not None and kind not in kinds:
         raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
@@ -45,6 +46,8 @@ def cache(
 
 def summary() -> dict[str, Any]:
     """The folder, its limit, and entries and bytes of each kind."""
+    from pixsim import cache as kept
+
     kinds: dict[str, dict[str, int]] = {}
     for entry in kept.entries():
         own = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
