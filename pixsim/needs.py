@@ -10,12 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pixsim import optics
-from pixsim.spectral import Array
+from pixsim.spectral import WHOLE, Array
 
 # Samples whose pictures have the same bits on any number of threads.
 SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
 TRIED_CELLS = 1024
 REFERENCE_SAMPLES = 16  # along each side of a cell
+TRIED_SIDE = 2048  # samples: three transforms of a part of that size need 0.1 GiB
+BORDER = 64  # samples of a part that the reflection at its sides may have changed
 DARKEST = 0.01  # of the brightest cell: errors of darker ones are told relative to it
 
 
@@ -32,14 +34,16 @@ class Chart:
     texels_per_sample: tuple[float, float]
     shape: tuple[int, int]
 
-    def picture(self, shape: tuple[int, int]) -> Array:
-        """Cell means on a film of that shape, 0 … brightest texel; the middle of the chart where it is larger."""
+    def picture(self, shape: tuple[int, int], part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
+        """Cell means on a film of that shape, or on some of its rows and columns, 0 … brightest texel; the middle of the chart
+        where it is larger."""
         values = np.ones((1, 1)) if self.texels is None else self.texels
         # First along the axis that shrinks more: the other then has less to do.
         for axis in sorted((0, 1), key=lambda axis: shape[axis] / values.shape[axis]):
             count, film, n = shape[axis], self.shape[axis], values.shape[axis]
             covered = min(self.texels_per_sample[axis] * film, n) if self.texels is not None else n
-            edges = (n - covered) / 2 + covered * np.arange(count + 1) / count
+            first, stop, _ = part[axis].indices(count)
+            edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count
             running = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
             values = np.diff(_linear(running, edges, axis), axis=axis) * (count / covered)
         return values
@@ -104,10 +108,37 @@ def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
     return np.asarray(map_coordinates(chart.texels, at, order=1, mode="nearest").mean(axis=1))
 
 
-def diffraction_effect(chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float) -> float:
-    """Greatest relative change of any sample by diffraction, on the whole film: a coarser one would average detail away."""
+def diffraction_effect(
+    chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, enough: float = np.inf
+) -> float:
+    """Greatest relative change of any sample by diffraction, on the whole film: a coarser one would average detail away.
+
+    On a film that is larger than `TRIED_SIDE` a part around the chart's steepest texels is tried first: where diffraction
+    counts there, the rest is not asked, and the change is that of the part.
+    """
     if chart.uniform:
         return 0.0
-    picture = chart.picture(chart.shape)
-    blurred = optics.diffract(picture, pitch_um, wavelength_nm, weight, f_number)
-    return float((np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max())).max())
+
+    def change(part: tuple[slice, slice], border: int) -> float:
+        picture = chart.picture(chart.shape, part)
+        blurred = optics.diffract(picture, pitch_um, wavelength_nm, weight, f_number)
+        inner = tuple(slice(border, -border) if n > 2 * border > 0 else WHOLE for n in picture.shape)
+        return float((np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max()))[inner].max())
+
+    if max(chart.shape) > TRIED_SIDE and enough < np.inf and (found := change(_steepest(chart), BORDER)) > enough:
+        return found
+    return change((WHOLE, WHOLE), 0)
+
+
+def _steepest(chart: Chart) -> tuple[slice, slice]:
+    """A part of the film, `TRIED_SIDE` along each side that is longer, around where neighbouring texels differ most."""
+    assert chart.texels is not None
+    steps = [np.abs(np.diff(chart.texels, axis=axis)) for axis in (0, 1)]
+    place = max((step for step in steps if step.size), key=lambda step: float(step.max()))
+    at = np.unravel_index(int(place.argmax()), place.shape)
+    part = []
+    for index, n, covered, film in zip(at, chart.texels.shape, chart.texels_per_sample, chart.shape, strict=True):
+        middle = round((index + 1 - (n - covered * film) / 2) / covered)
+        first = min(max(middle - TRIED_SIDE // 2, 0), max(film - TRIED_SIDE, 0))
+        part.append(slice(first, min(first + TRIED_SIDE, film)))
+    return part[0], part[1]

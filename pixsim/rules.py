@@ -188,8 +188,9 @@ def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tol
     told = f"Airy disc up to {disc_um:.3g} µm"
     if chart is None or full:
         return Decision("diffraction", True, f"{told}; what it does is known only from the picture" if not full else told)
-    effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.working_f_number)
-    if effect > tolerance_e * DIFFRACTION_SHARE:
+    allowed = tolerance_e * DIFFRACTION_SHARE
+    effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.working_f_number, allowed)
+    if effect > allowed:
         return Decision("diffraction", True, f"{told}; changes samples of this chart by up to {effect:.1%}")
     return Decision(
         "diffraction", False, f"{told}; changes no sample of this chart by more than {effect:.1e}", "2 transforms", effect

@@ -10,7 +10,7 @@ import pytest
 from edits import load, render_plan
 
 import pixsim
-from pixsim import optics
+from pixsim import needs, optics
 from pixsim.needs import DARKEST, SAMPLE_COUNTS, Chart, diffraction_effect, samples_needed, sampling_error
 from pixsim.plan import make_render_plan
 from pixsim.renderer import Renderer
@@ -140,3 +140,27 @@ def test_a_soft_chart_is_left_to_the_lens(tmp_path: Path):
         assert plan.diffraction == kept
     cutoff = optics.cutoff_cy_per_mm(830.0, pixsim.Camera().working_f_number)
     assert 4 / np.pi * 0.03 / 0.47 / (2 * 2.7136) / cutoff < 1e-4  # by the OTF's slope at 0, 4/π over the cut-off
+
+
+def test_a_part_of_a_picture_is_that_part():
+    chart = Chart(np.random.default_rng(3).uniform(0.1, 1, (40, 30)), (2.0, 1.5), (12, 16))
+    for part in (np.s_[3:9, 2:16], np.s_[:, 5:6], np.s_[0:1, :]):
+        np.testing.assert_allclose(chart.picture((12, 16), part), chart.picture((12, 16))[part], rtol=1e-12)
+
+
+def test_a_large_film_is_told_by_its_steepest_part(monkeypatch):
+    """Detail in one corner: the part that is tried has it, and says nearly what the whole film does."""
+    texels = np.full((64, 512), 0.5)
+    texels[40:60, 448:496] += 0.2 * np.sin(np.arange(48) * 0.8)
+    chart = Chart(texels, (0.5, 0.5), (128, 1024))
+    lens = 1.0, NM, np.ones(1), 4.0
+    whole = diffraction_effect(chart, *lens)
+    shapes = []
+    real = optics.diffract
+    monkeypatch.setattr(optics, "diffract", lambda picture, *rest: shapes.append(picture.shape) or real(picture, *rest))
+    monkeypatch.setattr(needs, "TRIED_SIDE", 128)
+    monkeypatch.setattr(needs, "BORDER", 8)
+    assert diffraction_effect(chart, *lens, whole / 2) == pytest.approx(whole, rel=0.02)
+    assert shapes == [(128, 128)]
+    assert diffraction_effect(chart, *lens, whole * 1.1) == whole, "what is left out is proved on the whole film"
+    assert shapes[1:] == [(128, 128), (128, 1024)]
