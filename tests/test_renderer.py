@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tracemalloc
 from functools import cache
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from pixsim import charts, cli, optics, sensor, spectral
 from pixsim.errors import PixsimError
 from pixsim.pixel import derive
 from pixsim.plan import make_render_plan
+from pixsim.renderer import Renderer
 from pixsim.scene import packaged_scenes
 from pixsim.variant import find_llvm
 
@@ -472,6 +474,66 @@ def test_a_black_picture_is_refused(tmp_path):
 def test_sizes_out_of_range_are_refused(name, value):
     with pytest.raises(PixsimError, match=rf"{name}: got {value}; allowed: 1 to"):
         pixsim.render(pixsim.load_scene("flat", **{"resolution": 8, name: value}))
+
+
+# --- Memory ---
+
+TEXTURE_BYTES = 3 << 20  # whose hash goes into the header
+
+
+def traced(work):
+    """What comes of it, and the most memory that was taken for it beside what was there."""
+    tracemalloc.start()
+    result = work()
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return result, most
+
+
+@pytest.fixture
+def large(monkeypatch):
+    """A job of 1024 × 1024 whose renders are grey, and which works on a few rows at a time."""
+    import mitsuba
+
+    def grey(*_, sensor, spp, **__):
+        width, height = sensor.film().crop_size()
+        return np.full((height, width, 1), 0.5, np.float32)
+
+    scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=1024, spp=4)
+    job = Renderer(scene, scene.camera(), make_render_plan(scene), 0)
+    assert job._loaded
+    monkeypatch.setattr(spectral, "BLOCK_SAMPLES", 1 << 13)
+    monkeypatch.setattr(mitsuba, "render", grey)
+    return job
+
+
+def test_a_render_takes_the_memory_of_its_picture_whatever_its_samples(large):
+    (pictures, _), few = traced(lambda: large.run(0))
+    size = pictures[0].nbytes
+    assert size == 1024 * 1024 * 4
+    _, many = traced(lambda: large.run(0, level=6))
+    assert size < few < 1.5 * size
+    assert many < 1.05 * few
+
+
+def test_an_image_takes_the_memory_of_what_it_is(large):
+    pictures = [np.full((1024, 1024, 1), 0.5)]
+    image, most = traced(lambda: large.image(pictures, 4))
+    assert most < 1.2 * image.factors[1].nbytes + TEXTURE_BYTES
+    small = large.source.with_parameters(resolution=256)
+    full = Renderer(small, large.camera, make_render_plan(small, full=True), 0)
+    pulses = [np.full((256, 256, len(light.pulses)), 0.5, np.float32) for light in full.plan.lights]
+    image, most = traced(lambda: full.image(pulses, 4))
+    assert most < 1.1 * image.data.nbytes + TEXTURE_BYTES
+
+
+def test_the_fall_off_of_a_part_is_that_of_the_whole(large):
+    camera = large.camera
+    lens = camera.image_distance_mm, camera.f_number, camera.magnification
+    whole = optics.field_factor(large.size, large.pitch_um, *lens) * (camera.transmittance / large.on_axis)
+    assert np.array_equal(large.fall_off(), whole)
+    assert np.array_equal(large.fall_off(slice(100, 130), slice(7, 9)), whole[100:130, 7:9])
+    assert 0.6 < whole.min() < whole.max() == pytest.approx(1, abs=1e-5)
 
 
 def test_progress_rises_to_one():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import tracemalloc
 
 import numpy as np
 import OpenEXR
@@ -162,6 +163,18 @@ def test_rows_come_in_blocks_of_any_size(blocks, tmp_path, monkeypatch):
     assert np.array_equal(lux, image.illuminance_lx())
     part = image.weighted_part(image.luminous_weight(), np.s_[3:17, 2:5])
     assert np.array_equal(part, lux[3:17, 2:5])
+
+
+@pytest.mark.parametrize("make", [general, factored])
+def test_a_weighted_sum_needs_no_second_picture(make, monkeypatch):
+    monkeypatch.setattr(spectral, "BLOCK_SAMPLES", 1 << 12)
+    image = make((256, 256))
+    weight = image.luminous_weight()
+    tracemalloc.start()
+    total = image.weighted(weight)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert total.nbytes < most < 1.3 * total.nbytes
 
 
 def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, monkeypatch):
