@@ -11,19 +11,20 @@ import warnings
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.sparse import csr_array
 
 from pixsim import optics
 from pixsim.errors import refuse
 from pixsim.parameters import Camera, Display
 from pixsim.pixel import PixelPhysics
+from pixsim.planes import strips
 from pixsim.sensor import M2_PER_UM2, MOST_PIXELS, Frame, electrons_per_joule, ideal_rate, pixels_along, point_values
 from pixsim.spectral import Array, SpectralImage, d65
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
-SMOOTH_CELLS = 5  # three second differences
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # so that pictures over white, of any sensor and exposure, stay in the range of float64
 SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3}
 WHITE_PERCENTILE = 99.0  # of a scene that tells no white
@@ -48,8 +49,10 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
     factor = optics.field_factor(
         irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
     )
-    luminance = irradiance.illuminance_lx() / (factor * camera.transmittance)
-    white = float(f"{np.percentile(luminance, WHITE_PERCENTILE):.{WHITE_DIGITS}g}")
+    luminance = irradiance.illuminance_lx()
+    luminance /= factor
+    luminance /= camera.transmittance
+    white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")
     if not white > 0:
         raise refuse("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
     warnings.warn(
@@ -123,45 +126,74 @@ def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
 
 
 def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
-    """Means, over the intervals between `edges_um`, of a line of equal cells interpolated through their centres.
+    """Means, over the intervals between `edges_um`, of lines of equal cells interpolated through their centres, along an axis.
 
-    The cells start at `low_um`; beyond the outermost centres the line goes on constant. Degree 0 is piecewise constant.
+    The cells start at `low_um`; beyond the outermost centres a line goes on constant. Degree 0 is piecewise constant.
     """
-    n = values.shape[axis]
-    at_um: Array
-    if degree == 0 or n < 2:
-        at_um = low_um + pitch_um * np.arange(n + 1.0)
-        zero = np.zeros_like(np.take(values, [0], axis))
-        running = make_interp_spline(at_um, np.concatenate([zero, np.cumsum(values, axis) * pitch_um], axis), k=1, axis=axis)
+    edges = (edges_um - low_um) / pitch_um - 0.5
+    lines = np.moveaxis(values, axis, 0)
+    degree = min(degree, len(lines) - 1)
+    if degree < 2:
+        means = mean_weights(len(lines), edges, degree) @ np.ascontiguousarray(lines)
     else:
-        at_um = low_um + pitch_um * (np.arange(n, dtype=float) + 0.5)
-        running = make_interp_spline(at_um, values, k=min(degree, n - 1), axis=axis).antiderivative()
-    inside = np.clip(edges_um, at_um[0], at_um[-1])
-    shape = [1] * values.ndim
-    shape[axis] = -1
-    first, last = np.take(values, [0], axis), np.take(values, [n - 1], axis)
-    beyond = (
-        np.minimum(edges_um - at_um[0], 0.0).reshape(shape) * first + np.maximum(edges_um - at_um[-1], 0.0).reshape(shape) * last
-    )
-    return np.diff(running(inside) + beyond, axis=axis) / np.diff(edges_um).reshape(shape)
+        running = make_interp_spline(np.arange(float(len(lines))), lines, k=degree).antiderivative()
+        column = edges.reshape(-1, *[1] * (lines.ndim - 1))
+        beyond = np.minimum(column, 0.0) * lines[0] + np.maximum(column - (len(lines) - 1), 0.0) * lines[-1]
+        means = np.diff(running(np.clip(edges, 0, len(lines) - 1)) + beyond, axis=0) / np.diff(column, axis=0)
+    return np.ascontiguousarray(np.moveaxis(means, 0, axis))
 
 
-def smooth_excess(cells: Array, axis: int) -> Array:
-    """How far a smooth picture may go beyond its cell means along an axis, of the picture's shape.
+def mean_weights(n: int, edges: Array, degree: int) -> csr_array:
+    """What n values at 0 … n - 1 weigh in the mean between neighbouring edges, (edges - 1, n).
+
+    A value belongs to a box (degree 0) or to a hat (degree 1) around its place; the outermost ones go on for ever. Its
+    integral up to an edge has a closed form, and few values reach into an interval.
+    """
+    reach = 0.5 if degree == 0 else 1.0
+    first = np.clip(np.floor(edges[:-1] - reach), 0, n - 1).astype(int)
+    last = np.clip(np.ceil(edges[1:] + reach), 0, n - 1).astype(int)
+    value = first[:, None] + np.arange((last - first).max() + 1)
+
+    def part_below(edge: Array) -> Array:
+        at = edge[:, None] - value
+        near = np.clip(at, -reach, reach)
+        part = near + reach if degree == 0 else 0.5 + near - near * np.abs(near) / 2
+        return np.where(((value == 0) & (at < 0)) | ((value == n - 1) & (at > 0)), at + 0.5, part)
+
+    weight = (part_below(edges[1:]) - part_below(edges[:-1])) / np.diff(edges)[:, None]
+    kept = (value <= last[:, None]) & (weight != 0)
+    rows = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
+    return csr_array((weight[kept], value[kept], rows), shape=(edges.size - 1, n))
+
+
+def smooth_excess(five: Array) -> Array:
+    """How far a smooth picture may go beyond the mean of the third of five neighbouring cells (5, …), (…).
 
     At a crest it exceeds the mean of its cell by a sixth of the second difference, at most; half of the smallest of three
     neighbouring second differences allows for it. At an edge they change sign, and nothing is allowed. (After the limiter of
     A. Suresh and H. T. Huynh, J. Comput. Phys. 136 (1997) 83, which so keeps its order at smooth extrema.)
     """
-    if cells.shape[axis] < SMOOTH_CELLS:
-        return np.zeros_like(cells)
-    line = np.moveaxis(cells, axis, 0)
-    second = np.diff(line, 2, axis=0)
-    triples = second[:-2], second[1:-1], second[2:]
-    crest = np.minimum(np.minimum(*triples[:2]), triples[2]), np.maximum(np.maximum(*triples[:2]), triples[2])
-    excess = np.zeros_like(cells)
-    np.moveaxis(excess, axis, 0)[2:-2] = np.maximum(np.maximum(crest[0], -crest[1]), 0.0) / 2
-    return excess
+    second = np.diff(five, 2, axis=0)
+    return np.maximum(np.maximum(second.min(axis=0), -second.max(axis=0)), 0.0) / 2
+
+
+def cell_range(cells: Array, y: NDArray[np.intp], x: NDArray[np.intp]) -> tuple[Array, Array]:
+    """(least, most) that a point may have in the cells at the crossings of rows y and columns x, (len(y), len(x)) each.
+
+    No point is darker or brighter than its cell and the eight around it, but where the picture is smooth (not in the two
+    outermost cells along an axis); and none is below zero.
+    """
+    (height, width), around = cells.shape, np.arange(-2, 3)
+    five_rows = cells[np.clip(y + around[:, None], 0, height - 1)]
+    columns = np.clip(x + around[:, None], 0, width - 1)
+    inside = (np.clip(y, 2, height - 3) == y)[:, None], np.clip(x, 2, width - 3) == x
+    beyond = np.where(inside[0], smooth_excess(five_rows).take(x, axis=1), 0.0)
+    beyond += np.where(inside[1], smooth_excess(np.stack([five_rows[2].take(each, axis=1) for each in columns])), 0.0)
+    rows = five_rows[1:4]
+    lowest, highest = rows.min(axis=0), rows.max(axis=0)
+    least = np.minimum.reduce([lowest.take(each, axis=1) for each in columns[1:4]]) - beyond
+    most = np.maximum.reduce([highest.take(each, axis=1) for each in columns[1:4]]) + beyond
+    return np.maximum(least, 0.0), most
 
 
 def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> Array:
@@ -176,13 +208,12 @@ def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
         raise refuse("display.dots", found, f"at most {MOST_PIXELS:.3g} dots in all")
     cells = ideal_rate(irradiance, physics)
     rate = point_values(cells, irradiance.pitch_um, *centres)
-    # A spline rings at an edge: no point is darker or brighter than the cells around it, but where the picture is smooth.
+    # A spline rings at an edge.
     y, x = (np.clip((um / irradiance.pitch_um).astype(int), 0, n - 1) for um, n in zip(centres, cells.shape, strict=True))
-    around = np.ix_(y, x)
-    beyond = (smooth_excess(cells, 0) + smooth_excess(cells, 1))[around]
-    lowest, highest = (extreme(cells, 3, mode="nearest")[around] for extreme in (minimum_filter, maximum_filter))
-    limited = np.clip(rate, np.maximum(lowest - beyond, 0.0), highest + beyond)
-    return limited / white_rate(irradiance, camera, physics, display)
+    for rows in strips(y.size, cells.shape[1]):
+        np.clip(rate[rows], *cell_range(cells, y[rows], x), out=rate[rows])
+    rate /= white_rate(irradiance, camera, physics, display)
+    return rate
 
 
 def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, display: Display) -> Array:
@@ -196,7 +227,8 @@ def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, 
     size_um : (height, width) of the picture on the sensor
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     """
-    picture = frame.electrons / white_e
+    picture = frame.electrons
+    picture /= white_e
     if display.raster == "one_to_one":
         return picture
     for axis, um in enumerate(size_um):
@@ -210,8 +242,10 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     """What a display of finite bits and range shows: encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1."""
     top = 2**display.bits - 1
     light = (np.arange(top + 1) / top) ** display.gamma
-    counts = np.rint(top * np.clip(relative_luminance, 0.0, 1.0) ** (1 / display.gamma)).astype(np.int32)
-    return light[counts]
+    counts = np.array(np.clip(relative_luminance, 0.0, 1.0))
+    np.power(counts, 1 / display.gamma, out=counts)
+    counts *= top
+    return light[np.rint(counts, out=counts).astype(np.int32)]
 
 
 def to_xyz(luminance: Array) -> Array:

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.fft import dctn, idctn
 
 from pixsim.errors import refuse
+from pixsim.planes import dct, empty_planes, inverse_dct, strips, strips_of
 from pixsim.spectral import Array
 
 NM_PER_MM = 1e6
@@ -49,8 +49,11 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
 def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float, magnification: float) -> Array:
     """`irradiance_factor` at the centre of each sample of a grid centred on the axis, (H, W)."""
     y_um, x_um = (((np.arange(n) + 0.5) - n / 2) * pitch_um for n in shape)
-    tan_field = np.hypot(x_um[None, :], y_um[:, None]) / (1e3 * image_distance_mm)
-    return irradiance_factor(f_number, tan_field, magnification)
+    factor = np.empty(shape)
+    for rows in strips(*shape):
+        tan_field = np.hypot(x_um[None, :], y_um[rows, None]) / (1e3 * image_distance_mm)
+        factor[rows] = irradiance_factor(f_number, tan_field, magnification)
+    return factor
 
 
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
@@ -99,20 +102,38 @@ def diffract_sum(
 
     In the DCT-II basis a symmetric kernel is diagonal and half-sample reflection is exact: no padding, no dark border.
     The mean is kept. Where the grid is too coarse for the light (OTF not small at its Nyquist frequency) isolated
-    points ring, also below zero. One forward transform a picture, one back for all.
+    points ring, also below zero. One forward transform a picture, one back for all. Beside the pictures, two planes of
+    float64 are in memory, and one where there is one picture.
     """
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
-    radius = np.hypot(fx[None, :], fy[:, None])
-    highest = min(radius[-1, -1], cutoff_cy_per_mm(wavelength_nm.min(), f_number))
+    highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
     lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a table that ends below it would only hold steps too small to divide by
-    table = np.linspace(0.0, max(highest, lowest), OTF_TABLE_SIZE)
+    table, step = np.linspace(0.0, max(highest, lowest), OTF_TABLE_SIZE, retstep=True)
     total: Array | None = None
     for picture, weight in pictures:
         if np.any(weight):
-            spectrum = dctn(np.asarray(picture, float), type=2, workers=workers)
-            spectrum *= np.interp(radius, table, white_otf(table, wavelength_nm, weight, f_number))
-            total = spectrum if total is None else total + spectrum
-    return np.zeros(shape) if total is None else np.asarray(idctn(total, type=2, workers=workers))
+            plane = empty_planes(*shape)
+            plane[...] = picture
+            spectrum = dct(plane, workers)
+            _filter(spectrum, fy / step, fx / step, white_otf(table, wavelength_nm, weight, f_number))
+            if total is None:
+                total = spectrum
+            else:
+                total += spectrum
+    return np.zeros(shape) if total is None else inverse_dct(total, workers)
+
+
+def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None:
+    """Multiply a spectrum (H, W) in place with a radial table, interpolated linearly; frequencies in steps of the table."""
+    rise = np.append(np.diff(otf), 0.0)
+    for rows, radius in strips_of(spectrum.shape):
+        np.sqrt(np.add(x_steps[None, :] ** 2, y_steps[rows, None] ** 2, out=radius), out=radius)
+        np.minimum(radius, otf.size - 1.0, out=radius)
+        below = radius.astype(np.int32)
+        radius -= below
+        radius *= rise[below]
+        radius += otf[below]
+        spectrum[rows] *= radius
 
 
 def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:

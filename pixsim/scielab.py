@@ -19,11 +19,12 @@ from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-import scipy.fft
 
 from pixsim.errors import refuse
+from pixsim.eye_filters import ZHANG1996_SAMPLES_PER_DEG, new_transfer, transfer
+from pixsim.eye_filters import Filters as Filters
+from pixsim.planes import dct, empty_planes, inverse_dct, strips_of
 
-Filters = Literal["published", "zhang1996"]
 Formula = Literal["1976", "1994", "2000"]
 Floats = npt.NDArray[np.float64]
 
@@ -33,20 +34,6 @@ OPPONENT_FROM_XYZ = np.array(
 )
 XYZ_FROM_OPPONENT = np.linalg.inv(OPPONENT_FROM_XYZ).astype(np.float64)
 
-# (weight, spread in degrees) of each Gaussian exp(-r^2 / spread^2), a row per opponent channel: [ZW].
-PUBLISHED_GAUSSIANS = (
-    ((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)),
-    ((0.531, 0.0392), (0.330, 0.494)),
-    ((0.488, 0.0536), (0.371, 0.386)),
-)
-# (weight, full width at half maximum in degrees): [1996].
-ZHANG1996_GAUSSIANS = (
-    ((1.00327, 0.05), (0.114416, 0.225), (-0.117686, 7.0)),
-    ((0.616725, 0.0685), (0.383275, 0.826)),
-    ((0.567885, 0.092), (0.432115, 0.6451)),
-)
-ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
-ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)  # its kernels are a degree long: beyond, they are one sample, or fill the memory
 # CIELAB's f(t) is the cube root above a threshold, and slope t + 16/116 up to it, where L* is dark_slope Y/Yn.
 CIE_LAB = (216 / 24389, 841 / 108, 24389 / 27)  # [CIE]: (6/29)^3, (29/6)^2 / 3, (29/3)^3
 ZHANG1996_LAB = (0.008856, 7.787, 903.3)  # [1996]
@@ -96,9 +83,14 @@ def filtered_lab(
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
     white, exponent = _checked_view(filters, white_xyz, samples_per_deg)
-    planes = np.ldexp(np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0), -exponent, order="C")
-    spectrum = scipy.fft.dctn(_combine(OPPONENT_FROM_XYZ, planes), axes=(1, 2), overwrite_x=True, workers=workers)
-    return _seen(spectrum, white, filters, float(samples_per_deg), workers)
+    planes = np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0)
+    opponent = empty_planes(*planes.shape)
+    for rows, strip in strips_of(planes.shape):
+        np.ldexp(planes[:, rows], -exponent, out=strip)
+        _combine(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
+    spectrum = dct(opponent, workers)
+    spectrum *= transfer(filters, *spectrum.shape[1:], float(samples_per_deg))
+    return _seen(spectrum, XYZ_FROM_OPPONENT / white[:, np.newaxis], filters, workers)
 
 
 def filtered_grey_lab(
@@ -112,15 +104,18 @@ def filtered_grey_lab(
     """`filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white.
 
     Its opponent channels are multiples of one picture, so that one transform serves all three on the way in; each is
-    blurred in its own way, so grey gains chroma and all three are needed on the way out.
+    blurred in its own way, so grey gains chroma and all three are needed on the way out. What turns them into X/Xn, Y/Yn
+    and Z/Zn is in the transfer functions.
     """
     white, _ = _checked_view(filters, white_xyz, samples_per_deg)
     grey = np.asarray(luminance, np.float64)
-    if grey.ndim != 2 or grey.size == 0 or not np.isfinite(grey).all():
+    if grey.ndim != 2 or grey.size == 0 or not _is_finite(grey):
         raise refuse("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
-    opponent = _combine(OPPONENT_FROM_XYZ, white[:, np.newaxis, np.newaxis])
-    spectrum = opponent * scipy.fft.dctn(grey, workers=workers)
-    return _seen(spectrum, white, filters, float(samples_per_deg), workers)
+    picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
+    picture[...] = grey
+    factors = _grey_transfer(filters, *grey.shape, float(samples_per_deg), tuple(white.tolist()))
+    np.multiply(factors, dct(picture, workers), out=spectrum)
+    return _seen(spectrum, None, filters, workers)
 
 
 def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: float) -> tuple[Floats, int]:
@@ -140,12 +135,21 @@ def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: f
     return np.ldexp(white, -exponent), exponent
 
 
-def _seen(spectrum: Floats, white: Floats, filters: Filters, samples_per_deg: float, workers: int) -> Floats:
-    """CIELAB (H, W, 3) from the DCT-II of the opponent channels (3, H, W), which is overwritten."""
-    spectrum *= _transfer(filters, *spectrum.shape[1:], samples_per_deg)
-    blurred = scipy.fft.idctn(spectrum, axes=(1, 2), overwrite_x=True, workers=workers)
-    relative = _combine(XYZ_FROM_OPPONENT / white[:, np.newaxis], blurred)
-    return _lab(relative, *(CIE_LAB if filters == "published" else ZHANG1996_LAB))
+def _seen(spectrum: Floats, relative_from_opponent: Floats | None, filters: Filters, workers: int) -> Floats:
+    """CIELAB (H, W, 3) from the filtered DCT-II of the opponent channels (3, H, W), which is overwritten.
+
+    None: it is that of X/Xn, Y/Yn and Z/Zn.
+    """
+    planes = inverse_dct(spectrum, workers)
+    lab = np.empty(planes.shape)
+    constants = CIE_LAB if filters == "published" else ZHANG1996_LAB
+    for rows, strip in strips_of(planes.shape):
+        if relative_from_opponent is None:
+            np.copyto(strip, planes[:, rows])
+        else:
+            _combine(relative_from_opponent, planes[:, rows], strip)
+        _lab_planes(strip, *constants, out=lab[:, rows])
+    return np.moveaxis(lab, 0, -1)
 
 
 def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
@@ -158,13 +162,22 @@ def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Form
     _check_choice("formula", formula, get_args(Formula))
     reference, test = _checked_pair(lab_reference=lab_reference, lab_test=lab_test)
     if formula == "1976":
-        squared = (test - reference) ** 2
-        return np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2])
+        return _distance(reference, test)
     import colour  # 2.6 s to import: only for those who ask
 
     compare = colour.difference.delta_E_CIE1994 if formula == "1994" else colour.difference.delta_E_CIE2000
     with colour.domain_range_scale("reference"):  # else a caller's global setting would change the result
         return np.asarray(compare(reference, test), np.float64)
+
+
+def _distance(first: Floats, second: Floats) -> Floats:
+    """Euclidean, over the last axis."""
+    total = np.square(np.subtract(first[..., 0], second[..., 0]))
+    for channel in (1, 2):
+        part = np.array(np.subtract(first[..., channel], second[..., channel]))
+        part *= part
+        total = total + part
+    return np.sqrt(total)
 
 
 def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
@@ -176,63 +189,43 @@ def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
 
 def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) -> Floats:
     """(3, ...) planes of X/Xn, Y/Yn, Z/Zn to CIELAB (..., 3)."""
-    f = np.where(relative > threshold, np.cbrt(relative), slope * relative + 16 / 116)
-    lightness = np.where(relative[1] > threshold, 116 * f[1] - 16, dark_slope * relative[1])
-    return np.moveaxis(np.stack([lightness, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])]), 0, -1)
+    planes = np.array(relative).reshape(3, -1)
+    lab = np.empty_like(planes)
+    _lab_planes(planes, threshold, slope, dark_slope, out=lab)
+    return np.moveaxis(lab.reshape(relative.shape), 0, -1)
 
 
-def _combine(matrix: Floats, planes: Floats) -> Floats:
+def _lab_planes(relative: Floats, threshold: float, slope: float, dark_slope: float, out: Floats) -> None:
+    """Planes of X/Xn, Y/Yn, Z/Zn (3, ...), which are overwritten, to planes of L*, a*, b*. Only dark samples pay for darkness."""
+    dark = relative <= threshold if relative.min() <= threshold else np.zeros(0, bool)
+    line = relative[dark] if dark.size else relative[:0]
+    low_y = relative[1, dark[1]] if dark.size else line
+    f = np.cbrt(relative, out=relative)
+    if dark.size:
+        f[dark] = slope * line + 16 / 116
+    np.multiply(f[1], 116, out=out[0])
+    out[0] -= 16
+    np.subtract(f[:2], f[1:], out=out[1:])
+    out[1] *= 500
+    out[2] *= 200
+    if dark.size:
+        out[0, dark[1]] = dark_slope * low_y
+
+
+def _combine(matrix: Floats, planes: Floats, out: Floats) -> None:
     """3x3 matrix times planes (3, H, W), by einsum's own loop: a BLAS product rounds differently with more threads."""
-    return np.asarray(np.einsum("ij,jyx->iyx", matrix, planes, optimize=False))
+    np.einsum("ij,jyx->iyx", matrix, planes, out=out, optimize=False)
 
 
 @lru_cache(maxsize=2)
-def _transfer(filters: Filters, height: int, width: int, samples_per_deg: float) -> Floats:
-    """Each opponent channel's factor for each DCT-II coefficient, (3, height, width)."""
-    terms = _published_terms if filters == "published" else _zhang1996_terms
-    transfer = np.zeros((3, height, width))
-    for channel, plane in enumerate(transfer):
-        along_y, along_x = terms(channel, height, samples_per_deg), terms(channel, width, samples_per_deg)
-        for (weight, fy), (_, fx) in zip(along_y, along_x, strict=True):
-            plane += (weight * fy)[:, np.newaxis] * fx
-    transfer.flags.writeable = False  # it is shared by all calls
+def _grey_transfer(filters: Filters, height: int, width: int, samples_per_deg: float, white: tuple[float, float, float]) -> Floats:
+    """Factors of each DCT-II coefficient of a grey picture for X/Xn, Y/Yn and Z/Zn as they are seen, (3, height, width)."""
+    opponent = (OPPONENT_FROM_XYZ * white).sum(axis=1)
+    transfer = new_transfer(filters, height, width, samples_per_deg)
+    for rows, strip in strips_of(transfer.shape):
+        np.copyto(strip, transfer[:, rows])
+        _combine(XYZ_FROM_OPPONENT / np.array(white)[:, np.newaxis] * opponent, strip, transfer[:, rows])
     return transfer
-
-
-def _published_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
-    """(weight, transfer (samples,) on an axis) of each Gaussian: exp(-x²/s²) becomes exp(-π²s²f²), f in cycles/deg."""
-    frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
-    gaussians = PUBLISHED_GAUSSIANS[channel]
-    gain = sum(weight for weight, _ in gaussians)
-    with np.errstate(over="ignore"):  # exp(-infinity): from so far away only the mean is seen
-        return [(weight / gain, np.exp(-((np.pi * s_deg * frequency_cy_per_deg) ** 2))) for weight, s_deg in gaussians]
-
-
-def _zhang1996_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
-    """The same for [1996]: an even kernel, wrapped on the reflected image's period 2·samples, has a real spectrum."""
-    position = _centred_positions(samples_per_deg).astype(int) % (2 * samples)
-    kernels = [(weight, _zhang1996_kernel(w_deg, samples_per_deg)) for weight, w_deg in ZHANG1996_GAUSSIANS[channel]]
-    wrapped = [(weight, np.bincount(position, kernel, 2 * samples)) for weight, kernel in kernels]
-    return [(weight, scipy.fft.rfft(kernel).real[:samples]) for weight, kernel in wrapped]
-
-
-def _zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
-    """One Gaussian of [1996], one degree long: its sum is 1 as built, but not after thinning to the image's density."""
-    upsampling = max(1, math.ceil(ZHANG1996_BUILD_SAMPLES_PER_DEG / samples_per_deg))
-    position = _centred_positions(samples_per_deg * upsampling)
-    alpha = 2 * math.sqrt(math.log(2)) / (width_deg * samples_per_deg * upsampling - 1)
-    dense = np.exp(-((alpha * position) ** 2))
-    dense /= dense.sum()
-    if upsampling == 1:
-        return dense
-    kept = _centred_positions(samples_per_deg) * upsampling
-    triangle = np.maximum(0, 1 - np.abs(position - kept[:, np.newaxis]) / upsampling)
-    return np.asarray((triangle * dense).sum(axis=1))
-
-
-def _centred_positions(samples_per_deg: float) -> Floats:
-    reach = math.ceil(samples_per_deg / 2) - 1  # so a kernel has 2⌈samples_per_deg / 2⌉ - 1 samples
-    return np.arange(-reach, reach + 1.0)
 
 
 def _checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = None) -> Floats:
@@ -240,12 +233,17 @@ def _checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = 
     if array.ndim != (dimensions or max(array.ndim, 1)) or array.shape[-1] != 3 or array.size == 0:
         allowed = "(H, W, 3), not empty" if dimensions else "(..., 3), not empty"
         raise refuse(f"{name}, shape", array.shape, allowed, "Move the three values last, y and x before them.")
-    finite = np.isfinite(array)
-    if not finite.all():
+    if not _is_finite(array):
+        finite = np.isfinite(array)
         first = np.argwhere(~finite)[0]
         got = f"{array[tuple(first)]} at {first.tolist()} ({np.count_nonzero(~finite)} such of {array.size})"
         raise refuse(name, got, "finite numbers", "Mend them where they arise: a filter would spread them.")
     return array
+
+
+def _is_finite(values: Floats) -> bool:
+    """NaN goes through both extremes: two readings, and no array of truths."""
+    return math.isfinite(values.min()) and math.isfinite(values.max())
 
 
 def _checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tuple[Floats, Floats]:

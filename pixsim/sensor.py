@@ -13,7 +13,7 @@ from pixsim.parameters import Camera, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.pixel_grid import M2_PER_UM2 as M2_PER_UM2
 from pixsim.pixel_grid import MOST_PIXELS as MOST_PIXELS
-from pixsim.pixel_grid import SPLINE_DEGREE as SPLINE_DEGREE
+from pixsim.pixel_grid import Columns as Columns
 from pixsim.pixel_grid import diffracted_rate as diffracted_rate
 from pixsim.pixel_grid import electrons_per_joule as electrons_per_joule
 from pixsim.pixel_grid import ideal_rate as ideal_rate
@@ -67,13 +67,25 @@ def draw_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Ge
     PRNU is normal (cut at zero), DSNU gamma-distributed, since a normal one of 0.3 would go negative.
     """
     p = physics
-    gain = np.maximum(1 + p.prnu * rng.standard_normal(shape), 0.0) if p.prnu else None
+    gain = normal(p.prnu, shape, rng)
+    if gain is not None:
+        gain += 1.0
+        np.maximum(gain, 0.0, out=gain)
     # A spread below the rounding of 1 leaves a map of ones; 1/dsnu² would overflow.
     uneven_dark = p.dsnu > np.finfo(float).eps and p.dark_current_e_per_s > 0
     dark_gain = rng.gamma(p.dsnu**-2, p.dsnu**2, shape) if uneven_dark else None
-    offset_e = p.offset_fpn_e * rng.standard_normal(shape) if p.offset_fpn_e else None
-    column_offset_e = p.column_fpn_e * rng.standard_normal((1, shape[1])) if p.column_fpn_e else None
+    offset_e = normal(p.offset_fpn_e, shape, rng)
+    column_offset_e = normal(p.column_fpn_e, (1, shape[1]), rng)
     return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
+
+
+def normal(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
+    """A normal of mean 0 and that standard deviation; None, and no numbers drawn, where it is 0."""
+    if not spread:
+        return None
+    values = rng.standard_normal(shape)
+    values *= spread
+    return values
 
 
 def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 1.0) -> Sensor:
@@ -120,7 +132,11 @@ class Frame:
         It takes the response for a straight line, as a camera without a linearisation does: with `conversion = "junction"`
         it is off by up to 1.8 % of a 0.35 µm pixel's swing, at every level, and in soft saturation it falls short.
         """
-        return (self.dn.astype(float) - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
+        electrons = self.dn.astype(float)
+        electrons -= self.black_level_dn
+        electrons /= self.dn_per_e
+        electrons -= self.mean_dark_e
+        return electrons
 
     @property
     def saturated_fraction(self) -> float:
@@ -138,7 +154,8 @@ def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
 
 def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
     """Round half to even, clip to 0 … 2^bits - 1. Adds a variance of 1/12 DN² (within 0.3 %) where σ exceeds 0.6 DN."""
-    return np.clip(np.rint(level_dn), 0, 2**bits - 1).astype(np.int32)
+    counts = np.array(np.rint(level_dn))
+    return np.clip(counts, 0, 2**bits - 1, out=counts).astype(np.int32)
 
 
 def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
@@ -152,15 +169,19 @@ def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.G
     charge = mean_e if sensor.gain is None else mean_e * sensor.gain
     mean_dark_e = p.dark_current_e_per_s * integration_s
     if mean_dark_e:
-        charge = charge + (mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain)
+        dark = mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain
+        charge = np.add(charge, dark, out=None if charge is mean_e else charge)
     level = kept_level_e(shot_noise(charge, rng), integration_s, p)
-    temporal_e = math.hypot(p.reset_noise_e, p.read_noise_e)
-    if temporal_e:
-        level += temporal_e * rng.standard_normal(level.shape)
-    for offset_e in (sensor.offset_e, sensor.column_offset_e):
+    for offset_e in (
+        normal(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng),
+        sensor.offset_e,
+        sensor.column_offset_e,
+    ):
         if offset_e is not None:
             level += offset_e
-    return quantise(level * p.dn_per_e + p.pixel.black_level_dn, p.pixel.bits)
+    level *= p.dn_per_e
+    level += p.pixel.black_level_dn
+    return quantise(level, p.pixel.bits)
 
 
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:

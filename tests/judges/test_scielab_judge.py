@@ -28,7 +28,7 @@ import numpy as np
 import pytest
 from gates import not_met, row
 
-from pixsim import scielab
+from pixsim import eye_filters, scielab
 
 DATA = Path(__file__).parents[1] / "data" / "scielab"
 PAIRS = ["constant_offset", "csf_sweep_vs_blur", "dark_noise", "edge_vs_blurred_edge", "redgreen_grating_vs_mean"]
@@ -68,10 +68,10 @@ def from_1996_kernels(samples_per_deg: int, width: float = 1.0) -> np.ndarray:
     with np.load(DATA / "kernels.npz") as kernels:
         return np.concatenate([
             np.ravel([
-                np.sign(weight) * abs(weight) ** 0.5 * scielab._zhang1996_kernel(width * width_deg, samples_per_deg)
+                np.sign(weight) * abs(weight) ** 0.5 * eye_filters.zhang1996_kernel(width * width_deg, samples_per_deg)
                 for weight, width_deg in gaussians
             ] - kernels[f"spd{samples_per_deg}_k{channel + 1}"])
-            for channel, gaussians in enumerate(scielab.ZHANG1996_GAUSSIANS)
+            for channel, gaussians in enumerate(eye_filters.ZHANG1996_GAUSSIANS)
         ])  # fmt: skip
 
 
