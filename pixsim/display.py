@@ -231,7 +231,9 @@ def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, 
     picture /= white_e
     if display.raster == "one_to_one":
         return picture
-    for axis, um in enumerate(size_um):
+    # The shorter way: what is transposed is small.
+    for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
+        um = size_um[axis]
         low_um = um / 2 - picture.shape[axis] / 2 * frame.pitch_um
         edges_um = dot_edges_um(um, size_um[1], frame.pitch_um, display)
         picture = average_axis(picture, frame.pitch_um, low_um, edges_um, SPLINE_DEGREE[display.interpolation], axis)
@@ -245,7 +247,7 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     counts = np.array(np.clip(relative_luminance, 0.0, 1.0))
     np.power(counts, 1 / display.gamma, out=counts)
     counts *= top
-    return light[np.rint(counts, out=counts).astype(np.int32)]
+    return light[np.rint(counts, out=counts).astype(np.intp)]
 
 
 def to_xyz(luminance: Array) -> Array:

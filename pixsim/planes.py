@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LARGEST_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
 CACHE_LINE = 8  # float64 numbers
 STRIP_SAMPLES = 1 << 15  # of float64, 256 KiB: three such, and what is made of them, stay in a core's second cache
 
@@ -39,6 +40,15 @@ def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
         if scratch is None:
             scratch = np.empty((*shape[:-2], rows.stop, shape[-1]))
         yield rows, scratch[..., : rows.stop - rows.start, :]
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep freed arrays of up to 32 MiB for the next ones.
+
+    It gives back what is larger than the largest array freed so far, and to get its pages again takes 2 µs each, a fifth of
+    the time of a picture of 512². Not one page of this array is touched.
+    """
+    np.empty(LARGEST_FREED, np.uint8)
 
 
 def dct(planes: Array, workers: int = 1) -> Array:

@@ -14,6 +14,7 @@ an image may be smaller than the kernel, which then meets repeated reflections.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache, partial
 from typing import Literal, get_args
 
@@ -27,6 +28,7 @@ from pixsim.planes import dct, empty_planes, inverse_dct, strips_of
 
 Formula = Literal["1976", "1994", "2000"]
 Floats = npt.NDArray[np.float64]
+Strips = Iterator[tuple[slice, Floats]]  # rows, and planes (3, rows, W)
 
 # Luminance, red-green, blue-yellow from XYZ: [ZW] and [1996].
 OPPONENT_FROM_XYZ = np.array(
@@ -90,7 +92,7 @@ def filtered_lab(
         _combine(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
     spectrum = dct(opponent, workers)
     spectrum *= transfer(filters, *spectrum.shape[1:], float(samples_per_deg))
-    return _seen(spectrum, XYZ_FROM_OPPONENT / white[:, np.newaxis], filters, workers)
+    return _whole(_seen(spectrum, XYZ_FROM_OPPONENT / white[:, np.newaxis], filters, workers), spectrum.shape)
 
 
 def filtered_grey_lab(
@@ -104,9 +106,36 @@ def filtered_grey_lab(
     """`filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white.
 
     Its opponent channels are multiples of one picture, so that one transform serves all three on the way in; each is
-    blurred in its own way, so grey gains chroma and all three are needed on the way out. What turns them into X/Xn, Y/Yn
-    and Z/Zn is in the transfer functions.
+    blurred in its own way, so grey gains chroma. The transfer functions also turn them into X/Xn, Y/Yn and Z/Zn.
     """
+    spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
+    return _whole(_seen(spectrum, None, filters, workers), spectrum.shape)
+
+
+def grey_delta_e_map(
+    reference_lab: npt.ArrayLike,
+    luminance: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    workers: int = 1,
+) -> Floats:
+    """`delta_e` (1976) of `filtered_grey_lab` from a picture that was filtered once, (H, W, 3), without the grey one's CIELAB."""
+    spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
+    reference = np.moveaxis(_checked_triples("reference_lab", reference_lab, dimensions=3), -1, 0)
+    if reference.shape != spectrum.shape:
+        raise refuse("reference_lab and luminance, shapes", f"{reference.shape[1:]} and {spectrum.shape[1:]}", "equal ones")
+    difference = np.empty(spectrum.shape[1:])
+    for rows, lab in _seen(spectrum, None, filters, workers):
+        _distance(reference[:, rows], lab, difference[rows])
+    return difference
+
+
+def _grey_spectrum(
+    luminance: npt.ArrayLike, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters, workers: int
+) -> Floats:
+    """DCT-II of X/Xn, Y/Yn and Z/Zn of a grey picture as they are seen, (3, H, W)."""
     white, _ = _checked_view(filters, white_xyz, samples_per_deg)
     grey = np.asarray(luminance, np.float64)
     if grey.ndim != 2 or grey.size == 0 or not _is_finite(grey):
@@ -114,8 +143,7 @@ def filtered_grey_lab(
     picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
     picture[...] = grey
     factors = _grey_transfer(filters, *grey.shape, float(samples_per_deg), tuple(white.tolist()))
-    np.multiply(factors, dct(picture, workers), out=spectrum)
-    return _seen(spectrum, None, filters, workers)
+    return np.multiply(factors, dct(picture, workers), out=spectrum)
 
 
 def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: float) -> tuple[Floats, int]:
@@ -135,21 +163,28 @@ def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: f
     return np.ldexp(white, -exponent), exponent
 
 
-def _seen(spectrum: Floats, relative_from_opponent: Floats | None, filters: Filters, workers: int) -> Floats:
-    """CIELAB (H, W, 3) from the filtered DCT-II of the opponent channels (3, H, W), which is overwritten.
+def _seen(spectrum: Floats, relative_from_opponent: Floats | None, filters: Filters, workers: int) -> Strips:
+    """Planes of CIELAB from the filtered DCT-II of the opponent channels (3, H, W), which is overwritten.
 
-    None: it is that of X/Xn, Y/Yn and Z/Zn.
+    None: it is that of X/Xn, Y/Yn and Z/Zn. A strip's memory serves the next strip too.
     """
     planes = inverse_dct(spectrum, workers)
-    lab = np.empty(planes.shape)
     constants = CIE_LAB if filters == "published" else ZHANG1996_LAB
-    for rows, strip in strips_of(planes.shape):
+    for (rows, strip), (_, lab) in zip(strips_of(planes.shape), strips_of(planes.shape), strict=True):
         if relative_from_opponent is None:
             np.copyto(strip, planes[:, rows])
         else:
             _combine(relative_from_opponent, planes[:, rows], strip)
-        _lab_planes(strip, *constants, out=lab[:, rows])
-    return np.moveaxis(lab, 0, -1)
+        _lab_planes(strip, *constants, out=lab)
+        yield rows, lab
+
+
+def _whole(strips: Strips, shape: tuple[int, ...]) -> Floats:
+    """(H, W, 3) from strips of planes (3, H, W)."""
+    planes = np.empty(shape)
+    for rows, strip in strips:
+        planes[:, rows] = strip
+    return np.moveaxis(planes, 0, -1)
 
 
 def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
@@ -162,7 +197,9 @@ def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Form
     _check_choice("formula", formula, get_args(Formula))
     reference, test = _checked_pair(lab_reference=lab_reference, lab_test=lab_test)
     if formula == "1976":
-        return _distance(reference, test)
+        distance = np.empty(reference.shape[:-1])
+        _distance(np.moveaxis(reference, -1, 0), np.moveaxis(test, -1, 0).copy(), distance)
+        return distance[()]
     import colour  # 2.6 s to import: only for those who ask
 
     compare = colour.difference.delta_E_CIE1994 if formula == "1994" else colour.difference.delta_E_CIE2000
@@ -170,14 +207,12 @@ def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Form
         return np.asarray(compare(reference, test), np.float64)
 
 
-def _distance(first: Floats, second: Floats) -> Floats:
-    """Euclidean, over the last axis."""
-    total = np.square(np.subtract(first[..., 0], second[..., 0]))
-    for channel in (1, 2):
-        part = np.array(np.subtract(first[..., channel], second[..., channel]))
-        part *= part
-        total = total + part
-    return np.sqrt(total)
+def _distance(first: Floats, second: Floats, out: Floats) -> None:
+    """Euclidean distance of planes (3, ...); the second ones are overwritten."""
+    np.square(np.subtract(first, second, out=second), out=second)
+    np.add(second[0], second[1], out=out)
+    out += second[2]
+    np.sqrt(out, out=out)
 
 
 def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
@@ -197,19 +232,17 @@ def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) ->
 
 def _lab_planes(relative: Floats, threshold: float, slope: float, dark_slope: float, out: Floats) -> None:
     """Planes of X/Xn, Y/Yn, Z/Zn (3, ...), which are overwritten, to planes of L*, a*, b*. Only dark samples pay for darkness."""
-    dark = relative <= threshold if relative.min() <= threshold else np.zeros(0, bool)
-    line = relative[dark] if dark.size else relative[:0]
-    low_y = relative[1, dark[1]] if dark.size else line
+    linear = relative.copy() if relative.min() <= threshold else None
     f = np.cbrt(relative, out=relative)
-    if dark.size:
-        f[dark] = slope * line + 16 / 116
+    if linear is not None:
+        np.copyto(f, slope * linear + 16 / 116, where=linear <= threshold)
     np.multiply(f[1], 116, out=out[0])
     out[0] -= 16
     np.subtract(f[:2], f[1:], out=out[1:])
     out[1] *= 500
     out[2] *= 200
-    if dark.size:
-        out[0, dark[1]] = dark_slope * low_y
+    if linear is not None:
+        np.copyto(out[0], dark_slope * linear[1], where=linear[1] <= threshold)
 
 
 def _combine(matrix: Floats, planes: Floats, out: Floats) -> None:

@@ -17,13 +17,14 @@ from pixsim import display as displays
 from pixsim.light import refuse_impossible_light
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
+from pixsim.planes import keep_freed_memory
 from pixsim.running_sum import RunningIntegral
-from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab
+from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map
 from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, frame_of, integrate_pixels, running_integral
 from pixsim.spectral import Array, SpectralImage
 
 CLIPPED_WARNING = 0.01
-HISTOGRAM_BINS = 1 << 16
+HISTOGRAM_BINS = 1 << 14
 MOST_KEPT_SAMPLES = 1 << 22  # of a running integral, 32 MiB: a film of 2048²
 
 
@@ -84,13 +85,16 @@ def delta_e_statistics(delta_e_map: Array) -> dict[str, float]:
 def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
     """`np.percentile` of finite values of 0 and more, in a third of the time: a histogram tells where they are."""
     scale = (HISTOGRAM_BINS - 1) / max(float(values.max()), np.finfo(float).tiny * HISTOGRAM_BINS)
-    bin_ = (values * scale).astype(np.intp).ravel()
-    up_to = np.bincount(bin_, minlength=HISTOGRAM_BINS).cumsum()
+    bins = (values * scale).astype(np.uint16).ravel()
+    up_to = np.bincount(bins, minlength=HISTOGRAM_BINS).cumsum()
+    inside: dict[int, Array] = {}
 
     def smallest(rank: int) -> float:
         """The value that `rank` others come before."""
         at = int(np.searchsorted(up_to, rank, "right"))
-        return float(np.sort(values.ravel()[bin_ == at])[rank - (up_to[at - 1] if at else 0)])
+        if at not in inside:
+            inside[at] = np.sort(values.ravel()[bins == at])
+        return float(inside[at][rank - (up_to[at - 1] if at else 0)])
 
     found = []
     for each in percent:
@@ -102,12 +106,13 @@ def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
 
 def seen_lab(shown: Array, display: Display, full: bool = False) -> Array:
     """CIELAB of a shown grey image as the viewer's eye blurs it, (H, W, 3). `full` takes it for a coloured one."""
-    view: dict[str, Any] = {
-        "white_xyz": displays.WHITE_XYZ,
-        "samples_per_deg": display.samples_per_deg,
-        "filters": display.filters,
-    }
+    view = view_of(display)
     return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
+
+
+def view_of(display: Display) -> dict[str, Any]:
+    """What S-CIELAB has to know of a display."""
+    return {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg, "filters": display.filters}
 
 
 @dataclass(frozen=True)
@@ -149,8 +154,13 @@ class Bench:
         white_e = self.white_e_per_s * frame.integration_s
         luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display)
         image = displays.shown_luminance(luminance, self.display)
-        map_ = delta_e(self.ideal_lab, seen_lab(image, self.display, self.full), self.display.delta_e)
-        return Score(map_, self.ideal, image, frame, self.physics)
+        return Score(self.delta_e_of(image), self.ideal, image, frame, self.physics)
+
+    def delta_e_of(self, image: Array) -> Array:
+        """S-CIELAB difference of a shown picture from the ideal one, (H, W)."""
+        if self.display.delta_e == "1976" and not self.full:
+            return grey_delta_e_map(self.ideal_lab, image, **view_of(self.display))
+        return delta_e(self.ideal_lab, seen_lab(image, self.display, self.full), self.display.delta_e)
 
 
 @dataclass(frozen=True)
@@ -199,6 +209,7 @@ def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, di
 
 def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure, display: Display, full: bool = False) -> Bench:
     """A pixel of any pitch under a projection for its response."""
+    keep_freed_memory()
     grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
     signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral)
     return Bench(
