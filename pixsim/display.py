@@ -19,6 +19,7 @@ from pixsim import optics
 from pixsim.errors import refuse
 from pixsim.parameters import Camera, Display
 from pixsim.pixel import PixelPhysics
+from pixsim.pixel_grid import weighted
 from pixsim.planes import strips
 from pixsim.sensor import M2_PER_UM2, MOST_PIXELS, Frame, electrons_per_joule, ideal_rate, pixels_along, point_values
 from pixsim.spectral import Array, SpectralImage, d65
@@ -49,7 +50,7 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
     factor = optics.field_factor(
         irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
     )
-    luminance = irradiance.illuminance_lx()
+    luminance = weighted(irradiance, irradiance.luminous_weight())
     luminance /= factor
     luminance /= camera.transmittance
     white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")
@@ -186,7 +187,7 @@ def cell_range(cells: Array, y: NDArray[np.intp], x: NDArray[np.intp]) -> tuple[
     (height, width), around = cells.shape, np.arange(-2, 3)
     five_rows = cells[np.clip(y + around[:, None], 0, height - 1)]
     columns = np.clip(x + around[:, None], 0, width - 1)
-    inside = (np.clip(y, 2, height - 3) == y)[:, None], np.clip(x, 2, width - 3) == x
+    inside = ((y >= 2) & (y < height - 2))[:, None], (x >= 2) & (x < width - 2)
     beyond = np.where(inside[0], smooth_excess(five_rows).take(x, axis=1), 0.0)
     beyond += np.where(inside[1], smooth_excess(np.stack([five_rows[2].take(each, axis=1) for each in columns])), 0.0)
     rows = five_rows[1:4]

@@ -110,9 +110,10 @@ def diffract_sum(
     lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a table that ends below it would only hold steps too small to divide by
     table, step = np.linspace(0.0, max(highest, lowest), OTF_TABLE_SIZE, retstep=True)
     total: Array | None = None
+    spare: Array | None = None
     for picture, weight in pictures:
         if np.any(weight):
-            plane = empty_planes(*shape)
+            plane = empty_planes(*shape) if spare is None else spare
             plane[...] = picture
             spectrum = dct(plane, workers)
             _filter(spectrum, fy / step, fx / step, white_otf(table, wavelength_nm, weight, f_number))
@@ -120,6 +121,7 @@ def diffract_sum(
                 total = spectrum
             else:
                 total += spectrum
+                spare = spectrum
     return np.zeros(shape) if total is None else inverse_dct(total, workers)
 
 

@@ -55,12 +55,18 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
     """Electrons s⁻¹ µm⁻² of photodiode behind a lens without diffraction, (H, W)."""
-    weight = electrons_per_joule(physics, irradiance)
-    rate = np.empty(irradiance.shape)
-    values_a_row = rate.shape[1] * len(irradiance.factors[0] if irradiance.factors else weight)
-    for rows in strips(rate.shape[0], values_a_row, STRIP_VALUES):
-        np.multiply(rows_of(irradiance, rows).weighted(weight), M2_PER_UM2, out=rate[rows])
+    rate = weighted(irradiance, electrons_per_joule(physics, irradiance))
+    rate *= M2_PER_UM2
     return rate
+
+
+def weighted(irradiance: SpectralImage, weight: Array) -> Array:
+    """`SpectralImage.weighted` a few rows at a time: faster, and without planes to work in."""
+    total = np.empty(irradiance.shape)
+    values_a_row = total.shape[1] * len(irradiance.factors[0] if irradiance.factors else weight)
+    for rows in strips(total.shape[0], values_a_row, STRIP_VALUES):
+        total[rows] = rows_of(irradiance, rows).weighted(weight)
+    return total
 
 
 def rows_of(irradiance: SpectralImage, rows: slice) -> SpectralImage:

@@ -134,10 +134,14 @@ class RunningIntegral:
     @cached_property
     def has_steep_edge(self) -> NDArray[np.bool_]:
         """(columns,): whether light changes by more than `EDGE_CONTRAST` : 1 from one sample of a column to the next."""
-        if len(self.samples) < 2:
-            return np.zeros(self.samples.shape[1], bool)
-        darker, brighter = np.minimum(self.samples[:-1], self.samples[1:]), np.maximum(self.samples[:-1], self.samples[1:])
-        return self.is_light & (brighter > EDGE_CONTRAST * darker).any(axis=0)
+        return np.concatenate([is_steep(strip) for _, strip in strips_of_columns(self.samples)]) & self.is_light
+
+
+def is_steep(samples: Array) -> NDArray[np.bool_]:
+    """`RunningIntegral.has_steep_edge` of a strip."""
+    first, second = samples[:-1], samples[1:]
+    steep: NDArray[np.bool_] = np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)
+    return np.logical_or.reduce(steep, axis=0)
 
 
 def running_integral(samples: Array) -> RunningIntegral:

@@ -273,3 +273,58 @@ def test_a_score_depends_on_its_seed_only():
     one, same, other = (evaluate(irradiance, CAMERA, Pixel(), display=SMALL, seed=seed).delta_e for seed in (3, 3, 4))
     np.testing.assert_array_equal(one, same)
     assert np.mean(one != other) > 0.9
+
+
+# --- Weights and limits ---
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize(("n", "dots"), [(1, 4), (2, 9), (7, 3), (40, 64), (500, 31)])
+def test_weights_are_the_integrals_of_the_line(degree, n, dots):
+    """Against the trapezoidal rule between all bends and jumps, which is exact, also beyond the outermost values."""
+    rng = np.random.default_rng(n)
+    values = rng.normal(size=n)
+    edges = np.sort(rng.uniform(-2, n + 1, dots + 1))
+    bends = np.arange(-3, n + 3) + (0.5 if degree == 0 else 0.0)
+    found = displays.average_axis(values, 1.0, -0.5, edges, degree, 0)
+    for low, high, mean in zip(edges[:-1], edges[1:], found, strict=True):
+        at = np.concatenate([[low], bends[(bends > low) & (bends < high)], [high]])
+        if degree:
+            line = np.interp(at, np.arange(n), values)
+            parts = (line[1:] + line[:-1]) / 2
+        else:
+            parts = values[np.clip(np.rint((at[1:] + at[:-1]) / 2).astype(int), 0, n - 1)]
+        assert mean == pytest.approx((parts * np.diff(at)).sum() / (high - low), abs=1e-12 / (high - low))
+
+
+def test_the_axes_are_averaged_alike():
+    picture = np.random.default_rng(9).uniform(100, 1000, (90, 90))
+    for pixels in (90, 150):  # more dots than pixels, and fewer
+        pitch_um = 678.4 / pixels
+        shown, turned = (
+            displays.frame_luminance(noise_free(each, pitch_um), (pitch_um * 90,) * 2, 1000.0, SMALL)
+            for each in (picture, picture.T)
+        )
+        np.testing.assert_allclose(shown, turned.T, rtol=1e-13)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 9), (5, 4), (12, 11)])
+def test_the_range_of_a_cell_by_hand(shape):
+    rng = np.random.default_rng(10)
+    cells = np.cumsum(rng.uniform(0, 1, shape), axis=1) ** 2 + rng.uniform(0, 0.5, shape)
+    y, x = rng.integers(0, shape[0], 6), rng.integers(0, shape[1], 5)
+    least, most = displays.cell_range(cells, y, x)
+
+    def excess(line: np.ndarray, at: int) -> float:
+        """Half of the smallest of three second differences of one sign."""
+        if not 2 <= at < line.size - 2:
+            return 0.0
+        second = [line[k - 1] - 2 * line[k] + line[k + 1] for k in (at - 1, at, at + 1)]
+        return min(map(abs, second)) / 2 if min(second) > 0 or max(second) < 0 else 0.0
+
+    for i, row in enumerate(y):
+        for j, column in enumerate(x):
+            around = cells[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+            beyond = excess(cells[:, column], row) + excess(cells[row], column)
+            assert most[i, j] == pytest.approx(around.max() + beyond, rel=1e-12)
+            assert least[i, j] == pytest.approx(max(around.min() - beyond, 0.0), rel=1e-12, abs=1e-12)

@@ -298,3 +298,26 @@ def test_what_cannot_be_meant_is_refused_with_the_way_out(wrong, parts):
 def test_differences_refuse_what_would_broadcast():
     with pytest.raises(PixsimError, match=r"lab_reference and lab_test.*\(1, 3\).*\(2, 3\)"):
         scielab.delta_e(np.zeros((1, 3)), np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("filters", ["published", "zhang1996"])
+def test_strips_and_the_fused_difference_are_the_whole(monkeypatch, filters):
+    """Dark samples and bright ones, in strips of one row: the same as pictures in three channels, whole."""
+    rng = np.random.default_rng(12)
+    first, second = rng.uniform(0, 1, (2, 20, 13)) ** 4
+    second[:4] -= 0.01
+    view = {"white_xyz": D65, "samples_per_deg": 23.0, "filters": filters}
+    reference = scielab.filtered_lab(first[..., None] * D65, **view)
+    seen = scielab.filtered_lab(second[..., None] * D65, **view)
+    expected = np.sqrt(((reference - seen) ** 2).sum(axis=-1))
+    monkeypatch.setattr("pixsim.planes.STRIP_SAMPLES", 13)
+    np.testing.assert_array_equal(scielab.filtered_lab(first[..., None] * D65, **view), reference)
+    found = scielab.grey_delta_e_map(reference, second, **view)
+    assert (seen[..., 0] < 8).any()  # on CIELAB's straight line
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(scielab.delta_e(reference, seen), expected, rtol=0, atol=1e-12)
+
+
+def test_a_picture_of_another_shape_is_refused():
+    with pytest.raises(PixsimError, match=r"reference_lab and luminance, shapes: got \(2, 3\) and \(3, 2\)"):
+        scielab.grey_delta_e_map(np.zeros((2, 3, 3)), np.zeros((3, 2)), white_xyz=D65, samples_per_deg=23.0)

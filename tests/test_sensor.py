@@ -464,3 +464,29 @@ def test_a_sensor_of_another_shape_is_refused():
     sensor = sensors.make_sensor(Pixel(pitch_um=20), Camera(die_mm=2.0))
     with pytest.raises(PixsimError, match=r"sensor: got \(100, 100\) pixels .*\(135, 135\).*Make the sensor"):
         sensors.capture(even_light(np.ones((1, 3)), [1.0]), Camera(), sensor, rng=seeded(0))
+
+
+@pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
+def test_a_frame_is_the_chain_stage_by_stage(technology):
+    """Each stage written out, with the same numbers drawn in the same order: the same codes, bit for bit."""
+    p = derive(Pixel(technology=technology, pitch_um=6.5, well_limit="swing"))
+    mean_e = np.random.default_rng(1).uniform(0, 0.5 * p.full_well_e, (40, 30))
+    kept = mean_e.copy()
+    sensor = sensors.draw_sensor(p, mean_e.shape, np.random.default_rng(2))
+    found = sensors.expose(mean_e, 0.05, sensor, np.random.default_rng(3))
+    np.testing.assert_array_equal(mean_e, kept)
+
+    rng = np.random.default_rng(2)
+    gain = np.maximum(1 + p.prnu * rng.standard_normal(mean_e.shape), 0) if p.prnu else 1.0
+    dark = p.dark_current_e_per_s * 0.05
+    if p.dsnu and dark:
+        dark = dark * rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape)
+    offset = [p.offset_fpn_e * rng.standard_normal(mean_e.shape)] if p.offset_fpn_e else []
+    offset += [p.column_fpn_e * rng.standard_normal((1, 30))] if p.column_fpn_e else []
+    rng = np.random.default_rng(3)
+    level = np.minimum(rng.poisson(mean_e * gain + dark).astype(float), p.full_well_e)
+    level = level + np.hypot(p.reset_noise_e, p.read_noise_e) * rng.standard_normal(mean_e.shape)
+    for each in offset:
+        level = level + each
+    dn = np.clip(np.rint(level * p.dn_per_e + p.pixel.black_level_dn), 0, 2**p.pixel.bits - 1)
+    np.testing.assert_array_equal(found, dn.astype(np.int32))

@@ -1,0 +1,87 @@
+"""Integrals between cell means: SciPy's own spline, strips of any width, columns made when asked for, and memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+from pixsim import running_sum
+from pixsim.pixel_grid import integrate_axis, integrate_pixels, point_values
+from pixsim.running_sum import Columns, running_integral
+
+
+def smooth(shape: tuple[int, int], seed: int = 1) -> np.ndarray:
+    return 1 + np.cumsum(np.random.default_rng(seed).uniform(-0.01, 0.01, shape), axis=1)
+
+
+def mixed(shape: tuple[int, int] = (30, 41)) -> np.ndarray:
+    """Smooth, with a star and an edge in some columns and rows, and darkness below zero in others."""
+    picture = smooth(shape)
+    picture[7, 5] = 1e6
+    picture[12:20, 11] = 1e-9
+    picture[:, 30:33] -= 1.5
+    return picture
+
+
+def by_scipy(samples: np.ndarray, degree: int):
+    running = np.concatenate([np.zeros((1, samples.shape[1])), np.cumsum(samples, axis=0)])
+    return make_interp_spline(np.arange(len(samples) + 1.0), running, k=degree, axis=0)
+
+
+@pytest.mark.parametrize(("n", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (5, 5), (6, 5), (40, 5), (301, 5)])
+def test_the_spline_is_scipys(n, degree):
+    samples = smooth((n, 3))
+    spline, at = by_scipy(samples, degree), np.sort(np.random.default_rng(2).uniform(0, n, 50))
+    found = integrate_axis(samples, 1.0, at[:25], at[25:], 0)
+    np.testing.assert_allclose(found, spline(at[25:]) - spline(at[:25]), rtol=0, atol=4e-15 * n)
+    exact = spline.derivative()(at)
+    np.testing.assert_allclose(point_values(samples, 1.0, at, np.arange(3) + 0.5)[:, 1], _across(exact)[:, 1], atol=1e-12 * n)
+
+
+def _across(columns: np.ndarray) -> np.ndarray:
+    """The same along the other axis, at the middle of each of three cells."""
+    return by_scipy(columns.T, 3).derivative()(np.arange(3) + 0.5).T
+
+
+@pytest.mark.parametrize("picture", [smooth((33, 50)), mixed()], ids=["smooth", "edges"])
+@pytest.mark.parametrize(("pitch_um", "side_um"), [(0.7, 0.5), (3.1, 3.1)])
+def test_strips_and_columns_on_demand_change_nothing(monkeypatch, picture, pitch_um, side_um):
+    whole = integrate_pixels(picture, 1.0, pitch_um, side_um)
+    kept = integrate_pixels(picture, 1.0, pitch_um, side_um, running_integral(picture))
+    points = point_values(picture, 1.0, np.arange(5.0), np.arange(7.0))
+    monkeypatch.setattr(running_sum, "STRIP_COLUMNS", 3)
+    asked: list[tuple[int, int]] = []
+
+    def columns(first: int, last: int) -> np.ndarray:
+        asked.append((first, last))
+        return picture[:, first:last]
+
+    width = picture.shape[1]
+    scale = np.abs(whole).max()
+    for found in (
+        integrate_pixels(picture, 1.0, pitch_um, side_um),
+        integrate_pixels(picture, 1.0, pitch_um, side_um, running_integral(picture)),
+        integrate_pixels(Columns(picture.shape, columns), 1.0, pitch_um, side_um),
+        kept,
+    ):
+        assert np.abs(found - whole).max() < 1e-13 * scale
+    assert np.abs(point_values(picture, 1.0, np.arange(5.0), np.arange(7.0)) - points).max() < 1e-12 * np.abs(points).max()
+    assert asked == [(first, min(first + 3, width)) for first in range(0, width, 3)]
+
+
+def test_each_column_is_limited_for_itself():
+    # An edge in one column leaves its neighbours as they would be alone; the limit is at work in the one with the edge.
+    picture, edges = mixed(), np.arange(0.0, 29.0, 0.37)
+    together = integrate_axis(picture, 1.0, edges, edges + 0.3, 0)
+    alone = np.hstack([integrate_axis(picture[:, k : k + 1], 1.0, edges, edges + 0.3, 0) for k in range(41)])
+    np.testing.assert_array_equal(together, alone)
+    spline = by_scipy(picture, 5)
+    change = np.abs(together - (spline(edges + 0.3) - spline(edges))).max(axis=0)
+    assert np.flatnonzero(change > 1e-9).tolist() == [5, 11]
+
+
+def test_single_precision_is_read_a_strip_at_a_time(monkeypatch):
+    picture = smooth((20, 9)).astype(np.float32)
+    monkeypatch.setattr(running_sum, "STRIP_COLUMNS", 2)
+    np.testing.assert_array_equal(integrate_pixels(picture, 1.0, 2.3, 1.1), integrate_pixels(picture.astype(float), 1.0, 2.3, 1.1))

@@ -1,0 +1,133 @@
+"""The score's own arithmetic, and the memory of everything after the render."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from pixsim import display as displays
+from pixsim import optics, score
+from pixsim.charts import csf_value
+from pixsim.parameters import Camera, Display, Exposure, Pixel
+from pixsim.pixel import derive
+from pixsim.pixel_grid import diffracted_rate, ideal_rate, integrate_pixels
+from pixsim.running_sum import Columns
+from pixsim.scielab import delta_e, filtered_lab
+from pixsim.spectral import SpectralImage, d65
+
+NM = np.arange(400.0, 721.0, 10)
+CAMERA = Camera(die_mm=2.7136)
+
+
+def chart(n: int, header: bool = True) -> SpectralImage:
+    """The CSF chart under D65, at 1000 cd/m² behind f/4 or so."""
+    at = (np.arange(n, dtype=np.float32) + 0.5) / n
+    picture = csf_value(at, at[:, None]).astype(np.float32)
+    told = {"luminance_cd_per_m2": 1000.0} if header else {}
+    return SpectralImage(NM, 10.0, 2713.6 / n, factors=(6e-6 * d65(NM), picture[None]), header=told)
+
+
+# --- Percentiles ---
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.random.default_rng(1).gamma(2, 1, (64, 47)),
+        np.append(np.random.default_rng(2).uniform(0, 1, 5000), 1e9),  # all others in one bin
+        np.repeat([0.0, 1.0, 2.0], [60, 35, 7]),
+        np.zeros((5, 5)),
+        np.array([[3.0]]),
+        np.array([1e-300, 0.0]),
+        np.array([1e308, 3.0, 1e307]),
+    ],
+)
+def test_percentiles_are_numpys(values):
+    percent = (0, 1.7, 50, 90, 99, 100)
+    np.testing.assert_allclose(score.percentiles(values, percent), np.percentile(values, percent), rtol=1e-14)
+
+
+# --- One way and another ---
+
+
+def test_a_score_is_the_difference_of_the_two_shown_pictures():
+    """Through XYZ in three channels with two whole CIELAB pictures, as a stranger would."""
+    display = Display(dots=128)
+    found = score.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
+    view = {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg}
+    ideal, image = (filtered_lab(displays.to_xyz(each), **view) for each in (found.ideal, found.image))
+    np.testing.assert_allclose(found.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.delta_e, delta_e(ideal, image), rtol=0, atol=1e-10)
+
+
+def test_a_running_integral_too_large_to_keep_changes_nothing(monkeypatch):
+    physics, display = derive(Pixel(pitch_um=15.0)), Display(dots=128)
+    light = score.project(chart(256), CAMERA, physics, display)
+    kept = score.bench_of(light, physics, Exposure(), display).signal_e_per_s
+    assert light.running_integral is not None
+    monkeypatch.setattr(score, "MOST_KEPT_SAMPLES", 256**2 - 1)
+    light = score.project(chart(256), CAMERA, physics, display)
+    assert light.running_integral is None
+    np.testing.assert_allclose(score.bench_of(light, physics, Exposure(), display).signal_e_per_s, kept, rtol=1e-13)
+
+
+@pytest.mark.parametrize("bands", [0, 5])
+def test_the_light_is_weighed_in_strips_as_in_one_piece(monkeypatch, bands):
+    image = chart(40)
+    if bands:
+        image = SpectralImage(NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands)))
+    monkeypatch.setattr("pixsim.pixel_grid.STRIP_VALUES", 100)
+    weight = np.random.default_rng(4).normal(size=image.wavelength_nm.size)
+    exact = np.einsum("yxb,b->yx", image.data.astype(float), weight)
+    found = score.displays.weighted(image, weight)
+    # The bands of a factored image are rounded to float32 where they are asked for.
+    np.testing.assert_allclose(found, exact, rtol=0, atol=(1e-6 if not bands else 1e-14) * np.abs(exact).max())
+
+
+# --- Memory ---
+
+
+def peak_planes(work, samples: int) -> float:
+    """Memory that work takes at its peak, what it returns included, over that of a float64 picture."""
+    work()  # tables that are kept
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1] / (8 * samples)
+    finally:
+        tracemalloc.stop()
+
+
+def test_large_films_need_little_more_than_one_plane():
+    """2048² and more must not need 2.5 planes beside the float32 picture; what is returned is one of them, or less."""
+    n, physics, display = 1536, derive(Pixel(pitch_um=5.3)), Display(dots=256)
+    image, silent = chart(n), chart(n, header=False)
+    light = score.project(image, CAMERA, physics, display)
+    rate = light.rate_e_per_s_um2
+    grid = light.sample_pitch_um, 5.3, 3.0
+    on_demand = Columns(rate.shape, lambda first, last: rate[:, first:last])
+    works = {
+        "project": (lambda: score.project(image, CAMERA, physics, display), 1.1, 1.6),
+        "ideal_rate": (lambda: ideal_rate(image, physics), 1.0, 1.5),
+        "diffraction": (lambda: diffracted_rate(image, CAMERA, physics), 1.0, 1.3),
+        "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),
+        "pixels on demand": (lambda: integrate_pixels(on_demand, *grid), 0.4, 0.8),
+        "ideal image": (lambda: displays.ideal_luminance(image, CAMERA, physics, display), 1.0, 1.6),
+        "white": (lambda: displays.measured_white(silent, CAMERA), 2.0, 2.4),
+        "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
+    }
+    with pytest.warns(UserWarning, match="does not tell its white"):
+        found = {name: peak_planes(work, n * n) for name, (work, _, _) in works.items()}
+    wrong = {name: each for name, each in found.items() if not works[name][1] <= each <= works[name][2]}
+    assert not wrong, found
+
+
+def test_many_bands_need_two_planes_beside_them():
+    n = 512
+    data = np.ones((n, n, 7), np.float32)
+    image = SpectralImage(NM[:7], 10.0, 2.65, data=data)
+    physics = derive(Pixel())
+    # Two planes, tables of 32768 frequencies and strips of an eighth of this plane.
+    assert 2.0 < peak_planes(lambda: diffracted_rate(image, CAMERA, physics), n * n) < 3.0
