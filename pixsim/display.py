@@ -245,7 +245,7 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     """What a display of finite bits and range shows: encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1."""
     top = 2**display.bits - 1
     light = (np.arange(top + 1) / top) ** display.gamma
-    counts = np.array(np.clip(relative_luminance, 0.0, 1.0))
+    counts = np.asarray(np.clip(relative_luminance, 0.0, 1.0))
     np.power(counts, 1 / display.gamma, out=counts)
     counts *= top
     return light[np.rint(counts, out=counts).astype(np.intp)]

@@ -18,7 +18,16 @@ from pixsim.parameters import Camera
 from pixsim.pixel import PixelPhysics
 from pixsim.planes import strips
 from pixsim.running_sum import Columns as Columns
-from pixsim.running_sum import RunningIntegral, along, slopes_at, spline_coefficients, values_at
+from pixsim.running_sum import (
+    along,
+    difference,
+    is_steep,
+    rising,
+    slopes_at,
+    spline_coefficients,
+    values_at,
+    without_ringing,
+)
 from pixsim.running_sum import running_integral as running_integral
 from pixsim.spectral import Array, SpectralImage, photons_per_joule
 
@@ -103,29 +112,31 @@ def refuse_too_many(shape: Iterable[int], pitch_um: float) -> None:
 
 
 def integrate_axis(
-    samples: Array | Columns,
-    sample_pitch_um: float,
-    low_um: Array,
-    high_um: Array,
-    axis: int,
-    running: RunningIntegral | None = None,
+    samples: Array | Columns, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int, running: Array | None = None
 ) -> Array:
     """Integral of lines of cell means between pairs of positions, along one axis, in (sample unit) · µm.
 
     What lies between neighbouring edges is counted once and only once, so the sum is conserved. At an edge of great contrast
-    the spline would ring into the dark side, and below zero: a line with one is limited. `running`: `running_integral` of the
-    samples, where it is at hand; axis 0 only.
+    the spline would ring into the dark side, and below zero: a picture with one is limited, everywhere. `running`:
+    `running_integral` of the samples, where it is at hand; axis 0 only.
     """
-    n = samples.shape[axis]
-    edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, n)
-    at_edges = values_at(edges, n)
-    if running is not None:
-        return running.between(edges, at_edges) * sample_pitch_um
+    edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
+    at_edges = values_at(edges, samples.shape[axis])
+    below_zero: list[bool] = []
+    ringing: list[bool] = []
 
-    def integrals(strip: Array) -> Array:
-        return RunningIntegral(strip, spline_coefficients(strip)).between(edges, at_edges) * sample_pitch_um
+    def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
+        sums = at_edges @ (spline_coefficients(strip) if running is None else running[:, which])
+        found = difference(rising(without_ringing(sums, strip, edges), edges) if limited else sums)
+        below_zero.append(bool(strip.min() < 0))
+        ringing.append(bool(found.min() < 0) or is_steep(strip))
+        return found * sample_pitch_um
 
-    return along(samples, axis, low_um.size, integrals)
+    found = along(samples, axis, low_um.size, integrals)
+    if any(ringing) and not any(below_zero):
+        del found
+        return along(samples, axis, low_um.size, partial(integrals, limited=True))
+    return found
 
 
 def point_values(samples: Array, sample_pitch_um: float, y_um: Array, x_um: Array) -> Array:
@@ -137,7 +148,7 @@ def point_values(samples: Array, sample_pitch_um: float, y_um: Array, x_um: Arra
     return values
 
 
-def points_of(slopes: csr_array, strip: Array) -> Array:
+def points_of(slopes: csr_array, _: slice, strip: Array) -> Array:
     """Of columns of cell means (n, columns), the picture at the points of `slopes_at`."""
     return slopes @ spline_coefficients(strip)
 
@@ -147,7 +158,7 @@ def integrate_pixels(
     sample_pitch_um: float,
     pitch_um: float,
     photodiode_side_um: float,
-    running: RunningIntegral | None = None,
+    running: Array | None = None,
 ) -> Array:
     """Integrate a picture over square, centred photodiodes of an array that is centred on it.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 import scipy.fft
@@ -20,6 +21,7 @@ def empty_planes(*shape: int) -> Array:
 
     Rows a power of two apart fall on the same few lines of the caches, which makes a transform along columns 3 times as long.
     """
+    keep_freed_memory()
     lines = -(-shape[-1] // CACHE_LINE) | 1
     return np.empty((*shape[:-1], lines * CACHE_LINE))[..., : shape[-1]]
 
@@ -42,6 +44,7 @@ def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
         yield rows, scratch[..., : rows.stop - rows.start, :]
 
 
+@cache
 def keep_freed_memory() -> None:
     """Let glibc keep freed arrays of up to 32 MiB for the next ones.
 

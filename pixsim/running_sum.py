@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +29,8 @@ SPLINE_DEGREE = 5  # of the running integral: 0.02 % contrast error at 60 lp/mm 
 class Columns:
     """A picture (H, W) of which columns are made when they are asked for, so that it is never whole in memory.
 
-    columns : gives columns first … last - 1, (H, last - first), of any real type. Each is asked for once, in order,
-        `STRIP_COLUMNS` at a time (fewer at the end).
+    columns : gives columns first … last - 1, (H, last - first), of any real type. They are asked for in order, `STRIP_COLUMNS`
+        at a time (fewer at the end), once; and all of them once more where light would ring below zero at an edge.
     """
 
     shape: tuple[int, int]
@@ -45,8 +45,8 @@ def strips_of_columns(picture: Array | Columns) -> Iterator[tuple[slice, Array]]
         yield slice(first, last), np.asarray(strip, float)
 
 
-def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[Array], Array]) -> Array:
-    """What `of_columns`, (n, columns) -> (count, columns), makes of a picture (H, W) along an axis, strip by strip.
+def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
+    """What `of_columns`, (which, (n, columns)) -> (count, columns), makes of a picture (H, W) along an axis, strip by strip.
 
     Beside the picture and the result only a strip is in memory.
     """
@@ -54,7 +54,7 @@ def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[
         return along(picture.T, 0, count, of_columns).T
     found = np.empty((count, picture.shape[1]))
     for which, strip in strips_of_columns(picture):
-        found[:, which] = of_columns(strip)
+        found[:, which] = of_columns(which, strip)
     return found
 
 
@@ -106,50 +106,15 @@ def slopes_at(positions: Array, n: int) -> csr_array:
     return csr_array(hstack([zero, lower]) - hstack([lower, zero]))
 
 
-@dataclass(frozen=True)
-class RunningIntegral:
-    """Of columns of cell means (n, columns): `running_integral` makes it."""
-
-    samples: Array
-    coefficients: Array  # (n + 1, columns)
-
-    def between(self, edges: Array, at_edges: csr_array) -> Array:
-        """Integrals from the first to the second half of `edges` (2 m,), in cells, of each column: (m, columns).
-
-        What lies between neighbouring edges is counted once and only once, so the sum is conserved. At an edge of great
-        contrast the spline would ring into the dark side, and below zero: columns with one are limited.
-        """
-        running = at_edges @ self.coefficients
-        found = difference(running)
-        if (ringing := np.flatnonzero(self.has_steep_edge | (self.is_light & (found.min(axis=0) < 0)))).size:
-            limited = without_ringing(running[:, ringing], self.samples[:, ringing], edges)
-            found[:, ringing] = difference(rising(limited, edges))
-        return found
-
-    @cached_property
-    def is_light(self) -> NDArray[np.bool_]:
-        """(columns,): whether a column is nowhere negative."""
-        return self.samples.min(axis=0) >= 0
-
-    @cached_property
-    def has_steep_edge(self) -> NDArray[np.bool_]:
-        """(columns,): whether light changes by more than `EDGE_CONTRAST` : 1 from one sample of a column to the next."""
-        return np.concatenate([is_steep(strip) for _, strip in strips_of_columns(self.samples)]) & self.is_light
+def running_integral(samples: Array) -> Array:
+    """`spline_coefficients` of all columns of a picture (n, columns), strip by strip."""
+    return along(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
 
 
-def is_steep(samples: Array) -> NDArray[np.bool_]:
-    """`RunningIntegral.has_steep_edge` of a strip."""
+def is_steep(samples: Array) -> bool:
+    """Whether light changes by more than `EDGE_CONTRAST` : 1 from one sample of a column to the next."""
     first, second = samples[:-1], samples[1:]
-    steep: NDArray[np.bool_] = np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)
-    return np.logical_or.reduce(steep, axis=0)
-
-
-def running_integral(samples: Array) -> RunningIntegral:
-    """Quintic splines through the running sums of columns of cell means (n, columns), which are exact at cell borders."""
-    coefficients = np.empty((len(samples) + 1, samples.shape[1]))
-    for which, strip in strips_of_columns(samples):
-        coefficients[:, which] = spline_coefficients(strip)
-    return RunningIntegral(samples, coefficients)
+    return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
 
 
 def difference(running: Array) -> Array:

@@ -123,12 +123,15 @@ def grey_delta_e_map(
 ) -> Floats:
     """`delta_e` (1976) of `filtered_grey_lab` from a picture that was filtered once, (H, W, 3), without the grey one's CIELAB."""
     spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
-    reference = np.moveaxis(_checked_triples("reference_lab", reference_lab, dimensions=3), -1, 0)
-    if reference.shape != spectrum.shape:
-        raise refuse("reference_lab and luminance, shapes", f"{reference.shape[1:]} and {spectrum.shape[1:]}", "equal ones")
+    reference, shape = np.asarray(reference_lab, np.float64), (*spectrum.shape[1:], 3)
+    if reference.shape != shape:
+        raise refuse("reference_lab, shape", reference.shape, str(shape), "Resample one image to the raster of the other.")
+    reference = np.moveaxis(reference, -1, 0)
     difference = np.empty(spectrum.shape[1:])
     for rows, lab in _seen(spectrum, None, filters, workers):
         _distance(reference[:, rows], lab, difference[rows])
+    if not _is_finite(difference):
+        _checked_triples("reference_lab", reference_lab)
     return difference
 
 
@@ -164,10 +167,7 @@ def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: f
 
 
 def _seen(spectrum: Floats, relative_from_opponent: Floats | None, filters: Filters, workers: int) -> Strips:
-    """Planes of CIELAB from the filtered DCT-II of the opponent channels (3, H, W), which is overwritten.
-
-    None: it is that of X/Xn, Y/Yn and Z/Zn. A strip's memory serves the next strip too.
-    """
+    """Planes of CIELAB, in one memory, from the filtered DCT-II (3, H, W) of the opponent channels, or of X/Xn, Y/Yn and Z/Zn."""
     planes = inverse_dct(spectrum, workers)
     constants = CIE_LAB if filters == "published" else ZHANG1996_LAB
     for (rows, strip), (_, lab) in zip(strips_of(planes.shape), strips_of(planes.shape), strict=True):

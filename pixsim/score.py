@@ -17,8 +17,6 @@ from pixsim import display as displays
 from pixsim.light import refuse_impossible_light
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
-from pixsim.planes import keep_freed_memory
-from pixsim.running_sum import RunningIntegral
 from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map
 from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, frame_of, integrate_pixels, running_integral
 from pixsim.spectral import Array, SpectralImage
@@ -180,7 +178,7 @@ class Projection:
     ideal_lab: Array = field(repr=False)
 
     @cached_property
-    def running_integral(self) -> RunningIntegral | None:
+    def running_integral(self) -> Array | None:
         """Down the picture: it takes longer than all that a pitch adds. None where it is too large to be kept."""
         return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MOST_KEPT_SAMPLES else None
 
@@ -209,7 +207,6 @@ def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, di
 
 def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure, display: Display, full: bool = False) -> Bench:
     """A pixel of any pitch under a projection for its response."""
-    keep_freed_memory()
     grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
     signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral)
     return Bench(

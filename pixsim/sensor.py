@@ -154,7 +154,7 @@ def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
 
 def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
     """Round half to even, clip to 0 … 2^bits - 1. Adds a variance of 1/12 DN² (within 0.3 %) where σ exceeds 0.6 DN."""
-    counts = np.array(np.rint(level_dn))
+    counts = np.asarray(np.rint(level_dn))
     return np.clip(counts, 0, 2**bits - 1, out=counts).astype(np.int32)
 
 

@@ -319,5 +319,12 @@ def test_strips_and_the_fused_difference_are_the_whole(monkeypatch, filters):
 
 
 def test_a_picture_of_another_shape_is_refused():
-    with pytest.raises(PixsimError, match=r"reference_lab and luminance, shapes: got \(2, 3\) and \(3, 2\)"):
+    with pytest.raises(PixsimError, match=r"reference_lab, shape: got \(2, 3, 3\); allowed: \(3, 2, 3\)"):
         scielab.grey_delta_e_map(np.zeros((2, 3, 3)), np.zeros((3, 2)), white_xyz=D65, samples_per_deg=23.0)
+
+
+def test_a_reference_that_is_not_finite_is_refused():
+    reference = np.zeros((2, 3, 3))
+    reference[1, 2, 0] = np.nan
+    with pytest.raises(PixsimError, match=r"reference_lab: got nan at \[1, 2, 0\]"):
+        scielab.grey_delta_e_map(reference, np.zeros((2, 3)), white_xyz=D65, samples_per_deg=23.0)

@@ -1,0 +1,214 @@
+"""Time of the kernels after the render: their targets, how much faster they are than plain ones, and what cannot be saved.
+
+    python tests/benchmarks/kernels.py
+
+Medians of wall times in one process, plain and own side by side, so that ratios hold on a busy machine. The plain side is
+what NumPy and SciPy give a newcomer: convolutions by padded FFT, one a Gaussian, channel, picture or band; a noise stage
+after the other; an interpolator for the display. The unavoidable parts of an evaluation (one sensor at one pitch) are its
+random numbers, transforms and cube roots alone, of the same sizes, in the fastest way known here: padded planes, in place.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.signal import fftconvolve
+
+from pixsim import optics, scielab
+from pixsim.charts import csf_value
+from pixsim.display import WHITE_XYZ, frame_luminance
+from pixsim.eye_filters import PUBLISHED_GAUSSIANS
+from pixsim.parameters import Camera, Display, Exposure, Pixel
+from pixsim.pixel import PixelPhysics, derive
+from pixsim.pixel_grid import diffracted_rate
+from pixsim.planes import dct, empty_planes, inverse_dct
+from pixsim.score import Bench, bench_of, project, stream
+from pixsim.sensor import capture_rate, draw_sensor
+from pixsim.spectral import SpectralImage, d65
+
+Work = Callable[[], object]
+NM = np.arange(400.0, 701.0, 10.0)
+DIE_MM = 2.7136
+CAMERA, DISPLAY, EXPOSURE = Camera(die_mm=DIE_MM), Display(), Exposure()
+PITCHES_UM = (5.3, 6.5, 15.0)
+MOST_TIMES_PARTS = 2.0
+SPREADS = 3  # of the widest Gaussian that a sampled kernel reaches
+
+
+def median_s(work: Work, repeats: int = 11) -> float:
+    work()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds)
+
+
+def once_s(work: Work) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def chart(n: int) -> SpectralImage:
+    """The CSF chart under D65, white at 1000 cd/m²."""
+    at = (np.arange(n) + 0.5) / n
+    picture = csf_value(at, at[:, None]).astype(np.float32)
+    one = SpectralImage(NM, 10.0, 1.0, factors=(d65(NM), np.ones((1, 1, 1))))
+    white_lx = 1000.0 * float(optics.irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))
+    spectrum = d65(NM) * white_lx / one.illuminance_lx()[0, 0]
+    header = {"luminance_cd_per_m2": 1000.0}
+    return SpectralImage(NM, 10.0, 1e3 * DIE_MM / n, factors=(spectrum, picture[None]), header=header)
+
+
+def bands(n: int) -> SpectralImage:
+    data = np.random.default_rng(1).uniform(0, 1, (n, n, NM.size)).astype(np.float32)
+    return SpectralImage(NM, 10.0, 1e3 * DIE_MM / n, data=data)
+
+
+# --- Plain implementations ---
+
+
+def plain_blur(plane: np.ndarray, gaussians: tuple[tuple[float, float], ...], samples_per_deg: float) -> np.ndarray:
+    """Sampled kernels of unit sum, one convolution each, reflected at the borders."""
+    total = np.zeros(plane.shape)
+    for weight, spread_deg in gaussians:
+        reach = min(int(np.ceil(SPREADS * spread_deg * samples_per_deg)), min(plane.shape))
+        position = np.arange(-reach, reach + 1) / (spread_deg * samples_per_deg)
+        kernel = np.exp(-(position[:, None] ** 2 + position**2))
+        total += weight * fftconvolve(np.pad(plane, reach, mode="symmetric"), kernel / kernel.sum(), mode="valid")
+    return total / sum(weight for weight, _ in gaussians)
+
+
+def plain_lab(xyz: np.ndarray, white: np.ndarray, samples_per_deg: float) -> np.ndarray:
+    opponent = np.einsum("ij,yxj->yxi", scielab.OPPONENT_FROM_XYZ, xyz)
+    seen = np.stack([plain_blur(opponent[..., k], PUBLISHED_GAUSSIANS[k], samples_per_deg) for k in range(3)], axis=-1)
+    relative = np.einsum("ij,yxj->yxi", scielab.XYZ_FROM_OPPONENT, seen) / white
+    f = np.where(relative > 216 / 24389, np.cbrt(relative), 841 / 108 * relative + 16 / 116)
+    return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], axis=-1)
+
+
+def plain_delta_e(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """S-CIELAB of a pair."""
+    labs = [plain_lab(each, WHITE_XYZ, DISPLAY.samples_per_deg) for each in (reference, test)]
+    return np.sqrt(((labs[0] - labs[1]) ** 2).sum(axis=-1))
+
+
+def plain_optics(image: SpectralImage) -> np.ndarray:
+    """A padded FFT convolution a band."""
+    total = np.zeros(image.shape)
+    for k, nm in enumerate(image.wavelength_nm):
+        margin = image.shape[0] // 2
+        padded = np.pad(image.band(k).astype(float), margin, mode="symmetric")
+        fy, fx = np.fft.fftfreq(padded.shape[0], image.pitch_um * 1e-3), np.fft.rfftfreq(padded.shape[1], image.pitch_um * 1e-3)
+        otf = optics.diffraction_otf(np.hypot(fx, fy[:, None]), nm, CAMERA.working_f_number)
+        total += np.fft.irfft2(np.fft.rfft2(padded) * otf, padded.shape)[margin:-margin, margin:-margin]
+    return total
+
+
+def plain_frame(mean_e: np.ndarray, p: PixelPhysics, seconds: float, rng: np.random.Generator) -> np.ndarray:
+    """A stage after the other, each with a new picture."""
+    gain = np.clip(rng.normal(1, p.prnu, mean_e.shape), 0, None)
+    dark = p.dark_current_e_per_s * seconds * rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape)
+    level = np.clip(rng.poisson(mean_e * gain + dark), 0, p.full_well_e)
+    level = level + rng.normal(0, p.reset_noise_e, mean_e.shape)
+    level = level + rng.normal(0, p.read_noise_e, mean_e.shape)
+    level = level + rng.normal(0, p.offset_fpn_e, mean_e.shape) + rng.normal(0, p.column_fpn_e, mean_e.shape[1])
+    return np.clip(np.rint(level * p.dn_per_e), 0, 2**p.pixel.bits - 1)
+
+
+def plain_display(picture: np.ndarray, dots: int) -> np.ndarray:
+    """Two by two interpolated points a dot."""
+    n = len(picture)
+    lines = RegularGridInterpolator((np.arange(n) + 0.5,) * 2, picture, bounds_error=False, fill_value=None)
+    at = (np.arange(2 * dots) + 0.5) * n / (2 * dots)
+    points = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1)
+    return lines(points).reshape(dots, 2, dots, 2).mean(axis=(1, 3))
+
+
+def plain_evaluation(bench: Bench, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
+    """Sensor, display and S-CIELAB of one frame; the ideal picture filtered anew."""
+    dn = plain_frame(mean_e, bench.physics, seconds, np.random.default_rng(1))
+    shown = plain_display(dn / bench.physics.dn_per_e / white_e, DISPLAY.dots)
+    image = (np.rint(255 * np.clip(shown, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
+    return plain_delta_e(bench.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
+
+
+# --- Tables ---
+
+
+def row(name: str, target_s: float | None, work: Work, plain: Work, repeats: int = 11) -> None:
+    own, plain_s = median_s(work, repeats), once_s(plain)
+    met = "" if target_s is None else f"{target_s:7.3f} {'yes' if own <= target_s else 'NO':>4}"
+    print(f"{name:48} {own:8.4f} {met:12} {plain_s:8.3f} {plain_s / own:7.1f}", flush=True)
+
+
+def targets() -> None:
+    print(f"{'kernel':48} {'s':>8} {'target':>7} {'met':>4} {'plain s':>8} {'ratio':>7}")
+    view = {"white_xyz": WHITE_XYZ, "samples_per_deg": DISPLAY.samples_per_deg}
+    for n, target_s in ((512, 0.06), (1024, 0.25)):
+        pair = np.random.default_rng(n).uniform(1, 100, (2, n, n, 3))
+        row(f"S-CIELAB of a pair, {n}²", target_s, partial(scielab.delta_e_map, *pair, **view), partial(plain_delta_e, *pair))
+    film, physics, general = chart(1024), derive(Pixel(pitch_um=5.3)), bands(1024)
+    one, many = partial(diffracted_rate, film, CAMERA, physics), partial(diffracted_rate, general, CAMERA, physics)
+    row("diffraction, 31 bands of one spectrum, 1024²", 0.15, one, partial(plain_optics, film))
+    row("diffraction, 31 bands, general, 1024²", 3.0, many, partial(plain_optics, general), 3)
+    light = project(film, CAMERA, physics, DISPLAY)
+    bench = bench_of(light, physics, EXPOSURE, DISPLAY)
+    shape, signal = bench.signal_e_per_s.shape, bench.signal_e_per_s
+    frame = bench.score(0).frame
+    white_e = bench.white_e_per_s * frame.integration_s
+
+    def noise() -> None:
+        capture_rate(signal, draw_sensor(physics, shape, stream(1)), EXPOSURE, stream(2))
+
+    chain = partial(plain_frame, frame.mean_e, physics, frame.integration_s, np.random.default_rng(1))
+    row("noise of a sensor and a frame, 512²", 0.03, noise, chain)
+    show = partial(frame_luminance, frame, bench.size_um, white_e, DISPLAY)
+    row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
+
+    def evaluation() -> None:
+        bench_of(light, physics, EXPOSURE, DISPLAY).score(1).statistics()
+
+    plain = partial(plain_evaluation, bench, frame.mean_e, white_e, frame.integration_s)
+    row("sense, display, score of a 512² frame", 0.08, evaluation, plain)
+
+
+def unavoidable(bench: Bench) -> dict[str, float]:
+    """Seconds of the draws, the transforms and the cube roots of one evaluation."""
+    p, rng = bench.physics, np.random.default_rng(0)
+    mean_e = bench.score(0).frame.mean_e
+    dots = bench.ideal.shape
+    grey, planes = empty_planes(*dots), empty_planes(3, *dots)
+    grey[...] = planes[...] = bench.ideal
+    relative, roots = np.full((3, *dots), 0.5), np.empty((3, *dots))
+    # PRNU, offset, and reset with read noise: three normals a pixel; the dark current's spread; the photons.
+    return {
+        "normals": 3 * median_s(lambda: rng.standard_normal(mean_e.shape)),
+        "gamma": median_s(lambda: rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape)),
+        "Poisson": median_s(lambda: rng.poisson(mean_e)),
+        "DCTs": median_s(lambda: dct(grey)) + median_s(lambda: inverse_dct(planes)),
+        "cube roots": median_s(lambda: np.cbrt(relative, out=roots)),
+    }
+
+
+def parts() -> None:
+    print(f"\nan evaluation, ms: {'whole':>8} {'parts':>8} {'ratio':>6}  at most {MOST_TIMES_PARTS:g}")
+    light = project(chart(1024), CAMERA, derive(Pixel()), DISPLAY)
+    for pitch_um in PITCHES_UM:
+        bench = bench_of(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE, DISPLAY)
+        found = unavoidable(bench)
+        whole, sum_ = median_s(lambda bench=bench: bench.score(1).statistics(), 21), sum(found.values())
+        told = ", ".join(f"{name} {1e3 * each:.1f}" for name, each in found.items())
+        print(f"{pitch_um:15.1f} µm: {1e3 * whole:8.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {told}", flush=True)
+
+
+if __name__ == "__main__":
+    targets()
+    parts()
