@@ -16,7 +16,7 @@ from pixsim.pixel import PixelPhysics, derive
 from pixsim.plan import Plan
 from pixsim.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene import Scene
-from pixsim.sensor import frame_variance_dn2, ideal_rate, integrate_pixels, integration_time_s
+from pixsim.sensor import Columns, frame_variance_dn2, ideal_rate, integrate_pixels, integration_time_s
 from pixsim.spectral import WHOLE, Array, SpectralImage, row_blocks
 
 Told = Callable[[float, str], None]  # fraction done, and the present error in words
@@ -161,18 +161,15 @@ def _electrons_of_pulses(job: Renderer, pictures: Sequence[Picture], physics: Pi
     return np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
 
 
-def _rate(job: Renderer, pictures: Sequence[Picture], units: list[Array]) -> Array:
+def _rate(job: Renderer, pictures: Sequence[Picture], units: list[Array]) -> Columns:
     """`ideal_rate` of the pictures' image, straight from the pulses: it is linear, and the bands would fill the memory."""
-    rate = np.empty(job.size)
-    for rows in row_blocks(*job.size):
-        rate[rows] = _rate_part(job, pictures, units, (rows, WHOLE))
-    return rate
+    return Columns(job.size, lambda first, last: _rate_part(job, pictures, units, slice(first, last)))
 
 
-def _rate_part(job: Renderer, pictures: Sequence[Picture], units: list[Array], part: tuple[slice, slice]) -> Array:
-    """`_rate` of some rows and columns."""
-    fall_off = job.fall_off(*part)
+def _rate_part(job: Renderer, pictures: Sequence[Picture], units: list[Array], columns: slice) -> Array:
+    """`_rate` of some columns."""
+    fall_off = job.fall_off(WHOLE, columns)
     rate = np.zeros(fall_off.shape)
     for picture, unit in zip(pictures, units, strict=True):
-        rate += np.einsum("ijp,p->ij", picture[part], unit)
+        rate += np.einsum("ijp,p->ij", picture[:, columns], unit)
     return rate * fall_off
