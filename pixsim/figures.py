@@ -43,19 +43,23 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def save_svg(figure: Figure, path: Path) -> None:
-    """Write a figure; its ids are numbered, since Matplotlib's hash coordinates that vary in their last digit."""
+    """Write a figure as `svg_text` makes it."""
+    path.write_text(svg_text(figure), encoding="utf-8")
+
+
+def svg_text(figure: Figure) -> str:
+    """A figure as SVG; its ids are numbered, since Matplotlib's hash coordinates that vary in their last digit."""
     if layout := figure.get_layout_engine():
         layout.execute(figure)
         figure.set_layout_engine(None)  # else savefig draws it all once more to lay it out
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "pixsim"})
     numbers: dict[str, str] = {}
-    svg = re.sub(
+    return re.sub(
         r'(id="|url\(#|href="#)([a-zA-Z]+[0-9a-f]{10})(?=["\)])',
         lambda match: match[1] + numbers.setdefault(match[2], f"id{len(numbers)}"),
         text.getvalue(),
     )
-    path.write_text(svg, encoding="utf-8")
 
 
 def draw_picture(axes: Axes, luminance: Array, irradiance: SpectralImage) -> None:

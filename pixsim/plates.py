@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pixsim.evaluations import pixel_of
-from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_delta_e, draw_picture, extent, label_axes, new_figure
+from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_delta_e, draw_picture, extent, label_axes, new_figure, svg_text
 from pixsim.merit import mpe30_lx_s, mtf50_cy_per_mm
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
 from pixsim.pixel import derive
@@ -46,6 +46,20 @@ class Plate:
         writer.writerow(self.table)
         writer.writerows(zip(*self.table.values(), strict=True))
         return text.getvalue()
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A plate as the files that it becomes."""
+
+    name: str
+    caption: str
+    svg: str
+    csv: str
+
+    @classmethod
+    def of(cls, plate: Plate) -> Drawn:
+        return cls(plate.name, plate.caption, svg_text(plate.figure), plate.csv)
 
 
 def draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pixsim.figures import save_svg
+from pixsim.engine import Workers, results_of
 from pixsim.files import replacing, versions, write_json
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import paper_plates
 from pixsim.parameters import Record
-from pixsim.plates import Plate, delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics, pictures
+from pixsim.plates import (
+    Drawn,
+    Plate,
+    delta_e_against_pitch,
+    light_against_detail,
+    optimum_against_technology,
+    other_statistics,
+    pictures,
+)
 from pixsim.sweep import Curve, StudyResult
 from pixsim.technology import load_technology
 
@@ -38,34 +46,63 @@ def nearest_pitch_um(curve: Curve) -> float:
     return float(curve.pitch_um[np.argmin(np.abs(np.log(curve.pitch_um / curve.optimum.pitch_um)))])
 
 
-def study_plates(result: StudyResult) -> list[Plate]:
-    """The figures that any study has."""
-    first = next((curve for curve in result.curves if curve.technology == REFERENCE_TECHNOLOGY), result.curves[0])
+@dataclass(frozen=True)
+class Section:
+    """Figures that are drawn together: curves, pictures (of one technology), more, or those of the paper."""
+
+    number: int
+    kind: str
+    technology: str = ""
+
+    def __str__(self) -> str:
+        return f"figures of {self.technology or self.kind}"
+
+
+def sections_of(result: StudyResult) -> list[Section]:
+    """The figures of a study, in the report's order."""
+    kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
+    kinds += [("paper", "")] if result.study.paper else []
+    return [Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)]
+
+
+def draw_section(section: Section, result: StudyResult) -> tuple[int, list[Drawn], list[Finding]]:
+    """Its number, its figures, and what it found."""
+    by_name = {curve.technology: curve for curve in result.curves}
+    first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
+    rows: list[Finding] = []
+    if section.kind == "curves":
+        plates = curve_plates(result, first)
+    elif section.kind == "pictures":
+        curve = by_name[section.technology]
+        plates = [pictures(result, curve, nearest_pitch_um(curve), f"pictures_{file_label(curve.technology)}")]
+    elif section.kind == "more":
+        plates = [other_statistics(first), light_against_detail(result, first)]
+    else:
+        evidence = Evidence(result, by_name)
+        rows, plates = findings(evidence), paper_plates(evidence)
+    return section.number, [Drawn.of(plate) for plate in plates], rows
+
+
+def curve_plates(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
         if len({curve.feature_size_um for curve in result.curves}) > 1:
             plates.append(optimum_against_technology(result))
-    plates += [
-        pictures(result, curve, nearest_pitch_um(curve), f"pictures_{file_label(curve.technology)}") for curve in result.curves
-    ]
-    plates += [other_statistics(first), light_against_detail(result, first)]
     if not result.study.paper:
         return plates
-    return [replace(plate, caption=FIGURE_NUMBERS.get(plate.name, "") + plate.caption) for plate in plates]
+    return [replace(plate, caption=FIGURE_NUMBERS[plate.name] + plate.caption) for plate in plates]
 
 
-def write_report(result: StudyResult, folder: Path, seconds: dict[str, float]) -> Path:
+def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers | None = None) -> Path:
     """Write summary.json, figures/*.svg and *.csv, provenance.json and report.html; returns the report's path.
 
-    Wall times stand in the report and in provenance.json only: everything else is the same bytes each time.
+    Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
+    depend on the workers that draw the figures.
     """
-    plates, rows = study_plates(result), list[Finding]()
-    if result.study.paper:
-        evidence = Evidence(result, {curve.technology: curve for curve in result.curves})
-        rows = findings(evidence)
-        plates += paper_plates(evidence)
-    shown = write_plates(folder, plates)
+    made = sorted(results_of(draw_section, [(section, result) for section in sections_of(result)], workers or Workers()))
+    rows = [row for _, _, own in made for row in own]
+    shown = write_drawn(folder, [drawn for _, own, _ in made for drawn in own])
     paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}
     write_json(folder / "summary.json", result.as_dict() | paper_table)
     provenance = {"versions": versions(), "seconds": seconds}
@@ -95,16 +132,20 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     return path
 
 
-def write_plates(folder: Path, plates: Sequence[Plate]) -> list[tuple[Plate, str, str]]:
-    """Write figures/*.svg and their data, figures/*.csv; each plate with both as data URIs, for a page that opens offline."""
+def write_plates(folder: Path, plates: Sequence[Plate]) -> list[tuple[Drawn, str, str]]:
+    """`write_drawn` of figures that are still to be drawn."""
+    return write_drawn(folder, [Drawn.of(plate) for plate in plates])
+
+
+def write_drawn(folder: Path, drawn: Sequence[Drawn]) -> list[tuple[Drawn, str, str]]:
+    """Write figures/*.svg and their data, figures/*.csv; each with both as data URIs, for a page that opens offline."""
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     shown = []
-    for plate in plates:
-        path = figures / f"{plate.name}.svg"
-        save_svg(plate.figure, path)
-        path.with_suffix(".csv").write_text(plate.csv, encoding="utf-8", newline="")
-        shown.append((plate, data_uri("image/svg+xml", path.read_bytes()), data_uri("text/csv", plate.csv.encode())))
+    for each in drawn:
+        (figures / f"{each.name}.svg").write_text(each.svg, encoding="utf-8")
+        (figures / f"{each.name}.csv").write_text(each.csv, encoding="utf-8", newline="")
+        shown.append((each, data_uri("image/svg+xml", each.svg.encode()), data_uri("text/csv", each.csv.encode())))
     return shown
 
 

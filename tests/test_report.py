@@ -21,7 +21,7 @@ STUDY = {
     "name": "tiny",
     "title": TITLE,
     "technologies": ["0.35um", "<b>&process.toml"],
-    "repeats": 2,
+    "repeats": 3,
     "iso_delta_e": 1.0,
     "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
     "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
