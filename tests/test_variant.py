@@ -71,32 +71,90 @@ def test_an_old_system_llvm_is_too_old():
         assert version < variant.OLDEST_LLVM
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def fake_llvm(folder: Path, major: int) -> str:
+    """A library that says that it is this version of LLVM."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    source = f"void LLVMGetVersion(unsigned *a, unsigned *b, unsigned *c) {{ *a = {major}; if (b) *b = 0; if (c) *c = 0; }}"
+    library = folder / f"libLLVM-{major}.so"
+    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", library], input=source, text=True, check=True)
+    return str(library)
+
+
 @pytest.mark.parametrize(("major", "usable"), [(16, False), (17, True), (21, True)])
 def test_the_oldest_usable_version_is_17(tmp_path, fresh, major, usable):
-    source = f"void LLVMGetVersion(unsigned *a, unsigned *b, unsigned *c) {{ *a = {major}; if (b) *b = 0; if (c) *c = 0; }}"
-    library = tmp_path / f"libLLVM-{major}.so"
-    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", library], input=source, text=True, check=True)
-    assert variant.llvm_version(str(library)) == major
-    fresh.setenv(variant.LLVM_VARIABLE, str(library))
+    library = fake_llvm(tmp_path, major)
+    assert variant.llvm_version(library) == major
+    fresh.setenv(variant.LLVM_VARIABLE, library)
     if usable:
-        assert variant.choose() == variant.Choice("llvm_ad_spectral", str(library), f"{variant.LLVM_VARIABLE}, LLVM {major}")
+        assert variant.choose() == variant.Choice("llvm_ad_spectral", library, f"{variant.LLVM_VARIABLE}, LLVM {major}")
     else:
         with pytest.raises(PixsimError, match=r"which is version 16; allowed: LLVM 17 or newer\. Unset it"):
             variant.choose()
 
 
+# --- The order of choice ---
+
+
+def test_the_variable_comes_before_the_system_and_the_system_before_the_wheel(tmp_path, fresh):
+    old, own, system, wheel = (fake_llvm(tmp_path, major) for major in (16, 18, 19, 21))
+    fresh.setattr(variant, "_system_candidates", lambda: [old, system])
+    fresh.setattr(variant, "_wheel_candidates", lambda: [wheel])
+    fresh.setenv(variant.LLVM_VARIABLE, own)
+    assert variant.find_llvm() == (own, "DRJIT_LIBLLVM_PATH, LLVM 18")
+    fresh.delenv(variant.LLVM_VARIABLE)
+    assert variant.find_llvm() == (system, "system, LLVM 19")
+    fresh.setattr(variant, "_system_candidates", lambda: [old])
+    assert variant.find_llvm() == (wheel, "karellen-llvm-core, LLVM 21")
+    fresh.setattr(variant, "_wheel_candidates", lambda: [])
+    assert variant.find_llvm() == (None, "no LLVM 17 or newer was found")
+
+
+def test_a_choice_is_the_same_however_often_it_is_made(tmp_path, fresh):
+    """`choose` sets the variable for Dr.Jit: that must not look like the user's own choice the next time."""
+    system = fake_llvm(tmp_path, 19)
+    fresh.setattr(variant, "_system_candidates", lambda: [system])
+    fresh.setenv(variant.LLVM_VARIABLE, "")
+    fresh.delitem(sys.modules, "drjit", raising=False)  # else too late to choose, after another test
+    first = variant.choose()
+    assert os.environ[variant.LLVM_VARIABLE] == system
+    variant.choose.cache_clear()
+    assert variant.choose("llvm_ad_spectral") == variant.choose() == first
+    assert first.reason == "system, LLVM 19"
+
+
+def test_newer_libraries_come_first_and_links_once(tmp_path):
+    for name in ("libLLVM-9.so.1", "libLLVM-21.so", "libLLVM.so.18.1"):
+        (tmp_path / name).touch()
+    (tmp_path / "libLLVM.so").symlink_to("libLLVM-9.so.1")
+    found = variant._newest_first(tmp_path.iterdir())
+    assert [Path(path).name for path in found] == ["libLLVM-21.so", "libLLVM.so.18.1", "libLLVM-9.so.1"]
+
+
+def test_what_is_installed_by_hand_is_found_but_not_taken(tmp_path, fresh):
+    library = fake_llvm(tmp_path, 19)
+    fresh.setenv(variant.LLVM_VARIABLE, "")
+    fresh.setenv("LD_LIBRARY_PATH", str(tmp_path))
+    fresh.setattr(variant, "_system_candidates", lambda: [])
+    fresh.setattr(variant, "_wheel_candidates", lambda: [])
+    assert os.path.realpath(library) in variant.found_by_hand()
+    assert variant.find_llvm()[0] is None
+    fresh.setattr(variant, "_system_candidates", lambda: [os.path.realpath(library)])
+    assert os.path.realpath(library) not in variant.found_by_hand()
+
+
 # --- The user's variable ---
 
 
-@pytest.mark.parametrize("kind", ["too old", "no library", "missing"])
+@pytest.mark.parametrize("kind", ["too old", "no library", "missing", "folder"])
 def test_an_unusable_library_in_the_variable_stops_with_a_message(tmp_path, kind):
     (tmp_path / "broken.so").write_text("not a library")
     old = ctypes.util.find_library("m")
     path, message = {
         "too old": (OLD_SYSTEM_LLVM[0] if OLD_SYSTEM_LLVM else old, "which is version 15 or older"),
-        "no library": (str(tmp_path / "broken.so"), "which cannot be loaded"),
-        "missing": (str(tmp_path / "nowhere.so"), "which cannot be loaded"),
+        "no library": (str(tmp_path / "broken.so"), "which cannot be loaded (no library for this machine)"),
+        "missing": (str(tmp_path / "nowhere.so"), "which cannot be loaded (no such file)"),
+        "folder": (str(tmp_path), "which cannot be loaded (it is a folder)"),
     }[kind]
     if path is None:
         pytest.skip("no library to load")

@@ -31,6 +31,7 @@ from pixsim.cli.templates import template as template
 from pixsim.cli.templates import schema as schema
 from pixsim.cli.caches import cache as cache
 from pixsim.cli.completion import completion as completion
+from pixsim.cli.doctor import doctor as doctor
 
 # isort: on
 from pixsim.errors import PixsimError
