@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache as once
 from pathlib import Path
@@ -129,16 +128,10 @@ def test_the_closed_form_has_the_light_of_the_chart():
 
 
 @pytest.mark.skipif(not OLD_LLVM, reason="no LLVM 14 or 15 on this system")
-@pytest.mark.parametrize("path", OLD_LLVM)
+@pytest.mark.parametrize("path", [*OLD_LLVM[-1:], *(pytest.param(path, marks=pytest.mark.slow) for path in OLD_LLVM[:-1])])
 def test_an_old_llvm_in_the_variable_aborts_nothing(path: str, tmp_path: Path):
-    with ThreadPoolExecutor() as pool:
-        run = pool.submit(
-            pixsim, "run", "flat", "-D", "resolution=8", "--out", str(tmp_path / "out"), **{variant.LLVM_VARIABLE: path}
-        )
-        seen = visit(**{variant.LLVM_VARIABLE: path})
-        done = run.result()
-    assert done.returncode == 2, done.stderr  # else signal 6
-    assert f"DRJIT_LIBLLVM_PATH: got '{path}', which is version 15 or older" in done.stderr
+    """That `pixsim run` refuses it is in test_variant."""
+    seen = visit(**{variant.LLVM_VARIABLE: path})
     assert seen.code == 1
     assert seen.problems == [variant.LLVM_VARIABLE, "Mitsuba"]
     assert "version 15 or older" in seen.about(variant.LLVM_VARIABLE)["found"]
@@ -146,24 +139,21 @@ def test_an_old_llvm_in_the_variable_aborts_nothing(path: str, tmp_path: Path):
     assert seen.about("scalar_spectral")["mark"] == OK
 
 
-def test_with_old_libraries_only_renders_are_slow_but_work(tmp_path: Path):
-    """Of this system, where it has some; the wheel is hidden."""
+def test_with_old_libraries_only_no_home_and_no_cache_renders_are_slow_but_work(tmp_path: Path):
+    """With the libraries of this system, where it has some; the wheel is hidden."""
     hidden = package(tmp_path / "hidden", "sitecustomize", HIDES_THE_WHEEL)
-    with ThreadPoolExecutor() as pool:
-        run = pool.submit(
-            pixsim, "run", "flat", "-D", "resolution=8", "--display.dots", "8", "--out", str(tmp_path / "out"), path=hidden
-        )
-        seen = visit(path=hidden)
-        done = run.result()
+    lacking: dict[str, Any] = {"path": hidden, "unset": ("HOME",), "PIXSIM_CACHE_DIR": "/dev/null/there"}
+    seen = visit(**lacking)
     usable = [each for each in seen.found["findings"] if each["room"] == "LLVM" and each["facts"].get("origin") == variant.SYSTEM]
     if any(each["facts"]["fault"] is None for each in usable):
         pytest.skip("this system has a usable LLVM")
+    assert (seen.code, seen.problems, seen.picture["subject"]) == (0, [], "scalar_spectral")
+    assert [seen.about(each)["mark"] for each in ("llvm_ad_spectral", "libraries", "cache")] == [NOTE] * 3
+    assert all("15 or older" in each["found"] for each in usable if "/libLLVM-15" in each["found"])
+    assert "karellen-llvm-core" in seen.about("libraries")["mend"] or variant.LLVM_VARIABLE in seen.about("libraries")["mend"]
+    done = pixsim("run", "flat", "-D", "resolution=8", "--display.dots", "8", "--out", str(tmp_path / "out"), **lacking)
     assert done.returncode == 0, done.stderr
     assert "rendering with scalar_spectral, since no LLVM 17" in done.stderr
-    assert (seen.code, seen.problems, seen.picture["subject"]) == (0, [], "scalar_spectral")
-    assert seen.about("llvm_ad_spectral")["mark"] == NOTE
-    assert all("15 or older" in each["found"] for each in usable if "/libLLVM-15" in each["found"])
-    assert seen.about("libraries")["mend"].endswith("pip install karellen-llvm-core") or sys.platform != "linux"
 
 
 @pytest.mark.parametrize(("kind", "word"), [("gone", "no such file"), ("text", "no library"), ("folder", "a folder")])
@@ -188,22 +178,26 @@ def trial_with(path: Path) -> trial.Trial:
 
 
 @pytest.mark.parametrize(
-    ("text", "fault"),
+    ("text", "limit_s", "fault"),
     [
-        ("raise ImportError('libfoo.so.3 is not there')", "fails: ImportError: libfoo.so.3 is not there"),
-        ("import os; os.abort()", "dies of signal 6 (SIGABRT)"),
-        ("import time; time.sleep(60)", "hangs: it was stopped after 1 s"),
+        ("raise ImportError('libfoo.so.3 is not there')", 30, "fails: ImportError: libfoo.so.3 is not there"),
+        ("import time; time.sleep(60)", 2, "hangs: it was stopped after 2 s"),
     ],
-    ids=["import", "abort", "hang"],
+    ids=["import", "hang"],
 )
-def test_a_broken_mitsuba_is_a_finding(text: str, fault: str, tmp_path: Path):
-    seen = visit(*(["--limit-s", "1"] if "sleep" in text else []), path=package(tmp_path / "broken", "mitsuba", text))
+def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(package(tmp_path / "broken", "mitsuba", text))
+    found = doctor._picture(trial.attempt("render", limit_s=limit_s), None)
+    assert (found.mark, found.found) == (PROBLEM, fault)
+    assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(found.mend)
+
+
+def test_a_mitsuba_that_aborts_does_not_take_the_doctor_with_it(tmp_path: Path):
+    seen = visit(path=package(tmp_path / "broken", "mitsuba", "import os; os.abort()"))
     assert seen.code == 1
-    assert seen.picture["mark"] == PROBLEM
-    assert fault in seen.picture["found"]
-    assert "pip install --force-reinstall 'mitsuba==3.9.*'" in seen.picture["mend"]
-    if "sleep" not in text:  # in 1 s nothing else may come to its end either
-        assert "mitsuba" in seen.problems
+    assert seen.problems == ["mitsuba", "Mitsuba"]  # the package, and the test render with it
+    assert "dies of signal 6 (SIGABRT)" in seen.picture["found"]
+    assert seen.about("scalar_spectral")["mark"] == NOTE
 
 
 def test_a_wrong_picture_is_no_picture():
@@ -241,8 +235,9 @@ def test_packages_that_are_missing_or_too_old_are_told():
 
 @pytest.mark.parametrize(
     ("version", "wanted", "fits"),
-    [("2.0", ">=2.0", True), ("1.26.4", ">=2.0", False), ("2.0.0rc1", ">=2.0", True), ("10.0", ">=9", True), ("3.8.10", ">=3.8.4", True),
-     ("3.9.1", "==3.9.*", True), ("3.10.0", "==3.9.*", False), ("3.9", "==3.9.*", True), ("1.0+cpu2", ">=1.0", True), ("1", "", True)],
+    [("2.0", ">=2.0", True), ("1.26.4", ">=2.0", False), ("2.0.0rc1", ">=2.0", True), ("10.0", ">=9", True),
+     ("3.8.10", ">=3.8.4", True), ("3.9.1", "==3.9.*", True), ("3.10.0", "==3.9.*", False), ("3.9", "==3.9.*", True),
+     ("1.0+cpu2", ">=1.0", True), ("1", "", True)],
 )  # fmt: skip
 def test_versions_in_a_range(version: str, wanted: str, fits: bool):
     assert satisfies(version, wanted) == fits
@@ -322,12 +317,6 @@ def test_a_user_without_a_home_is_told_to_name_a_cache(monkeypatch: pytest.Monke
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", homeless)
     assert (doctor._cache().mark, doctor._cache().mend) == (PROBLEM, "export PIXSIM_CACHE_DIR=FOLDER")
-
-
-def test_without_home_and_with_a_cache_that_cannot_be_written_renders_work():
-    seen = visit(unset=("HOME",), PIXSIM_CACHE_DIR="/dev/null/there")
-    assert (seen.code, seen.problems, seen.picture["mark"]) == (0, [], OK)
-    assert seen.about("cache")["mark"] == NOTE
 
 
 # --- The report ---
