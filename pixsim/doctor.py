@@ -19,7 +19,7 @@ from typing import Any
 import pixsim
 from pixsim import cache, machine, variant
 from pixsim.errors import PixsimError
-from pixsim.requirements import requirements, satisfies
+from pixsim.requirements import installed, module_of, pip, requirements, satisfies
 from pixsim.trial import Trial, attempt
 
 OK, NOTE, PROBLEM = "ok", "note", "problem"
@@ -28,11 +28,7 @@ LIMIT_S = 20.0  # for each trial; one takes 1 to 3 s
 MEAN_GATE, RMS_GATE = 1e-3, 1e-2  # of the tried picture's illuminance: 1e-5 and 0.4 % where all is right
 MEMORY_GIB = 1.0  # `pixsim run csf` takes 0.6
 DISK_GIB = 0.5  # it writes 0.13
-IMPORTED = {  # package, as in the metadata: module
-    "mitsuba": "mitsuba", "drjit": "drjit", "numpy": "numpy", "scipy": "scipy", "colour-science": "colour",
-    "openexr": "OpenEXR", "matplotlib": "matplotlib", "pydantic": "pydantic", "cyclopts": "cyclopts", "rich": "rich",
-    "joblib": "joblib", "jinja2": "jinja2",
-}  # fmt: skip
+LEAST = ("mitsuba", "drjit", "numpy", "scipy")  # looked at where pixsim's own metadata are missing
 OPTIONAL = {
     variant.LLVM_WHEEL: "fast renders where the system has no LLVM",
     "distributed": "studies on a cluster",
@@ -62,6 +58,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     out : folder that results would go to; it need not exist
     limit_s : for each process that tries something, s
     """
+    required = _required()
     with ThreadPoolExecutor() as pool:
         first = [pool.submit(attempt, kind, limit_s=limit_s) for kind in ("libraries", "driver")]
         libraries, driver = (each.result() for each in first)
@@ -69,12 +66,12 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
         usable = usable_llvm(libraries)
         taken = (LLVM if usable else SCALAR) if _said(chosen, "refused") is None else None
         other = {name: pool.submit(attempt, "render", name, limit_s=limit_s) for name in (SCALAR, CUDA) if name != taken}
-        imports = pool.submit(attempt, "imports", *IMPORTED.values(), limit_s=limit_s)
+        imports = pool.submit(attempt, "imports", *map(module_of, required or LEAST), limit_s=limit_s)
         tried = {name: each.result() for name, each in other.items()}
     if taken:
         tried[taken] = chosen
     return [
-        *_software(imports.result()),
+        *_software(required, imports.result()),
         *_llvm(libraries, usable),
         *_variants(tried, taken, driver),
         _graphics(driver),
@@ -91,31 +88,31 @@ def _said(trial: Trial, name: str) -> Any:
     return next((line[name] for line in trial.lines if name in line), None)
 
 
-def pip(*packages: str) -> str:
-    """The command that installs packages for this very Python."""
-    return shlex.join([sys.executable, "-m", "pip", "install", *packages])
-
-
 # --- Software ---------------------------------------------------------------------------------------------------------
 
 
-def _software(imports: Trial) -> Iterator[Finding]:
-    room = "software"
-    where = str(Path(pixsim.__file__).parent)
+def _required() -> dict[str, str]:
+    """Package -> versions allowed; empty where pixsim is on the path but not installed."""
     try:
-        required = requirements(metadata.requires("pixsim") or [])
-        yield Finding(room, "pixsim", OK, f"{pixsim.__version__} in {where}", facts={"version": pixsim.__version__})
+        return requirements(metadata.requires("pixsim") or [])
     except metadata.PackageNotFoundError:
-        required = dict.fromkeys(IMPORTED, "")
-        found = f"{pixsim.__version__} in {where} is on the path but not installed: `pixsim run` cannot tell its version"
-        yield Finding(room, "pixsim", PROBLEM, found, pip("-e", str(Path(where).parent)))
-    yield Finding(
-        room, "Python", OK, f"{platform.python_version()} ({sys.executable})", facts={"version": platform.python_version()}
-    )
+        return {}
+
+
+def _software(required: dict[str, str], imports: Trial) -> Iterator[Finding]:
+    room, where = "software", Path(pixsim.__file__).parent
+    mark, text, mend = OK, f"{pixsim.__version__} in {where}", None
+    if not required:
+        mark, mend = PROBLEM, pip("-e", str(where.parent))
+        text += " is on the path but not installed: `pixsim run` cannot tell its version"
+    yield Finding(room, "pixsim", mark, text, mend, {"version": pixsim.__version__})
+    python = platform.python_version()
+    yield Finding(room, "Python", OK, f"{python} ({sys.executable})", facts={"version": python})
     system = f"{platform.platform()}, {platform.machine()}"
     only = "" if sys.platform == "linux" else "; pixsim is tried on Linux only"
     yield Finding(room, "system", NOTE if only else OK, system + only, facts={"platform": platform.platform()})
-    versions = {name: _version(name) for name in required}
+    required = required or dict.fromkeys(LEAST, "")
+    versions = {name: installed(name) for name in required}
     told = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
     yield Finding(room, "packages", OK, told, facts={"versions": versions})
     yield from _broken_packages(required, versions, imports)
@@ -126,7 +123,7 @@ def _broken_packages(required: dict[str, str], versions: dict[str, str | None], 
     if imports.fault and imports.lines:
         errors[imports.lines[-1]["importing"]] = imports.fault
     for name, wanted in required.items():
-        version, error = versions[name], errors.get(IMPORTED.get(name, name))
+        version, error = versions[name], errors.get(module_of(name))
         if version is None:
             yield Finding("software", name, PROBLEM, "is not installed", pip(f"{name}{wanted}"))
         elif not satisfies(version, wanted):
@@ -138,13 +135,6 @@ def _broken_packages(required: dict[str, str], versions: dict[str, str | None], 
 
 def _verb(error: str) -> str:
     return error if error.startswith(("hangs", "dies", "fails")) else f"fails: {error}"
-
-
-def _version(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 # --- Mitsuba ----------------------------------------------------------------------------------------------------------
@@ -295,6 +285,6 @@ def _space(subject: str, path: Path, mend: str) -> Finding:
 
 def _optional() -> Iterator[Finding]:
     for name, purpose in OPTIONAL.items():
-        version = _version(name)
+        version = installed(name)
         text = f"{version} ({purpose})" if version else f"not installed; for {purpose} only: pip install 'pixsim[{EXTRAS[name]}]'"
         yield Finding("optional", name, OK, text, facts={"version": version})

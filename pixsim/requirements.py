@@ -1,9 +1,14 @@
-"""Which versions of other packages pixsim asks for, in the two forms that it uses: `>=2.0` and `==3.9.*`."""
+"""Other packages: the versions that pixsim asks for, in the two forms that it uses, `>=2.0` and `==3.9.*`, and what is there."""
 
 from __future__ import annotations
 
 import re
+import shlex
+import sys
 from collections.abc import Iterable
+from importlib import metadata
+
+MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  # of packages that are imported by another name
 
 
 def requirements(lines: Iterable[str]) -> dict[str, str]:
@@ -24,3 +29,21 @@ def satisfies(version: str, wanted: str) -> bool:
 
 def _numbers(version: str) -> list[int]:
     return [int(number) for number in re.findall(r"\d+", version.partition("+")[0])]
+
+
+def installed(package: str) -> str | None:
+    """The version that is there."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def module_of(package: str) -> str:
+    """The name that a package is imported by."""
+    return MODULES.get(package.lower(), package.lower().replace("-", "_"))
+
+
+def pip(*arguments: str) -> str:
+    """The command that installs packages for this very Python."""
+    return shlex.join([sys.executable, "-m", "pip", "install", *arguments])
