@@ -103,7 +103,7 @@ def keep_arrays(kind: str, key: str, content: Arrays) -> None:
 
     def write(partial: Path) -> None:
         with partial.open("wb") as file:  # a name would get the ending .npz
-            np.savez(file, allow_pickle=False, **content)
+            np.savez(file, **content)
 
     _keep(folder() / kind / f"{key}.npz", write, sum(each.nbytes for each in content.values()))
 
