@@ -101,9 +101,11 @@ def arrays(kind: str, key: str) -> Arrays | None:
 def keep_arrays(kind: str, key: str, content: Arrays) -> None:
     """Keep arrays for a key. A folder that cannot be written is warned of; so much for one entry is left out in silence."""
 
+    named: dict[str, Any] = content  # for the type checker, which sees savez's other option among the names
+
     def write(partial: Path) -> None:
         with partial.open("wb") as file:  # a name would get the ending .npz
-            np.savez(file, **content)
+            np.savez(file, **named)
 
     _keep(folder() / kind / f"{key}.npz", write, sum(each.nbytes for each in content.values()))
 
