@@ -18,7 +18,7 @@ from pixsim.errors import PixsimError, refuse
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
-Call = tuple[Task, Shared]
+Call = tuple[Task, Callable[[], Shared]]  # a task, and what makes that which it shares with others
 
 TRIES_WITHOUT_PROGRESS = 2
 NAMED_TASKS = 4  # in a message
@@ -100,10 +100,10 @@ def _checked(client: Any) -> Workers:
 def results_of(
     function: Callable[[Task, Shared], Result], calls: Sequence[Call[Task, Shared]], workers: Workers
 ) -> Iterator[Result]:
-    """`function(task, shared)` of each call, in the order in which they come.
+    """`function(task, make())` of each call (task, make), in the order in which they come.
 
-    Calls with the same `shared` object share one copy of it a worker. Where a worker dies, what is left is tried again, what
-    was under way last.
+    Calls with the same `make` share what it makes: one copy of it a worker, made while others are already at work. Where a
+    worker dies, what is left is tried again, what was under way last.
 
     Raises PixsimError, with what is left named, where workers die twice and nothing is done in between.
     """
@@ -156,7 +156,7 @@ def _once(
     if workers.client:
         yield from _on_cluster(function, calls, workers.client)
     elif workers.jobs == 1:
-        yield from ((index, function(*call)) for index, call in list(calls.items()))
+        yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
     else:
         # At least two: what is left after a worker's death may be what killed it, and must not come to this process.
         yield from _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
@@ -167,10 +167,12 @@ def _on_cluster(
 ) -> Iterator[tuple[int, Result]]:
     from joblib import Parallel, delayed, parallel_config
 
-    shared = list({id(each): each for _, each in calls.values()}.values())
-    with parallel_config("dask", client=client, scatter=shared):
+    shared = {id(make): make() for _, make in calls.values()}
+    with parallel_config("dask", client=client, scatter=list(shared.values())):
         parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
-        yield from parallel(delayed(_numbered)(function, index, *call) for index, call in list(calls.items()))
+        yield from parallel(
+            delayed(_numbered)(function, index, task, shared[id(make)]) for index, (task, make) in list(calls.items())
+        )
 
 
 def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result]:
@@ -188,15 +190,16 @@ def _on_processes(
 
     with tempfile.TemporaryDirectory(prefix="pixsim-", ignore_cleanup_errors=True) as folder:
         paths: dict[int, str] = {}
-        for _, shared in calls.values():
-            if id(shared) not in paths:
-                paths[id(shared)] = str(Path(folder) / f"{len(paths)}.joblib")
-                dump(shared, paths[id(shared)])
+
+        def numbered() -> Iterator[Any]:
+            for index, (task, make) in list(calls.items()):
+                if id(make) not in paths:
+                    paths[id(make)] = str(Path(folder) / f"{len(paths)}.joblib")
+                    dump(make(), paths[id(make)])
+                yield delayed(_numbered_from)(function, index, task, paths[id(make)])
+
         with parallel_config("loky", inner_max_num_threads=1):
-            parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
-            yield from parallel(
-                delayed(_numbered_from)(function, index, task, paths[id(shared)]) for index, (task, shared) in list(calls.items())
-            )
+            yield from Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)(numbered())
 
 
 @lru_cache(maxsize=1)

@@ -10,7 +10,7 @@ import math
 import threading
 from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -201,21 +201,24 @@ class Content:
     def process(self, technology: str) -> dict[str, Any]:
         return load_technology(technology).model_dump(exclude={"sources"})
 
-    def pixels(self, technology: str) -> Iterator[tuple[float, str]]:
-        """Each pitch with the hash of all that its frames depend on."""
-        process = self.process(technology)
-        for pitch_um in study_pitches_um(self.study, technology).tolist():
-            yield pitch_um, content_hash([self.picture, process, pixel_of(self.study, technology, pitch_um).model_dump()])
+    def pixel(self, technology: str, pitch_um: float) -> str:
+        """Of all that the frames of a pitch depend on."""
+        return content_hash([self.picture, self.process(technology), pixel_of(self.study, technology, pitch_um).model_dump()])
 
     def rows(self, technology: str, repeats: int) -> Iterator[tuple[float, dict[int, str]]]:
         """Each pitch with the key of each repeat's row."""
-        for pitch_um, pixel in self.pixels(technology):
+        for pitch_um in study_pitches_um(self.study, technology).tolist():
+            pixel = self.pixel(technology, pitch_um)
             yield pitch_um, {repeat: content_hash([pixel, self.display, repeat]) for repeat in range(repeats)}
 
-    def frames(self, technology: str) -> dict[float, str]:
-        """Pitch -> what its frames are kept under, empty where those of the study would drive out most of the cache."""
-        made_by, keep = cache.made_by("mitsuba", "drjit"), frames_fit(self.study, self.camera)
-        return {pitch_um: content_hash([pixel, made_by]) if keep else "" for pitch_um, pixel in self.pixels(technology)}
+    def frames(self, technology: str, pitch_um: float) -> str:
+        """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
+        made_by = cache.made_by("mitsuba", "drjit")
+        return content_hash([self.pixel(technology, pitch_um), made_by]) if self.keeps_frames else ""
+
+    @cached_property
+    def keeps_frames(self) -> bool:
+        return frames_fit(self.study, self.camera)
 
 
 def most_repeats(study: Study) -> int:
@@ -238,13 +241,14 @@ def block_key(frames_key: str, block: int) -> str:
 
 def tasks_of(content: Content, technology: str, done: Container[str]) -> Iterator[Task]:
     """What is missing of a technology, small pixels first, since they take longest."""
-    study, light_key, frames = content.study, content.light(technology), content.frames(technology)
+    study, light_key = content.study, content.light(technology)
     for pitch_um, keys in content.rows(technology, study.repeats):
+        frames = content.frames(technology, pitch_um)
         for block in range(-(-study.repeats // REPEATS_A_TASK)):
             repeats = range(block * REPEATS_A_TASK, min(study.repeats, (block + 1) * REPEATS_A_TASK))
             missing = {repeat: keys[repeat] for repeat in repeats if keys[repeat] not in done}
             if missing:
-                yield Task(study, content.camera, technology, pitch_um, light_key, block_key(frames[pitch_um], block), missing)
+                yield Task(study, content.camera, technology, pitch_um, light_key, block_key(frames, block), missing)
 
 
 def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Progress | None = None) -> list[Row]:
@@ -262,7 +266,8 @@ def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Prog
         tasks = {technology: list(tasks_of(content, technology, done)) for technology in study.technologies}
         missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
         for group in lights.groups():
-            calls = [(task, lights.of(technology)) for technology in group for task in tasks[technology]]
+            makers = {technology: partial(lights.of, technology) for technology in group}
+            calls = [(task, makers[technology]) for technology in group for task in tasks[technology]]
             for rows in results_of(evaluate_task, calls, workers):
                 ledger.append(rows)
                 done |= {row["key"]: row for row in rows}

@@ -26,18 +26,14 @@ FIGURE_5_PITCH_UM = 8.0
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 
-def paper_plates(evidence: Evidence) -> list[Plate]:
-    """Every figure of the paper that is not a study's own curve, in its order."""
-    result = evidence.result
-    curve = evidence.curves[REFERENCE_TECHNOLOGY]
-    return [
-        figure_2a(),
-        figure_2b(result),
-        figure_4(result),
-        figure_5(result, curve),
-        figure_6(evidence),
-        errors_by_frequency_and_contrast(evidence),
-    ]
+def scene_plates(result: StudyResult, curve: Curve) -> list[Plate]:
+    """The paper's Figures 2, 4 and 5: pixels, scene and pictures."""
+    return [figure_2a(), figure_2b(result), figure_4(result), figure_5(result, curve)]
+
+
+def map_plates(evidence: Evidence) -> list[Plate]:
+    """The paper's Figure 6, and where the errors are: from mean ΔE maps of many sensors."""
+    return [figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
 
 
 def figure_2a() -> Plate:

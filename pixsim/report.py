@@ -14,7 +14,7 @@ import numpy as np
 from pixsim.engine import Workers, results_of
 from pixsim.files import replacing, versions, write_json
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
-from pixsim.paper_figures import paper_plates
+from pixsim.paper_figures import map_plates, scene_plates
 from pixsim.parameters import Record
 from pixsim.plates import (
     Drawn,
@@ -48,7 +48,7 @@ def nearest_pitch_um(curve: Curve) -> float:
 
 @dataclass(frozen=True)
 class Section:
-    """Figures that are drawn together: curves, pictures (of one technology), more, or those of the paper."""
+    """Figures that are drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
 
     number: int
     kind: str
@@ -61,7 +61,7 @@ class Section:
 def sections_of(result: StudyResult) -> list[Section]:
     """The figures of a study, in the report's order."""
     kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
-    kinds += [("paper", "")] if result.study.paper else []
+    kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
     return [Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)]
 
 
@@ -77,9 +77,11 @@ def draw_section(section: Section, result: StudyResult) -> tuple[int, list[Drawn
         plates = [pictures(result, curve, nearest_pitch_um(curve), f"pictures_{file_label(curve.technology)}")]
     elif section.kind == "more":
         plates = [other_statistics(first), light_against_detail(result, first)]
+    elif section.kind == "paper's scene":
+        plates = scene_plates(result, first)
     else:
         evidence = Evidence(result, by_name)
-        rows, plates = findings(evidence), paper_plates(evidence)
+        rows, plates = findings(evidence), map_plates(evidence)
     return section.number, [Drawn.of(plate) for plate in plates], rows
 
 
@@ -100,7 +102,12 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], w
     Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
     depend on the workers that draw the figures.
     """
-    made = sorted(results_of(draw_section, [(section, result) for section in sections_of(result)], workers or Workers()))
+    longest_first = reversed(sections_of(result))
+
+    def itself() -> StudyResult:
+        return result
+
+    made = sorted(results_of(draw_section, [(section, itself) for section in longest_first], workers or Workers()))
     rows = [row for _, _, own in made for row in own]
     shown = write_drawn(folder, [drawn for _, own, _ in made for drawn in own])
     paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}

@@ -109,7 +109,7 @@ class StudyResult:
         """Pictures of the study again, for showing: the first `repeats` sensors, or all."""
         bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
         count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
-        frames = Content(self.study, self.camera, self.irradiance).frames(technology).get(pitch_um, "")
+        frames = Content(self.study, self.camera, self.irradiance).frames(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
         each = (scores_of(bench, self.study, own, block_key(frames, block)) for block, own in enumerate(blocks))
         return [score for block in each for _, score in block]

@@ -53,6 +53,10 @@ def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 # --- calls -------------------------------------------------------------------------------------------------------------
 
 
+def nothing() -> None:
+    """What tasks share that share nothing."""
+
+
 def double(task: int, shared: dict[str, np.ndarray]) -> tuple[int, float]:
     return task, task * float(shared["values"].sum())
 
@@ -79,21 +83,31 @@ def fail(task: int, _: object) -> int:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_call_comes_once(jobs: int) -> None:
-    first, second = {"values": np.ones(300_000)}, {"values": np.full(3, 2.0)}
+    made: list[str] = []
+
+    def first() -> dict[str, np.ndarray]:
+        made.append("first")
+        return {"values": np.ones(300_000)}
+
+    def second() -> dict[str, np.ndarray]:
+        made.append("second")
+        return {"values": np.full(3, 2.0)}
+
     calls = [(task, first if task % 2 else second) for task in range(20)]
     found = sorted(results_of(double, calls, Workers(jobs)))
+    assert jobs == 1 or sorted(made) == ["first", "second"], "what is shared is made once"
     assert found == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
 
 
 def test_what_a_dead_worker_had_is_done_by_another(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="a worker died"):
-        found = sorted(results_of(die_once, [(task, tmp_path) for task in range(12)], Workers(2)))
+        found = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
     assert found == list(range(12))
 
 
 def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
     found: list[int] = []
-    results = results_of(die_always, [(task, None) for task in range(12)], Workers(2))
+    results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         with pytest.raises(pixsim.PixsimError, match=r"died 2 times in a row.*2 processes.*left are 3;.*--jobs 1"):
@@ -105,7 +119,7 @@ def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> No
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_error_of_the_work_itself_is_not_retried(jobs: int) -> None:
     with pytest.raises(ZeroDivisionError):
-        list(results_of(fail, [(task, None) for task in (2, 1, 0, 3)], Workers(jobs)))
+        list(results_of(fail, [(task, nothing) for task in (2, 1, 0, 3)], Workers(jobs)))
 
 
 def busy(_: int, __: object) -> float:
@@ -122,7 +136,7 @@ def busy(_: int, __: object) -> float:
 
 def test_a_worker_takes_one_core() -> None:
     """One thread cannot use more than one second a second; clocks and a start-up thread leave 10 %."""
-    loads = list(results_of(busy, [(task, None) for task in range(4)], Workers(2)))
+    loads = list(results_of(busy, [(task, nothing) for task in range(4)], Workers(2)))
     assert max(loads) < 1.1, loads
 
 

@@ -22,7 +22,7 @@ from pixsim.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
 from pixsim.merit import dr_and_snr_db, growth_exponent, mpe30_lx_s, mtf50_cy_per_mm, system_mtf
 from pixsim.optimum import Optimum
 from pixsim.paper import Evidence
-from pixsim.paper_figures import figure_2a, figure_2b, paper_plates
+from pixsim.paper_figures import figure_2a, figure_2b, map_plates, scene_plates
 from pixsim.plates import Plate, delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics, pictures
 from pixsim.spectral import SpectralImage
 from pixsim.sweep import StudyResult
@@ -62,6 +62,10 @@ def scaled(result: StudyResult) -> StudyResult:
         for feature_um, size_um in OPTIMA_UM.items()
     ]
     return replace(result, curves=tuple(curves[index] for index in (1, 3, 0, 2)))
+
+
+def paper_plates(evidence: Evidence) -> list[Plate]:
+    return [*scene_plates(evidence.result, evidence.curves["0.35um"]), *map_plates(evidence)]
 
 
 def every_plate(evidence: Evidence) -> dict[str, Plate]:
