@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from pixsim.parameters import Study as Study
     from pixsim.pixel import derive as derive
     from pixsim.plan import Plan as Plan
+    from pixsim.raw import read_frame as read_frame
+    from pixsim.raw import write_frame as write_frame
     from pixsim.renderer import render as render
     from pixsim.scene import load_scene as load_scene
     from pixsim.scielab import delta_e_map as delta_e_map
@@ -64,6 +66,8 @@ _HOME = {
     "Frame": "sensor",
     "capture": "sensor",
     "make_sensor": "sensor",
+    "write_frame": "raw",
+    "read_frame": "raw",
     "edge_response": "sfr",
     "delta_e_map": "scielab",
     "evaluate": "score",

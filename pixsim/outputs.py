@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from pixsim.errors import refuse
 from pixsim.files import output_folder, versions, write_json
 from pixsim.parameters import Camera, Run
 from pixsim.pictures import save_delta_e_png, save_png
+from pixsim.raw import BITS_OF_PICTURES, write_frame
 from pixsim.score import Bench, Score, describe, make_bench
 from pixsim.sensor import pixels_along
 from pixsim.spectral import SpectralImage, write_channels, write_exr
@@ -39,15 +40,20 @@ def run_and_write(
     sensor: str | None,
     variant: str | None,
     units: str | None = None,
+    raw_suffixes: Sequence[str] = (),
     progress: Stage,
 ) -> dict[str, Any]:
     """Render a scene (or read a spectral picture), sense, score and write; returns what stands in score.json.
+
+    raw_suffixes : of formats in which the frame is written beside raw.exr
 
     Raises PixsimError for unusable input; the folder then holds what it held before.
     """
     from pixsim.pixel import derive
 
     derive(settings.pixel)
+    if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
+        raise refuse("--raw", f"tiff or png for an ADC of {settings.pixel.bits} bits", f"{BITS_OF_PICTURES} bits; npz for more")
     if settings.tolerance_delta_e and full:
         raise refuse("--tolerance-delta-e", "with --full", "one of them: the first leaves out what it can, the second nothing")
     seconds: dict[str, float] = {}
@@ -83,7 +89,7 @@ def run_and_write(
             "seed": settings.seed,
             **more,
         }
-        write_all(folder, irradiance, score, summary)
+        write_all(folder, irradiance, score, summary, raw_suffixes)
         lap("write")
         write_json(folder / "provenance.json", {"versions": versions(), "seconds": seconds})
     return summary
@@ -154,24 +160,15 @@ def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage,
     return image, camera, {}
 
 
-def write_all(folder: Path, irradiance: SpectralImage, score: Score, summary: dict[str, Any]) -> None:
+def write_all(
+    folder: Path, irradiance: SpectralImage, score: Score, summary: dict[str, Any], raw_suffixes: Sequence[str] = ()
+) -> None:
     """Write into a folder beside the target's files, then move them over: an interruption leaves no half file."""
     partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
     try:
         write_exr(partial / "irradiance.exr", irradiance)
-        frame = score.frame
-        write_channels(
-            partial / "raw.exr",
-            {"DN": frame.dn},
-            {
-                "unit": "DN",
-                "bits": frame.bits,
-                "black_level_dn": float(frame.black_level_dn),
-                "pitch_um": float(frame.pitch_um),
-                "dn_per_e": float(frame.dn_per_e),
-                "integration_s": float(frame.integration_s),
-            },
-        )
+        for suffix in dict.fromkeys((".exr", *raw_suffixes)):
+            write_frame(partial / f"raw{suffix}", score.frame)
         write_channels(partial / "delta_e.exr", {"delta_e": score.delta_e}, {})
         save_png(partial / "ideal.png", score.ideal)
         save_png(partial / "image.png", score.image)

@@ -14,11 +14,11 @@ from pixsim.errors import PixsimError, refuse
 from pixsim.figures import COLOURS, new_figure, save_svg
 from pixsim.files import output_folder, replacing, write_json
 from pixsim.plates import Plate
+from pixsim.raw import BITS_OF_PICTURES, read_frame
 from pixsim.sfr import NYQUIST_CY_PER_PX, EdgeResponse
 from pixsim.spectral import read_channels
 
-SUFFIXES = ".exr, .npy, .npz or a grey .png of 16 bits"
-PNG_BITS = 16
+SUFFIXES = ".exr, .npy, .npz, or a grey .png or .tiff of 16 bits"
 DAMAGE = (OSError, ValueError, EOFError, zipfile.BadZipFile)
 
 
@@ -37,11 +37,12 @@ class EdgePicture:
 
 
 def read_edge_picture(path: Path) -> EdgePicture:
-    """A linear grey picture: raw.exr of `pixsim run`, any EXR of one channel, .npy, .npz of one array, .png of 16 bits.
+    """A linear grey picture: raw.exr of `pixsim run`, any EXR of one channel, .npy, .npz of one array, .png or .tiff of 16 bits.
 
     PixsimError for files that are missing, damaged, in colour, or encoded for a display as a PNG of 8 bits is.
     """
-    readers = {".exr": read_exr_picture, ".npy": read_array, ".npz": read_array, ".png": read_png}
+    readers = {".exr": read_exr_picture, ".npy": read_array, ".npz": read_array}
+    readers |= {".png": read_picture, ".tif": read_picture, ".tiff": read_picture}
     if path.suffix.lower() not in readers:
         raise refuse("edge picture", f"'{path}'", SUFFIXES)
     if not path.is_file():
@@ -70,6 +71,8 @@ def read_array(path: Path) -> EdgePicture:
         if isinstance(loaded, np.ndarray):
             return EdgePicture(loaded)
         with loaded:
+            if "dn" in loaded.files:  # as pixsim writes it
+                return read_picture(path)
             if len(loaded.files) != 1:
                 raise refuse(f"arrays of '{path}'", ", ".join(loaded.files) or "none", "one: the picture")
             return EdgePicture(loaded[loaded.files[0]])
@@ -79,19 +82,11 @@ def read_array(path: Path) -> EdgePicture:
         raise refuse("edge picture", f"'{path}' ({error})", "a readable file of numpy.save or numpy.savez") from None
 
 
-def read_png(path: Path) -> EdgePicture:
-    """Grey and 16 bits: those of 8 are encoded for a display, which bends the edge."""
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(path) as image:
-            mode, data = image.mode, np.asarray(image)
-    except (*DAMAGE, UnidentifiedImageError) as error:
-        raise refuse("edge picture", f"'{path}' ({error})", "a readable PNG") from None
-    if mode not in ("I;16", "I;16B", "I"):
-        mend = "Write the sensor's linear values, as raw.exr of pixsim run has them."
-        raise refuse("edge picture", f"'{path}' of mode {mode}", "a grey PNG of 16 bits, linear in light", mend)
-    return EdgePicture(data, top=2.0**PNG_BITS - 1)
+def read_picture(path: Path) -> EdgePicture:
+    """Grey and 16 bits, PNG or TIFF: those of 8 are encoded for a display, which bends the edge."""
+    frame = read_frame(path)
+    top = 2.0**BITS_OF_PICTURES - 1 if frame.white_level_dn is None else frame.white_level_dn
+    return EdgePicture(frame.dn, frame.pitch_um, frame.black_level_dn, top)
 
 
 def summary(found: EdgeResponse, pitch_um: float | None) -> dict[str, Any]:

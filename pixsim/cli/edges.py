@@ -32,7 +32,7 @@ def sfr(
     Parameters
     ----------
     image
-        A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png of 16 bits.
+        A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png or .tiff of 16 bits.
     """
     from pixsim.sfr import edge_response
     from pixsim.sfr_report import read_edge_picture, sfr_line, summary, write_sfr

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -58,6 +58,10 @@ def run(
     sensor: SensorId = None,
     variant: Variant = None,
     units: Annotated[str | None, Parameter(help="Of a picture whose file does not tell them, as W.m^-2.nm^-1.")] = None,
+    raw: Annotated[
+        list[Literal["tiff", "png", "npz"]] | None,
+        Parameter(help="Write the raw frame in this format too, beside raw.exr.", consume_multiple=False),
+    ] = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -67,7 +71,8 @@ def run(
     pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
     pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
-    Writes irradiance.exr, raw.exr, ideal.png, image.png, delta_e.exr, delta_e.png, score.json.
+    Writes irradiance.exr, raw.exr (for --raw in other formats too), ideal.png, image.png, delta_e.exr, delta_e.png,
+    score.json.
 
     Parameters
     ----------
@@ -88,7 +93,17 @@ def run(
     chosen = settings_of(config, tables, define, values)
     folder = out or DEFAULT_OUT / Path(scene).stem
     with stages() as stage:
-        result = run_and_write(scene, chosen, folder, full=full, sensor=sensor, variant=variant, units=units, progress=stage)
+        result = run_and_write(
+            scene,
+            chosen,
+            folder,
+            full=full,
+            sensor=sensor,
+            variant=variant,
+            units=units,
+            raw_suffixes=[f".{each}" for each in raw or []],
+            progress=stage,
+        )
     noise = result.get("render_noise")
     show(
         result,

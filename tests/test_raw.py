@@ -1,0 +1,164 @@
+"""The raw frame leaves and comes back as the same numbers, and other programs read the same ones."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+import pixsim
+from pixsim import cli
+from pixsim.raw import BLACK_LEVEL_TAG, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame
+from pixsim.sensor import Frame
+
+CODES = np.array([[0, 1, 2, 4095], [64, 1000, 4094, 63], [7, 8, 9, 10]], np.int32)
+
+
+def frame(dn: np.ndarray = CODES, bits: int = 12) -> Frame:
+    return Frame(dn, np.zeros(dn.shape), 1 / 60, 0.37, 64.25, 3.0, 5.3, bits)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_number_comes_back(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"raw{suffix}"
+    given = frame()
+    pixsim.write_frame(path, given)
+    found = pixsim.read_frame(path)
+    np.testing.assert_array_equal(found.dn, CODES)
+    assert found.dn.dtype == np.uint16
+    assert (found.black_level_dn, found.white_level_dn, found.bits, found.pitch_um) == (64.25, 4095.0, 12, 5.3)
+    single = 1e-7 if suffix == ".exr" else 0.0  # an EXR's attributes are float32
+    assert found.dn_per_e == pytest.approx(0.37, rel=single, abs=0.0)
+    assert found.integration_s == pytest.approx(1 / 60, rel=single, abs=0.0)
+    pixsim.write_frame(tmp_path / f"again{suffix}", found)
+    assert (tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
+    assert sorted(each.name for each in tmp_path.iterdir()) == sorted([path.name, f"again{suffix}"])
+
+
+@pytest.mark.parametrize(("bits", "suffixes"), [(8, SUFFIXES), (16, SUFFIXES), (17, (".exr", ".npz")), (24, (".exr", ".npz"))])
+def test_every_code_of_an_adc_is_held(bits: int, suffixes: tuple[str, ...], tmp_path: Path) -> None:
+    top = 2**bits - 1
+    dn = np.unique(np.concatenate([np.arange(300) % (top + 1), top - np.arange(300) % (top + 1)])).astype(np.int32)[None, :]
+    for suffix in suffixes:
+        pixsim.write_frame(tmp_path / f"raw{suffix}", frame(dn, bits))
+        np.testing.assert_array_equal(pixsim.read_frame(tmp_path / f"raw{suffix}").dn, dn)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_more_bits_than_a_picture_holds_are_refused_and_leave_nothing(suffix: str, tmp_path: Path) -> None:
+    with pytest.raises(pixsim.PixsimError, match=r"up to 65536; allowed: 16 bits. Write .exr or .npz"):
+        pixsim.write_frame(tmp_path / f"raw{suffix}", frame(np.array([[1, 65536]], np.int32), 17))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_others_read_the_same_numbers(tmp_path: Path) -> None:
+    """Pillow, NumPy and OpenEXR by themselves; the levels where DNG keeps them."""
+    for suffix in (".png", ".tiff", ".npz", ".exr"):
+        pixsim.write_frame(tmp_path / f"raw{suffix}", frame())
+    for suffix in (".png", ".tiff"):
+        with Image.open(tmp_path / f"raw{suffix}") as image:
+            np.testing.assert_array_equal(np.asarray(image), CODES)
+            assert image.mode == "I;16"
+            if suffix == ".png":
+                assert (image.text["black_level_dn"], image.text["white_level_dn"], image.text["unit"]) == ("64.25", "4095.0", "DN")
+            else:
+                assert (image.tag_v2[BLACK_LEVEL_TAG], image.tag_v2[WHITE_LEVEL_TAG]) == (64.25, 4095)
+                assert json.loads(image.tag_v2[270])["integration_s"] == 1 / 60
+    with np.load(tmp_path / "raw.npz") as file:
+        np.testing.assert_array_equal(file["dn"], CODES)
+        assert str(file["unit"]) == "DN"
+    import OpenEXR
+
+    with OpenEXR.File(str(tmp_path / "raw.exr"), separate_channels=True) as file:
+        np.testing.assert_array_equal(file.channels()["DN"].pixels, CODES)
+        assert file.header()["unit"] == "DN"
+
+
+def test_a_frame_without_facts(tmp_path: Path) -> None:
+    """Of another program: what it does not tell is not known."""
+    Image.fromarray(CODES.astype(np.uint16)).save(tmp_path / "other.png")
+    found = pixsim.read_frame(tmp_path / "other.png")
+    assert [getattr(found, name) for name in FACTS] == [None] * len(FACTS)
+    told = PngInfo()
+    told.add_text("black_level_dn", "many")
+    told.add_text("bits", "nan")
+    Image.fromarray(CODES.astype(np.uint16)).save(tmp_path / "odd.png", pnginfo=told)
+    found = pixsim.read_frame(tmp_path / "odd.png")
+    assert (found.black_level_dn, found.bits) == (None, None)
+    np.savez(tmp_path / "one.npz", picture=CODES)
+    np.testing.assert_array_equal(pixsim.read_frame(tmp_path / "one.npz").dn, CODES)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "told"),
+    [
+        ("a.npz", np.array([[0.5]]), "whole numbers from 0 on"),
+        ("a.npz", np.array([[-1]]), "whole numbers from 0 on"),
+        ("a.npz", np.array([[np.nan]]), "whole numbers from 0 on"),
+        ("a.npz", np.array(["a"]), "whole numbers, "),
+        ("a.npz", np.zeros((0, 3)), "whole numbers, "),
+        ("a.npz", np.zeros((2, 3, 3)), "whole numbers, "),
+        ("a.png", np.zeros((4, 4, 3), np.uint8), "mode RGB"),
+        ("a.tiff", np.zeros((4, 4), np.uint8), "mode L"),
+    ],
+)
+def test_what_is_no_raw_frame(name: str, array: np.ndarray, told: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    np.savez(path, dn=array) if path.suffix == ".npz" else Image.fromarray(array).save(path)
+    with pytest.raises(pixsim.PixsimError, match=told):
+        pixsim.read_frame(path)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_cut_off_anywhere_is_refused(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"raw{suffix}"
+    pixsim.write_frame(path, frame(np.arange(4096, dtype=np.int32).reshape(64, 64)))
+    whole = path.read_bytes()
+    for length in range(0, len(whole) - 40, max(1, len(whole) // 60)):
+        path.write_bytes(whole[:length])
+        with pytest.raises(pixsim.PixsimError):
+            pixsim.read_frame(path)
+
+
+def test_names_that_say_no_format(tmp_path: Path) -> None:
+    for call in (lambda path: pixsim.write_frame(path, frame()), pixsim.read_frame):
+        with pytest.raises(pixsim.PixsimError, match=r"\.exr, \.tiff, \.tif, \.png, \.npz"):
+            call(tmp_path / "raw.dat")
+    with pytest.raises(pixsim.PixsimError, match="does not exist"):
+        pixsim.read_frame(tmp_path / "raw.png")
+
+
+def run(line: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        cli.main(shlex.split(line))
+    return int(end.value.code or 0)
+
+
+def test_a_run_writes_them_and_the_edge_is_as_sharp_in_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    small = "-D resolution=192 --camera.die-mm 1.0 --pixel.black-level-dn 40 --exposure.well-target 0.7"
+    assert run(f"run slanted_edge {small} --raw tiff --raw png --raw npz --out {out}") == 0
+    frames = {suffix: pixsim.read_frame(out / f"raw{suffix}") for suffix in (".exr", ".tiff", ".png", ".npz")}
+    for found in frames.values():
+        np.testing.assert_array_equal(found.dn, frames[".exr"].dn)
+        assert (found.black_level_dn, found.white_level_dn, found.bits) == (40.0, 1023.0, 10)
+    capsys.readouterr()
+    told = set()
+    for suffix in frames:
+        assert run(f"sfr {out}/raw{suffix} --out {tmp_path}/sfr{suffix} --json") == 0
+        told.add(capsys.readouterr().out)
+    assert len(told) == 1
+    assert run(f"run slanted_edge {small} --pixel.bits 20 --raw png --out {tmp_path}/deep") == 2
+    assert "--raw: got tiff or png for an ADC of 20 bits" in capsys.readouterr().err
+    assert not (tmp_path / "deep").exists()
+
+
+def test_a_raw_frame_without_facts_can_be_written(tmp_path: Path) -> None:
+    for suffix in SUFFIXES:
+        pixsim.write_frame(tmp_path / f"bare{suffix}", RawFrame(CODES))
+        assert pixsim.read_frame(tmp_path / f"bare{suffix}").black_level_dn is None
