@@ -20,7 +20,6 @@ Shared = TypeVar("Shared")
 Result = TypeVar("Result")
 Call = tuple[Task, Callable[[], Shared]]  # a task, and what makes that which it shares with others
 
-TRIES_WITHOUT_PROGRESS = 2
 NAMED_TASKS = 4  # in a message
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # until a cluster has one
@@ -105,11 +104,10 @@ def results_of(
     Calls with the same `make` share what it makes: one copy of it a worker, made while others are already at work. Where a
     worker dies, what is left is tried again, what was under way last.
 
-    Raises PixsimError, with what is left named, where workers die twice and nothing is done in between.
+    Raises PixsimError that names those which end their worker even when nothing else runs beside them.
     """
     left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
     workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
-    without_progress = 0
     while left:
         before = len(left)
         try:
@@ -119,11 +117,28 @@ def results_of(
         except Exception as error:
             if not is_death(error):
                 raise
-            without_progress = without_progress + 1 if len(left) == before else 0
-            if without_progress == TRIES_WITHOUT_PROGRESS:
-                raise PixsimError(_told(left, workers)) from None
             warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
+            if len(left) == before:
+                yield from _one_by_one(function, left, workers)
+                return
             left = _later(left)
+
+
+def _one_by_one(
+    function: Callable[[Task, Shared], Result], left: dict[int, Call[Task, Shared]], workers: Workers
+) -> Iterator[Result]:
+    """Each call with no other beside it, so that only what ends its own worker is to blame, or the memory that is left."""
+    deadly: dict[int, Call[Task, Shared]] = {}
+    for index, call in left.items():
+        try:
+            for _, result in _once(function, {index: call}, workers):
+                yield result
+        except Exception as error:
+            if not is_death(error):
+                raise
+            deadly[index] = call
+    if deadly:
+        raise PixsimError(_told(deadly, workers))
 
 
 def is_death(error: BaseException) -> bool:
@@ -143,9 +158,8 @@ def _told(left: dict[int, Call[Task, Shared]], workers: Workers) -> str:
     tasks = [str(task) for task, _ in left.values()]
     named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
     return (
-        f"workers: they died {TRIES_WITHOUT_PROGRESS} times in a row with nothing done ({workers}), left are {named}; "
-        "often it is the system that is out of memory. What is finished is kept, and the same command goes on from there. "
-        "Take fewer --jobs, or --jobs 1 to see the error."
+        f"workers ({workers}): each of these ended its process, even alone: {named}. Often it is the system that is out of memory. "
+        "What is finished is kept, and the same command goes on from there; --jobs 1 shows the error."
     )
 
 

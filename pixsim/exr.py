@@ -117,3 +117,9 @@ def _name(text: str) -> bytes:
     name = text.encode()
     assert 0 < len(name) <= LONGEST_NAME
     return name + b"\0"
+
+
+def shortest(value: float) -> float:
+    """An attribute as it was before it became float32: 5.3, not 5.300000190734863."""
+    # Not str(): colour-science sets NumPy's printing back to that of 2017, with six digits.
+    return float(np.format_float_scientific(np.float32(value), unique=True))

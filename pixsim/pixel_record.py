@@ -14,7 +14,7 @@ NO_TECHNOLOGY = "none"
 # What a data sheet must tell of a pixel that has no technology; non-uniformities and offsets are none where it is silent.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
 QuantumEfficiency = Annotated[
-    float | tuple[tuple[float, float], ...],
+    bounds.Fraction | tuple[tuple[float, float], ...],
     BeforeValidator(as_quantum_efficiency),
     WithJsonSchema(
         {

@@ -28,14 +28,23 @@ def as_quantum_efficiency(value: Any) -> Any:
         except ValueError:
             return read_curve(Path(value))
     if isinstance(value, int | float):
+        value = as_float(value)
         if not SMALLEST_FRACTION <= value <= 1:
             raise ValueError(f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in nm and value")
-        return float(value)
+        return value
     try:
-        pairs = tuple((float(nm), float(efficiency)) for nm, efficiency in value)
+        pairs = tuple((as_float(nm), as_float(efficiency)) for nm, efficiency in value)
     except (TypeError, ValueError):
         raise ValueError("got no number, file or list of pairs; allowed: 0.6, 'qe.csv', or [[400, 0.3], [550, 0.6]]") from None
     return _checked(pairs, "the list")
+
+
+def as_float(value: Any) -> float:
+    """Infinity for whole numbers that no float holds."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def read_curve(path: Path) -> Curve:

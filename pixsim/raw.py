@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.errors import PixsimError, refuse
-from pixsim.exr import read_channels, write_channels, writing
+from pixsim.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor import Frame
 
 UNIT = "DN"
@@ -182,9 +182,7 @@ def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     if len(channels) != 1:
         raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: the digital numbers")
     facts = {name: header[name] for name in FACTS if name in header}
-    # An attribute is a float32: 5.3 comes back as 5.3, not as 5.300000190734863.
-    facts = {name: value if name == "bits" else float(str(np.float32(value))) for name, value in facts.items()}
-    return next(iter(channels.values())), facts
+    return next(iter(channels.values())), {name: value if name == "bits" else shortest(value) for name, value in facts.items()}
 
 
 def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
@@ -198,12 +196,14 @@ def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
 def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     from PIL import Image
 
-    with warnings.catch_warnings(), Image.open(path) as image:
-        warnings.simplefilter("ignore")  # what Pillow finds odd in tags; what it cannot read is an error
+    with (
+        warnings.catch_warnings(action="ignore"),
+        Image.open(path) as image,
+    ):  # what Pillow finds odd; what it cannot read is an error
         if image.width * image.height > LARGEST_PIXELS:
             raise refuse(f"raw frame '{path}'", f"{image.width} × {image.height} pixels", f"at most {LARGEST_PIXELS}")
         if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
-            mend = "One of 8 bits is encoded for a display; write the sensor's own numbers."
+            mend = "One of 8 bits is encoded for a display; write the sensor's own numbers, linear in light."
             raise refuse(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", mend)
         told: dict[str, Any] = dict(getattr(image, "text", {}))
         tags = getattr(image, "tag_v2", {})

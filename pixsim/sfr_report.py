@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.errors import PixsimError, refuse
+from pixsim.exr import shortest
 from pixsim.figures import COLOURS, new_figure, save_svg
 from pixsim.files import output_folder, replacing, write_json
 from pixsim.plates import Plate
@@ -56,13 +57,8 @@ def read_exr_picture(path: Path) -> EdgePicture:
     if len(channels) != 1:
         raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: DN of pixsim's raw.exr, or luminance")
     (data,) = channels.values()
-    pitch_um, black_level_dn = (shortest(header.get(name)) for name in ("pitch_um", "black_level_dn"))
+    pitch_um, black_level_dn = (shortest(header[name]) if name in header else None for name in ("pitch_um", "black_level_dn"))
     return EdgePicture(data, pitch_um, black_level_dn, 2.0 ** int(header["bits"]) - 1 if "bits" in header else None)
-
-
-def shortest(value: float | None) -> float | None:
-    """An attribute as it was before it became float32: 5.3, not 5.300000190734863."""
-    return None if value is None else float(str(np.float32(value)))
 
 
 def read_array(path: Path) -> EdgePicture:

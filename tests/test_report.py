@@ -23,7 +23,7 @@ STUDY = {
     "technologies": ["0.35um", "<b>&process.toml"],
     "repeats": 2,
     "iso_delta_e": 1.0,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 50.0}},
+    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
     "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
     "display": {"dots": 96, "samples_per_deg": 10.0},
 }
@@ -33,10 +33,11 @@ BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult, Path]]:
     folder = tmp_path_factory.mktemp("report")
-    process = Path(pixsim.__file__).parent / "data/technologies/0.25um.toml"
+    process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        shutil.copy(process, STUDY["technologies"][1])
+        other = process.read_text(encoding="utf-8").replace('name = "0.35um"', 'name = "other"')
+        Path(STUDY["technologies"][1]).write_text(other, encoding="utf-8")
         result = pixsim.study(pixsim.Study.model_validate(STUDY), folder / "out", jobs=1)
         write_report(result, folder / "out", {"render": 1.25})
         yield result, folder / "out"

@@ -159,6 +159,14 @@ def targets() -> None:
     one, many = partial(diffracted_rate, film, CAMERA, physics), partial(diffracted_rate, general, CAMERA, physics)
     row("diffraction, 31 bands of one spectrum, 1024²", 0.15, one, partial(plain_optics, film))
     row("diffraction, 31 bands, general, 1024²", 3.0, many, partial(plain_optics, general), 3)
+    small = bands(512)
+    row(
+        "diffraction, 31 bands, general, 512²",
+        None,
+        partial(diffracted_rate, small, CAMERA, physics),
+        partial(plain_optics, small),
+        3,
+    )
     light = project(film, CAMERA, physics, DISPLAY)
     bench = bench_of(light, physics, EXPOSURE, DISPLAY)
     shape, signal = bench.signal_e_per_s.shape, bench.signal_e_per_s
