@@ -36,7 +36,7 @@ def as_quantum_efficiency(value: Any) -> Any:
         pairs = tuple((as_float(nm), as_float(efficiency)) for nm, efficiency in value)
     except (TypeError, ValueError):
         raise ValueError("got no number, file or list of pairs; allowed: 0.6, 'qe.csv', or [[400, 0.3], [550, 0.6]]") from None
-    return _checked(pairs, "the list")
+    return _checked(pairs, "a list")
 
 
 def as_float(value: Any) -> float:
@@ -51,7 +51,7 @@ def read_curve(path: Path) -> Curve:
     """The first two columns of a CSV file; lines before the first number are titles. ValueError where it is no curve."""
     try:
         if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise ValueError(f"'{path}' has {path.stat().st_size} bytes; allowed: a curve of up to {LARGEST_FILE_BYTES}")
+            raise ValueError(f"got '{path}' of {path.stat().st_size} bytes; allowed: a curve of up to {LARGEST_FILE_BYTES}")
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(
@@ -67,7 +67,7 @@ def read_curve(path: Path) -> Curve:
             pairs.append((float(cells[0]), float(cells[1])))
         except (ValueError, IndexError):
             if pairs:
-                raise ValueError(f"'{path}', line {number}: got {','.join(row)!r}; allowed: wavelength in nm, value") from None
+                raise ValueError(f"got {','.join(row)!r} in line {number} of '{path}'; allowed: wavelength in nm, value") from None
     return _checked(tuple(pairs), f"'{path}'")
 
 
@@ -77,14 +77,14 @@ def _reason(error: Exception) -> str:
 
 def _checked(pairs: Curve, what: str) -> Curve:
     if len(pairs) < 2:
-        raise ValueError(f"{what} has {len(pairs)} points; allowed: two and more, {ALLOWED}")
+        raise ValueError(f"got {what} of {len(pairs)} points; allowed: two and more, {ALLOWED}")
     for (nm, efficiency), (following, _) in pairwise([*pairs, (math.inf, 0.0)]):
         if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
             hint = " Micrometres times 1000 are nm." if 0 < nm < 2 else ""
-            raise ValueError(f"{what} has {nm:g} nm followed by {following:g} nm; allowed: {ALLOWED}.{hint}")
+            raise ValueError(f"got {what} with {nm:g} nm followed by {following:g} nm; allowed: {ALLOWED}.{hint}")
         if not 0 <= efficiency <= 1:
             hint = " Divide per cent by 100." if 1 < efficiency <= 100 else ""
-            raise ValueError(f"{what} has {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}")
+            raise ValueError(f"got {what} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}")
     if not any(efficiency >= SMALLEST_FRACTION for _, efficiency in pairs):
-        raise ValueError(f"{what} is 0 at every wavelength; allowed: {ALLOWED}")
+        raise ValueError(f"got {what} that is 0 at every wavelength; allowed: {ALLOWED}")
     return pairs

@@ -112,9 +112,9 @@ def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> 
         ("400,-0.1\n500,0.4\n", "-0.1 at 400 nm"),
         ("400,nan\n500,0.4\n", "nan at 400 nm"),
         ("400,0\n500,0\n", "0 at every wavelength"),
-        ("400,0.3\n", "1 points"),
-        ("", "0 points"),
-        ("400,0.3\nfive hundred,0.4\n", "line 2: got 'five hundred,0.4'"),
+        ("400,0.3\n", "of 1 points"),
+        ("", "of 0 points"),
+        ("400,0.3\nfive hundred,0.4\n", "got 'five hundred,0.4' in line 2"),
         ("400;0.3\n500;0,4\n", "line 2"),
     ],
 )
