@@ -20,7 +20,8 @@ from pixsim import cache
 from pixsim.engine import Workers, results_of
 from pixsim.errors import refuse
 from pixsim.ledger import Ledger, Row
-from pixsim.parameters import Camera, Pixel, Study, content_hash
+from pixsim.parameters import Camera, Study, content_hash
+from pixsim.parameters import pixel_of as pixel_of
 from pixsim.pixel import derive, pitch_for_fill_factor_um
 from pixsim.score import Bench, Projection, Score, bench_of, make_bench, project
 from pixsim.sensor import pixels_along
@@ -67,10 +68,6 @@ def study_pitches_um(study: Study, technology: str) -> Array:
             f"above {low:.4g} µm, where {technology} has a fill factor of {study.pitch.min_fill_factor:g}",
         )
     return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
-
-
-def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
-    return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
 
 
 class Lights:

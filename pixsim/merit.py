@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from pixsim import optics
@@ -9,7 +11,9 @@ from pixsim.parameters import Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.sensor import M2_PER_UM2, electrons_per_joule
 from pixsim.spectral import Array
-from pixsim.sweep import StudyResult
+
+if TYPE_CHECKING:
+    from pixsim.study_result import StudyResult
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
 FIGURE_2_INTEGRATION_S = 0.030

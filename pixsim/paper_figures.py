@@ -8,7 +8,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
-from pixsim.evaluations import pixel_of
 from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_picture, extent, new_figure
 from pixsim.merit import dr_and_snr_db, system_mtf
 from pixsim.paper import (
@@ -18,6 +17,7 @@ from pixsim.paper import (
     Evidence,
     frequency_contrast_table,
 )
+from pixsim.parameters import pixel_of
 from pixsim.pixel import derive
 from pixsim.plates import MARKERS, Column, Plate, coarse_table, draw_iso, pictures
 from pixsim.sweep import Curve, StudyResult

@@ -210,3 +210,8 @@ class Run(Effort):
     pixel: Pixel = Pixel()
     exposure: Exposure = Exposure()
     display: Display = Display()
+
+
+def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
+    """A pixel of a study."""
+    return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})

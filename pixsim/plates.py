@@ -12,17 +12,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from pixsim.evaluations import pixel_of
 from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_delta_e, draw_picture, extent, label_axes, new_figure, svg_text
 from pixsim.merit import mpe30_lx_s, mtf50_cy_per_mm
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
+from pixsim.parameters import pixel_of
 from pixsim.pixel import derive
 from pixsim.spectral import Array
-from pixsim.sweep import Curve, StudyResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from pixsim.study_result import Curve, StudyResult
 
 Column = Sequence[float | str]
 COARSE = 64  # samples a side of the tables of pictures

@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import operator
+import os
 import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from pixsim.pixel import PixelPhysics, derive
 from pixsim.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map
 from pixsim.sensor import Frame, capture_rate, diffracted_rate, draw_sensor, frame_of, integrate_pixels, running_integral
 from pixsim.spectral import Array, SpectralImage
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CLIPPED_WARNING = 0.01
 HISTOGRAM_BINS = 1 << 14
@@ -62,6 +66,23 @@ class Score:
             "mean_electrons_e": float(frame.mean_e.mean()),
             **delta_e_statistics(self.delta_e),
         }
+
+    def plot(self) -> Figure:
+        """Ideal picture, sensor's picture and ΔE map side by side, a Matplotlib figure."""
+        from pixsim.notebook import score_figure
+
+        return score_figure(self)
+
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """`statistics` as CSV, also into a file where a path is given."""
+        from pixsim.notebook import csv_text, score_rows
+
+        return csv_text(score_rows(self), path)
+
+    def _repr_html_(self) -> str:
+        from pixsim.notebook import score_html
+
+        return score_html(self)
 
     def __repr__(self) -> str:
         return (

@@ -1,0 +1,129 @@
+"""What a study found: curves of mean ΔE against pitch, their optima, and the pictures behind them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_at, block_key, scores_of
+from pixsim.ledger import Row
+from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
+from pixsim.parameters import Camera, Study
+from pixsim.score import Score
+from pixsim.spectral import Array, SpectralImage
+from pixsim.technology import load_technology
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Mean ΔE against pitch for one technology."""
+
+    technology: str
+    feature_size_um: float
+    pitch_um: Array = field(repr=False)
+    fill_factor: Array = field(repr=False)
+    statistics: dict[str, Array] = field(repr=False)  # mean_delta_e and the others, (pitches, repeats) each
+    optimum: Optimum
+
+    @property
+    def delta_e(self) -> Array:
+        """Mean ΔE, (pitches, repeats)."""
+        return self.statistics["mean_delta_e"]
+
+    @property
+    def optimum_fill_factor(self) -> float:
+        return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
+
+    def as_dict(self) -> dict[str, Any]:
+        mean, ci95 = mean_and_ci95(self.delta_e)
+        return {
+            "technology": self.technology,
+            "optimum": self.optimum.as_dict(),
+            "optimum_fill_factor": self.optimum_fill_factor,
+            "optimum_features": self.optimum.pitch_um / self.feature_size_um,
+            "pitch_um": self.pitch_um.tolist(),
+            "fill_factor": self.fill_factor.tolist(),
+            "mean_delta_e": mean.tolist(),
+            "ci95_delta_e": ci95.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """What a study found, and what its report needs."""
+
+    study: Study
+    curves: tuple[Curve, ...]
+    irradiance: SpectralImage = field(repr=False)
+    camera: Camera
+    budget: dict[str, Any] | None = None  # of the first curve, where a tolerance of ΔE was asked for
+
+    @cached_property
+    def lights(self) -> Lights:
+        return Lights(self.study, self.irradiance, self.camera)
+
+    def as_dict(self) -> dict[str, Any]:
+        """summary.json."""
+        budget = {"error_budget": self.budget} if self.budget else {}
+        return budget | {
+            "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "irradiance": self.irradiance.header,
+            "curves": [curve.as_dict() for curve in self.curves],
+        }
+
+    def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
+        """Pictures of the study again, for showing: the first `repeats` sensors, or all."""
+        bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
+        count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
+        frames = Content(self.study, self.camera, self.irradiance).frames(technology, pitch_um)
+        blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
+        each = (scores_of(bench, self.study, own, block_key(frames, block)) for block, own in enumerate(blocks))
+        return [score for block in each for _, score in block]
+
+    def plot(self) -> Figure:
+        """Mean ΔE against pixel size, a Matplotlib figure."""
+        from pixsim.notebook import study_figure
+
+        return study_figure(self)
+
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """A row for each technology, pitch and sensor, as CSV; also into a file where a path is given."""
+        from pixsim.notebook import csv_text, study_rows
+
+        return csv_text(study_rows(self), path)
+
+    def _repr_html_(self) -> str:
+        from pixsim.notebook import study_html
+
+        return study_html(self)
+
+    def __repr__(self) -> str:
+        found = "; ".join(
+            f"{c.technology}: {c.optimum.pitch_um:.2f} ± {c.optimum.ci95_um:.2f} µm, ΔE {c.optimum.mean_delta_e:.3f}"
+            for c in self.curves
+        )
+        return f"<StudyResult {self.study.name}: {found}>"
+
+
+def curve_of(technology: str, rows: list[Row]) -> Curve:
+    """The rows of one technology as a curve with its optimum."""
+    own = [row for row in rows if row["technology"] == technology]
+    pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
+    place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
+    repeats = 1 + max(int(row["repeat"]) for row in own)
+    statistics = {name: np.full((pitches.size, repeats), np.nan) for name in COLUMNS if name.endswith("_delta_e")}
+    fill_factor = np.zeros(pitches.size)
+    for row in own:
+        index = place[float(row["pitch_um"])]
+        for name, values in statistics.items():
+            values[index, int(row["repeat"])] = float(row[name])
+        fill_factor[index] = float(row["fill_factor"])
+    feature_um = load_technology(technology).feature_size_um
+    return Curve(technology, feature_um, pitches, fill_factor, statistics, find_optimum(pitches, statistics["mean_delta_e"]))
