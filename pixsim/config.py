@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.errors import refuse
+from pixsim.safe_files import read_text
 
 LARGEST_BYTES = 1 << 20
+MOST_DIGITS = 250  # in any base: larger numbers are no floats, and not even their text can be shown
+MOST_DOTS = 64  # of a key: tomllib's time grows as their square
 DEEPEST = 16  # tables in tables; pixsim's own go to 4
 
 
@@ -53,23 +57,26 @@ def merged(layers: Iterable[Layer]) -> dict[str, Any]:
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as a dict; PixsimError where it is missing, too large, not text, not TOML, or nested without end."""
     what = f"configuration file '{path}'"
+    text = read_text(path, "configuration file", "a readable TOML file", LARGEST_BYTES)
+    _refuse_endless(text, what)
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_BYTES + 1)
-        if len(content) > LARGEST_BYTES:
-            raise refuse(what, f"more than {LARGEST_BYTES} bytes", "settings, of up to 1 MiB", "Is it the right file?")
-        table = tomllib.loads(content.decode("utf-8"))
-    except FileNotFoundError:
-        raise refuse("configuration file", f"'{path}', which does not exist", "a TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise refuse("configuration file", f"'{path}' ({error})", "a readable TOML file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
+        table = tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, and dates that are none
         raise refuse(what, error, "TOML, see https://toml.io") from None
     except RecursionError:
         raise refuse(what, "tables nested without end", f"at most {DEEPEST} deep") from None
     if depth(table) > DEEPEST:
         raise refuse(what, f"tables nested {depth(table)} deep", f"at most {DEEPEST}")
     return table
+
+
+def _refuse_endless(text: str, what: str) -> None:
+    """PixsimError for numbers and dotted keys that would keep the parser busy, or be of no use after it."""
+    bare = text.translate(dict.fromkeys(map(ord, " \t\"'")))
+    if max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", bare)), default=0) > MOST_DOTS:
+        raise refuse(what, f"a key of more than {MOST_DOTS} dots", f"at most {DEEPEST}")
+    if re.search(rf"[0-9a-fA-F_]{{{MOST_DIGITS + 1}}}", text):
+        raise refuse(what, f"a number of more than {MOST_DIGITS} digits", "numbers that are floats")
 
 
 def depth(value: Any) -> int:

@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import re
+
+CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+LONGEST = 20_000  # characters of a message
+
 
 class PixsimError(ValueError):
     """Input that pixsim cannot use; the message tells what was asked, found and allowed, and how to mend it."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(shown(message))
+
+
+def shown(text: str) -> str:
+    """What files and names say, for a terminal: characters that would steer it are spelled out, and nothing has no end."""
+    text = CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]} … ({len(text)} characters)"
 
 
 def refuse(what: str, got: object, allowed: str, mend: str = "") -> PixsimError:

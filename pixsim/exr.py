@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.errors import refuse
+from pixsim.errors import PixsimError, refuse
+from pixsim.exr_header import MAGIC, judge_exr
 from pixsim.files import replacing
+from pixsim.safe_files import quiet_stdout
 
 Rows = Callable[[slice], NDArray[np.float32]]
 
-MAGIC, VERSION = 20000630, 2
+VERSION = 2
 LONGEST_NAME = 31  # bytes, without a flag that old readers do not know
 FLOAT = 2
 BLOCK_BYTES = 1 << 22  # fits into a processor's cache with what it is made of
@@ -45,16 +47,20 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
-    """An OpenEXR file; PixsimError where it is missing or not an EXR."""
+    """An OpenEXR file; PixsimError where it is missing, not an EXR, damaged, or declares more than it can hold."""
+    judge_exr(Path(path))
     import OpenEXR
 
-    if not Path(path).is_file():
-        raise refuse("EXR file", f"'{path}', which does not exist", "a readable OpenEXR file")
     try:
-        with OpenEXR.File(str(path), separate_channels=True, **options) as file:
+        with quiet_stdout():
+            opened = OpenEXR.File(str(path), separate_channels=True, **options)
+        with opened as file:
             yield file
-    except (OSError, RuntimeError, ValueError) as error:
-        raise refuse("EXR file", f"'{path}' ({error})", "a readable OpenEXR file") from None
+    except PixsimError:
+        raise
+    except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
+        reason = "its pixels are damaged or cut off" if "part index" in str(error) else error  # the part was left out
+        raise refuse("EXR file", f"'{path}' ({reason})", "a readable OpenEXR file") from None
 
 
 def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:

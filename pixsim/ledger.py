@@ -17,8 +17,11 @@ from pathlib import Path
 
 from pixsim.errors import PixsimError, refuse
 from pixsim.files import replacing
+from pixsim.safe_files import read_bytes
 
 Row = dict[str, str]
+LARGEST_BYTES = 1 << 28  # a million rows
+LONGEST_LINE = 1 << 14
 
 
 class Ledger:
@@ -31,9 +34,14 @@ class Ledger:
         """Whole rows by key; a last line that was cut off is left out."""
         if not self.path.is_file():
             return {}
-        whole, newline, _ = self.path.read_bytes().rpartition(b"\n")
-        table = csv.DictReader((whole + newline).decode(errors="replace").splitlines())
-        return {row[self.columns[0]]: row for row in table if self._is_whole(row)}
+        allowed = "the rows of a study"
+        whole, newline, _ = read_bytes(self.path, "results", allowed, LARGEST_BYTES).rpartition(b"\n")
+        lines = (whole + newline).decode(errors="replace").replace("\0", "").split("\n")
+        table = csv.DictReader(line for line in lines if len(line) <= LONGEST_LINE)
+        try:
+            return {row[self.columns[0]]: {name: row[name] for name in self.columns} for row in table if self._is_whole(row)}
+        except csv.Error as error:
+            raise refuse("results", f"'{self.path}' ({error})", allowed, "Move it away: its rows are made again.") from None
 
     def _is_whole(self, row: Row) -> bool:
         """Whether a row has every column, and numbers where they belong; others are made again."""

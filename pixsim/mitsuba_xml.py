@@ -51,14 +51,17 @@ def parse(path: Path, variant: str, parameters: dict[str, str]) -> Any:
 
 
 def children(node: Any, state: Any) -> dict[str, int]:
-    """Property -> index of the node it refers to."""
+    """Property -> index of the node it refers to. PixsimError for one that is not there."""
     found = {}
     for key in node.props.keys():  # noqa: SIM118  (Properties is no dict)
         kind = node.props.type(key).name
         if kind == "ResolvedReference":
             found[key] = node.props[key].index()
         elif kind == "Reference":
-            found[key] = state.id_to_index[node.props[key].id()]
+            name = node.props[key].id()
+            if name not in state.id_to_index:
+                raise refuse("scene", f"a reference to '{name}', which does not exist", "ids of the scene's nodes")
+            found[key] = state.id_to_index[name]
     return found
 
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from pixsim.bounds import SMALLEST_FRACTION
+from pixsim.errors import PixsimError
+from pixsim.safe_files import read_text
 
 Curve = tuple[tuple[float, float], ...]  # (wavelength in nm, electrons per photon), wavelengths increasing
+ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
 LARGEST_FILE_BYTES = 1 << 20
 ALLOWED_NM = (100.0, 2000.0)
 ALLOWED = "wavelengths in nm that increase, 100 to 2000, each with a quantum efficiency of 0 to 1, not all of them 0"
@@ -50,16 +54,12 @@ def as_float(value: Any) -> float:
 def read_curve(path: Path) -> Curve:
     """The first two columns of a CSV file; lines before the first number are titles. ValueError where it is no curve."""
     try:
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise ValueError(f"got '{path}' of {path.stat().st_size} bytes; allowed: a curve of up to {LARGEST_FILE_BYTES}")
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"got '{path}' ({_reason(error)}); allowed: a number, or a CSV file of wavelength in nm and value"
-        ) from None
+        lines = read_text(path, "quantum efficiency", ALLOWED_FILE, LARGEST_FILE_BYTES).splitlines()
+    except PixsimError as error:
+        raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
     pairs: list[tuple[float, float]] = []
     separator = ";" if any(";" in line for line in lines) else ","
-    for number, row in enumerate(csv.reader(lines, delimiter=separator), 1):
+    for number, row in enumerate(_rows(lines, separator, path), 1):
         cells = [cell.strip() for cell in row]
         if not any(cells) or cells[0].startswith("#"):
             continue
@@ -71,8 +71,11 @@ def read_curve(path: Path) -> Curve:
     return _checked(tuple(pairs), f"'{path}'")
 
 
-def _reason(error: Exception) -> str:
-    return str(getattr(error, "strerror", None) or error)
+def _rows(lines: list[str], separator: str, path: Path) -> Iterator[list[str]]:
+    try:
+        yield from csv.reader(lines, delimiter=separator)
+    except csv.Error as error:
+        raise ValueError(f"got '{path}' ({error}); allowed: {ALLOWED_FILE}") from None
 
 
 def _checked(pairs: Curve, what: str) -> Curve:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import math
 import os
-import re
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -18,6 +17,7 @@ from pixsim.errors import PixsimError, refuse
 from pixsim.lamps import find_lamp
 from pixsim.mitsuba_xml import children, nodes_of, parse
 from pixsim.parameters import Camera, CameraOptions
+from pixsim.scene_files import judge_scene, judge_tree
 from pixsim.textures import check_textures
 from pixsim.tree_hash import hash_of_tree
 
@@ -26,7 +26,9 @@ LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that Mitsuba does not use: what the viewer's display shows as white
 EMITTER_SCALE = "emitter_scale"
 INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
-MOST_INCLUDES = 64
+DEFAULT_FILM = {"height": 576, "width": 768}  # Mitsuba's
+LARGEST_FILM, LARGEST_FILM_SIDE = 1 << 28, 1 << 16  # samples: a GiB for each of a render's channels
+MOST_SAMPLES = 1 << 20  # a film cell: hours
 FILM_35_MM = (36.0, 24.0)  # what Mitsuba's `focal_length` refers to
 
 
@@ -106,22 +108,27 @@ def load_scene(
     unusable texture, no sensor or several, a sensor that is not a thin lens, an LLVM that is too old.
     """
     path = packaged_scenes().get(str(scene)) or Path(scene)
-    if not path.is_file():
+    if not os.path.lexists(path) or path.is_dir():
         raise refuse("scene", f"'{scene}'", f"an XML file, or one of {', '.join(packaged_scenes())}")
-    choice = variants.choose(variant)
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     given = {name: str(value) for name, value in parameters.items()}
-    names = parameter_names(path)
+    told = judge_scene(path, given)
+    names = frozenset(told.names)
     _check_names(given, names | {LUMINANCE})
-    own_white = _default_of(path, WHITE)
+    own_white = told.defaults.get(WHITE)
     if white is not None and own_white is None:
         raise refuse(
             WHITE, f"'{white}', but '{path.name}' has no such <default>", "scenes that have", "Set display.white_cd_per_m2."
         )
     shown = own_white if white is None else white
+    choice = variants.choose(variant)
     loaded = Scene(path.resolve(), given, names, sensor, choice, None if shown is None else _positive(WHITE, shown))
     state = loaded.parse()
-    read_camera(sensor_node(state, sensor)[1], Camera().die_mm)
+    judge_tree([list(children(node, state).values()) for node in state.nodes])
+    eye = sensor_node(state, sensor)[1]
+    read_camera(eye, Camera().die_mm)
+    film_size(state, eye)
+    sample_count(state, eye)
     check_supported(state)
     check_textures(state, loaded.path.parent)
     if luminance is not None:
@@ -153,27 +160,6 @@ def _positive(name: str, value: object) -> float:
     if not (0 < number < math.inf):
         raise refuse(name, repr(value), "a positive number")
     return number
-
-
-def parameter_names(path: Path, depth: int = 4) -> frozenset[str]:
-    """Names after `$` in an XML and in those that it includes, comments left out."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise refuse("scene", f"'{path}' ({error})", "a readable XML file in UTF-8") from None
-    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
-    names = frozenset(re.findall(r"\$\{?(\w+)", text))
-    for name in re.findall(r'<include\b[^>]*\bfilename="([^"$]+)"', text)[:MOST_INCLUDES] if depth else []:
-        if (path.parent / name).is_file():
-            names |= parameter_names(path.parent / name, depth - 1)
-    return names
-
-
-def _default_of(path: Path, name: str) -> str | None:
-    """Value of a <default>, comments left out; Mitsuba's own parser forgets those that nothing uses."""
-    text = re.sub(r"<!--.*?-->", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
-    found = re.search(rf'<default\s+name="{name}"\s+value="([^"]*)"', text)
-    return found[1] if found else None
 
 
 def _check_names(given: dict[str, str], allowed: frozenset[str]) -> None:
@@ -239,19 +225,34 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
 
 
 def film_size(state: Any, sensor: Any) -> tuple[int, int]:
-    """(height, width) of the sensor's film, in samples."""
-    for index in children(sensor, state).values():
-        node = state.nodes[index]
-        if node.type.name == "Film":
-            return int(node.props.get("height", 576)), int(node.props.get("width", 768))
-    return 576, 768
+    """(height, width) of the sensor's film, in samples. PixsimError where it cannot be."""
+    height, width = (_whole(_beside(state, sensor, "Film"), side, default) for side, default in DEFAULT_FILM.items())
+    if not (height <= LARGEST_FILM_SIDE and width <= LARGEST_FILM_SIDE and height * width <= LARGEST_FILM):
+        allowed = f"up to {LARGEST_FILM_SIDE} samples a side and {LARGEST_FILM} in all"
+        raise refuse("film", f"{width} × {height} samples", allowed, "Take a lower resolution.")
+    return height, width
 
 
 def sample_count(state: Any, sensor: Any) -> int:
-    for index in children(sensor, state).values():
-        if state.nodes[index].type.name == "Sampler":
-            return int(state.nodes[index].props.get("sample_count", 4))
-    return 4
+    """Samples a film cell. PixsimError where it cannot be."""
+    count = _whole(_beside(state, sensor, "Sampler"), "sample_count", 4)
+    if count > MOST_SAMPLES:
+        raise refuse("sampler", f"{count} samples a film cell", f"up to {MOST_SAMPLES}", "Less noise: --render-noise 0.01.")
+    return count
+
+
+def _beside(state: Any, sensor: Any, kind: str) -> Any:
+    """The sensor's film or sampler, or None."""
+    return next((state.nodes[index] for index in children(sensor, state).values() if state.nodes[index].type.name == kind), None)
+
+
+def _whole(node: Any, name: str, default: int) -> int:
+    if node is None or name not in node.props:
+        return default
+    value = node.props[name]
+    if not isinstance(value, int) or value < 1:
+        raise refuse(f"{node.props.plugin_name()}.{name}", value, "a whole number of 1 and more")
+    return value
 
 
 def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:

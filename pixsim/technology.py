@@ -136,7 +136,7 @@ def load_technology(name: str) -> Technology:
         return NO_PROCESS
     known = packaged("data/technologies")
     path = known.get(name) or Path(name)
-    if path.suffix != ".toml":
+    if path.suffix != ".toml" or not name:
         raise refuse("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), "Or give the path of a technology's TOML file.")
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from pixsim.errors import refuse
 from pixsim.geometry import matrix_of
 from pixsim.lamps import EMISSION, is_neutral
 from pixsim.mitsuba_xml import children, nodes_of
+from pixsim.safe_files import judge_picture
+from pixsim.scene_files import judge_asset
 from pixsim.spectral import Array, read_channels
 
 PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
@@ -27,9 +30,10 @@ def texture_files(state: Any, folder: Path) -> list[Path]:
 
 def _file_of(node: Any, folder: Path) -> Path:
     name = str(node.props["filename"])
-    found = next((path for path in (folder / name, Path(name)) if path.is_file()), None)
+    found = next((path for path in (folder / name, Path(name)) if os.path.lexists(path)), None)
     if found is None:
         raise refuse("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
+    judge_asset(found, "texture")
     return found
 
 
@@ -40,6 +44,8 @@ def check_textures(state: Any, folder: Path) -> None:
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
     numbers = {path for index, path in files.items() if index in maps}
     for path in texture_files(state, folder):
+        if path.suffix.lower() in EIGHT_BIT:
+            judge_picture(path)
         if path in numbers and path not in raw:
             continue
         if path in raw and path.suffix.lower() in EIGHT_BIT:

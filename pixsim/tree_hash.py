@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hashlib import blake2b
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,12 @@ def hash_of_tree(state: Any, folder: Path) -> str:
         ]
         for node in state.nodes
     ]
-    return content_hash([tree, [blake2b(path.read_bytes()).hexdigest() for path in texture_files(state, folder)]])
+    return content_hash([tree, [_hash_of(path) for path in texture_files(state, folder)]])
+
+
+def _hash_of(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "blake2b").hexdigest()
 
 
 def in_full(value: Any) -> str:

@@ -101,8 +101,8 @@ def test_a_parameter_without_default_must_be_given(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"<scene version='3.0.0'><sensor>", r"Mitsuba refuses the scene: .*broken\.xml"),
-        (b"", r"Mitsuba refuses the scene: .*broken\.xml"),
+        (b"<scene version='3.0.0'><sensor>", r"scene: got .*broken\.xml. .*allowed: a readable XML file"),
+        (b"", r"scene: got .*broken\.xml. .*allowed: a readable XML file"),
         (b"<scene version='3.0.0'>\xff\xfe</scene>", "allowed: a readable XML file in UTF-8"),
     ],
 )
