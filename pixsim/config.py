@@ -91,8 +91,8 @@ def depth(value: Any) -> int:
 
 
 def beside(path: Path, name: Any) -> Any:
-    """A file that a configuration file names: beside it, unless it is found from here."""
-    if isinstance(name, str) and name and not Path(name).is_file() and (path.parent / name).is_file():
+    """A file that a configuration file names: beside it, else from where the command is given."""
+    if isinstance(name, str) and name and (path.parent / name).is_file():
         return str(path.parent / name)
     return name
 

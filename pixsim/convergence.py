@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.parameters import Camera, Exposure, Pixel
+from pixsim.parameters import Camera, Exposure, Pixel, content_hash
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.plan import Plan
 from pixsim.renderer import LEVEL_FACTOR, Picture, Renderer
@@ -72,7 +72,7 @@ def render_until(
     pixel. Samples are added in pairs of renders, weighted by their samples; where much is missing, every second pair has
     four times the samples of the one before, so that they stay stratified. Memory does not grow with them. What is added
     depends on the noise only, never on the clock: a picture that the time limit ended comes again, bit for bit, with the
-    noise that it reached as its target.
+    noise that it reached as its target, and where renders are kept with the same limits.
 
     Returns the irradiance, with the noise in its header, and the noise.
     """
@@ -80,6 +80,8 @@ def render_until(
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0, 0, 0.0, 0
     found = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
+    limits = content_hash([[each.model_dump() for each in pixels], exposure.model_dump(), render_noise, max_seconds])
+    in_time = job.kept.runs_in_time(limits) if job.kept else None
     ended: Literal["target", "max_seconds", "runs"] | None = None
     while ended is None:
         began = time.perf_counter()
@@ -97,11 +99,13 @@ def render_until(
         now = time.perf_counter()
         if fraction <= render_noise:
             ended = "target"
-        elif now - start + (now - began) * (LEVEL_FACTOR if up else 1) > max_seconds:
+        elif runs >= in_time if in_time else now - start + (now - began) * (LEVEL_FACTOR if up else 1) > max_seconds:
             ended = "max_seconds"
         elif runs >= MOST_RUNS:
             ended = "runs"
         found = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
+    if ended == "max_seconds" and job.kept:
+        job.kept.keep_runs_in_time(limits, runs)
     if ended != "target":
         why = f"its limit of {max_seconds:g} s" if ended == "max_seconds" else f"its limit of {runs} renders"
         warnings.warn(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +13,7 @@ from typing import Any, TypeVar
 
 from pixsim import cache
 from pixsim.errors import PixsimError, refuse
+from pixsim.machine import processors
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -21,6 +21,7 @@ Result = TypeVar("Result")
 Call = tuple[Task, Callable[[], Shared]]  # a task, and what makes that which it shares with others
 
 NAMED_TASKS = 4  # in a message
+SUSPECTS = 2  # calls a job that are under way or wait in its queue
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # until a cluster has one
 
@@ -39,6 +40,11 @@ class Workers:
         return f"the cluster at {self.client.scheduler.address}" if self.client else f"{self.jobs} processes"
 
 
+def workers_here(jobs: int | None = None) -> Workers:
+    """Processes of this machine: as many as asked for, or one for each core that this process may use."""
+    return Workers(jobs or processors().usable)
+
+
 @contextmanager
 def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Workers]:
     """The workers asked for.
@@ -54,7 +60,7 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
         got = f"{jobs} with a scheduler" if scheduler is not None else jobs
         raise refuse("--jobs", got, "1 or more processes of this machine, or a --scheduler, which knows its workers")
     if scheduler is None:
-        yield Workers(jobs or os.cpu_count() or 1)
+        yield workers_here(jobs)
     elif isinstance(scheduler, str):
         client = _connected(scheduler)
         try:
@@ -107,6 +113,7 @@ def results_of(
     Raises PixsimError that names those which end their worker even when nothing else runs beside them.
     """
     left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
+    deadly: dict[int, Call[Task, Shared]] = {}
     workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
     while left:
         before = len(left)
@@ -118,18 +125,23 @@ def results_of(
             if not is_death(error):
                 raise
             warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
-            if len(left) == before:
-                yield from _one_by_one(function, left, workers)
-                return
-            left = _later(left)
+            if len(left) == before:  # one of those that were begun first
+                suspects = {index: left.pop(index) for index in list(left)[: SUSPECTS * workers.jobs]}
+                yield from _one_by_one(function, suspects, workers, deadly)
+            else:
+                left = _later(left)
+    if deadly:
+        raise PixsimError(_told(deadly, workers))
 
 
 def _one_by_one(
-    function: Callable[[Task, Shared], Result], left: dict[int, Call[Task, Shared]], workers: Workers
+    function: Callable[[Task, Shared], Result],
+    suspects: dict[int, Call[Task, Shared]],
+    workers: Workers,
+    deadly: dict[int, Call[Task, Shared]],
 ) -> Iterator[Result]:
-    """Each call with no other beside it, so that only what ends its own worker is to blame, or the memory that is left."""
-    deadly: dict[int, Call[Task, Shared]] = {}
-    for index, call in left.items():
+    """Each call with no other beside it: those that end their worker even so are added to `deadly`."""
+    for index, call in suspects.items():
         try:
             for _, result in _once(function, {index: call}, workers):
                 yield result
@@ -137,8 +149,6 @@ def _one_by_one(
             if not is_death(error):
                 raise
             deadly[index] = call
-    if deadly:
-        raise PixsimError(_told(deadly, workers))
 
 
 def is_death(error: BaseException) -> bool:
@@ -182,11 +192,26 @@ def _on_cluster(
     from joblib import Parallel, delayed, parallel_config
 
     shared = {id(make): make() for _, make in calls.values()}
+    if sum(client.ncores().values()) == 1:  # joblib would compute here
+        yield from _on_one_thread(function, calls, shared, client)
+        return
     with parallel_config("dask", client=client, scatter=list(shared.values())):
         parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
         yield from parallel(
             delayed(_numbered)(function, index, task, shared[id(make)]) for index, (task, make) in list(calls.items())
         )
+
+
+def _on_one_thread(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], shared: dict[int, Shared], client: Any
+) -> Iterator[tuple[int, Result]]:
+    from distributed import as_completed
+
+    there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
+    futures = [
+        client.submit(_numbered, function, index, task, there[id(make)], pure=False) for index, (task, make) in list(calls.items())
+    ]
+    yield from (future.result() for future in as_completed(futures))
 
 
 def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result]:

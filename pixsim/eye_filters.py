@@ -33,7 +33,7 @@ ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this densi
 ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)  # its kernels are a degree long: beyond, they are one sample, or fill the memory
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)  # as large as a picture
 def transfer(filters: Filters, height: int, width: int, samples_per_deg: float) -> Floats:
     """`new_transfer`, kept for the next picture: it is shared by all calls, and must not be written to."""
     kept = new_transfer(filters, height, width, samples_per_deg)

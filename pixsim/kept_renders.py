@@ -60,5 +60,13 @@ class KeptRenders:
             named = {f"light{number}": each for number, each in enumerate(pictures)}
             cache.keep_arrays(KIND, self._key(index, level), {"spp": np.array(spp), **named})
 
+    def runs_in_time(self, limits: str) -> int | None:
+        """After how many runs the clock ended the job under the same limits, or None: the clock would not say so twice."""
+        content = cache.arrays(KIND, f"{self.job}-{limits}")
+        return None if content is None else int(content["runs"])
+
+    def keep_runs_in_time(self, limits: str, runs: int) -> None:
+        cache.keep_arrays(KIND, f"{self.job}-{limits}", {"runs": np.array(runs)})
+
     def _key(self, index: int, level: int) -> str:
         return f"{self.job}-{level}-{index}"

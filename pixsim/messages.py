@@ -48,7 +48,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     message = problem["msg"].removeprefix("Value error, ")
     if problem["type"].startswith(("greater_than", "less_than")):  # Pydantic writes 1e-15 in full
         (bound,) = problem["ctx"].values()
-        message = f"{message.rpartition(' ')[0]} {bound:g}"
+        message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"
     message = message[0].lower() + message[1:].replace("valid tuple", "list")
     if problem["type"] == "value_error":
         return f"{where}: {message}."

@@ -5,7 +5,8 @@ white level, bits, pitch, gain and integration time. Where each format keeps the
 
     TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), all of them as JSON in ImageDescription
     PNG    a text chunk for each; sBIT is left to the file's own 16 bits
-    EXR    an attribute for each, the channel DN in float32, which holds 24 bits exactly
+    EXR    an attribute for each, which is a float32, and all of them as JSON in `facts`; the channel DN is float32 too,
+           which holds 24 bits exactly
     npz    an array for each, `dn` in the smallest unsigned integers that hold it
 """
 
@@ -32,7 +33,6 @@ UNIT = "DN"
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
 BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
-LARGEST_PIXELS = 1 << 28
 DAMAGE = (OSError, ValueError, EOFError, KeyError, TypeError, SyntaxError, zipfile.BadZipFile, NotImplementedError)
 
 
@@ -91,7 +91,7 @@ def _writer(path: Path) -> Callable[[Path, NDArray[Any], dict[str, Any]], None]:
 
 
 def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
-    write_channels(path, {UNIT: dn}, {"unit": UNIT, **facts})
+    write_channels(path, {UNIT: dn}, {"unit": UNIT, **facts, "facts": json.dumps(facts, sort_keys=True)})
 
 
 def _write_npz(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -182,7 +182,8 @@ def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     if len(channels) != 1:
         raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: the digital numbers")
     facts = {name: header[name] for name in FACTS if name in header}
-    return next(iter(channels.values())), {name: value if name == "bits" else shortest(value) for name, value in facts.items()}
+    told: dict[str, Any] = {name: value if name == "bits" else shortest(value) for name, value in facts.items()}
+    return next(iter(channels.values())), told | _json_of(header.get("facts"))
 
 
 def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
@@ -200,8 +201,6 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
         warnings.catch_warnings(action="ignore"),
         Image.open(path) as image,
     ):  # what Pillow finds odd; what it cannot read is an error
-        if image.width * image.height > LARGEST_PIXELS:
-            raise refuse(f"raw frame '{path}'", f"{image.width} × {image.height} pixels", f"at most {LARGEST_PIXELS}")
         if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
             mend = "One of 8 bits is encoded for a display; write the sensor's own numbers, linear in light."
             raise refuse(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", mend)
@@ -212,6 +211,13 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
             for tag, name in ((BLACK_LEVEL_TAG, "black_level_dn"), (WHITE_LEVEL_TAG, "white_level_dn"))
             if tag in tags
         }
-        if str(tags.get(DESCRIPTION_TAG, "")).startswith("{"):
-            told |= json.loads(str(tags[DESCRIPTION_TAG]))
-        return np.asarray(image), told
+        return np.asarray(image), told | _json_of(tags.get(DESCRIPTION_TAG))
+
+
+def _json_of(text: Any) -> dict[str, Any]:
+    """The table in a text, where it is one; others write other things there."""
+    try:
+        found = json.loads(str(text))
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}

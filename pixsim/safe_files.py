@@ -76,7 +76,9 @@ def read_bytes(path: Path, what: str, allowed: str, most_bytes: int) -> bytes:
 def read_text(path: Path, what: str, allowed: str, most_bytes: int) -> str:
     """`read_bytes` in UTF-8, with the line ends of any system; PixsimError where it is something else."""
     try:
-        text = read_bytes(path, what, allowed, most_bytes).decode("utf-8")
+        text = read_bytes(path, what, allowed, most_bytes).decode(
+            "utf-8-sig"
+        )  # a byte order mark, as spreadsheets write it, is no text
     except UnicodeDecodeError as error:
         raise refuse(what, f"'{path}' ({error})", f"{allowed} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")

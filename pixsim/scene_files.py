@@ -153,7 +153,7 @@ def _judge_element(tag: str, attributes: dict[str, str], path: Path, told: Told,
         for folder in (path.parent, told.folder, Path()):
             judge_asset(folder / own["filename"], "spectrum", LARGEST_SPECTRUM)
     elif tag == "path":
-        raise refuse(f"scene '{path}'", f"<path value=\"{own.get('value', '')}\"/>", "none", "Name files with their folders.")
+        raise refuse(f"scene '{path}'", f'<path value="{own.get("value", "")}"/>', "none", "Name files with their folders.")
 
 
 def _included(name: str, path: Path, told: Told, by_user: bool) -> Path:
@@ -163,7 +163,7 @@ def _included(name: str, path: Path, told: Told, by_user: bool) -> Path:
     inside = any(found.resolve().is_relative_to(folder.resolve()) for folder in (told.folder, Path()))
     if not (inside or by_user):
         mend = "Put the file beside the scene, or name it by a parameter, -D part=FILE."
-        raise refuse(f"scene '{path}'", f"<include filename=\"{name}\"/>", f"files in '{told.folder}' and below", mend)
+        raise refuse(f"scene '{path}'", f'<include filename="{name}"/>', f"files in '{told.folder}' and below", mend)
     return found
 
 

@@ -250,7 +250,7 @@ def _combine(matrix: Floats, planes: Floats, out: Floats) -> None:
     np.einsum("ij,jyx->iyx", matrix, planes, out=out, optimize=False)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)  # as large as a picture
 def _grey_transfer(filters: Filters, height: int, width: int, samples_per_deg: float, white: tuple[float, float, float]) -> Floats:
     """Factors of each DCT-II coefficient of a grey picture for X/Xn, Y/Yn and Z/Zn as they are seen, (3, height, width)."""
     opponent = (OPPONENT_FROM_XYZ * white).sum(axis=1)

@@ -161,7 +161,10 @@ def run_sensitivity(
     renders: dict[str, tuple[SpectralImage, Camera]] = {}
 
     def run(study: Study, name: str) -> StudyResult:
-        key = content_hash([study.scene.model_dump(mode="json"), study.camera.model_dump(), study.seed])
+        light = study.model_dump(mode="json", include={"scene", "camera", "seed", "tolerance_e", "render_noise", "max_seconds"})
+        key = content_hash(
+            [light, study.exposure.model_dump(), study.pixel.model_dump(), study.technologies[0], study.pitch.max_um]
+        )
         if key not in renders:
             renders[key] = render_for(study, variant, stage("render"))
         results = folder / "cases" / f"{name}.csv"

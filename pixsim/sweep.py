@@ -45,12 +45,19 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
     if path.suffix != ".toml" and not path.is_file():
         raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}")
     table = read_toml(path)
+    for own in (table, table.get("quick", {})):
+        if isinstance(own, dict):
+            _name_files(own, path)
+    return Layer(table, str(path))
+
+
+def _name_files(table: dict[str, Any], path: Path) -> None:
+    """Technologies, scene and quantum efficiency of a study's table as files beside it, where there are such."""
     if isinstance(names := table.get("technologies"), list):
         table["technologies"] = [beside(path, each) for each in names]
     for room, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
         if isinstance(own := table.get(room), dict) and key in own:
             own[key] = beside(path, own[key])
-    return Layer(table, str(path))
 
 
 def load_study(name: str | os.PathLike[str]) -> Study:

@@ -126,7 +126,6 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
     )
 
 
-@lru_cache
 def load_technology(name: str) -> Technology:
     """A packaged technology by name, a user's by the path of its TOML file, or none.
 
@@ -138,6 +137,13 @@ def load_technology(name: str) -> Technology:
     path = known.get(name) or Path(name)
     if path.suffix != ".toml" or not name:
         raise refuse("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), "Or give the path of a technology's TOML file.")
+    about = path.stat() if path.is_file() else None
+    return _read(path, (about.st_mtime_ns, about.st_size) if about else ())
+
+
+@lru_cache
+def _read(path: Path, _: tuple[int, ...]) -> Technology:
+    """The technology of a file; one that was written anew is read anew."""
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     try:

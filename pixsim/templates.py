@@ -151,11 +151,16 @@ def _allowed_one(kind: dict[str, Any]) -> str:
     if kind.get("type") in ("number", "integer"):
         low, above = kind.get("minimum"), kind.get("exclusiveMinimum")
         high, below = kind.get("maximum"), kind.get("exclusiveMaximum")
-        start = f"{low:g}" if low is not None else f"above {above:g}" if above is not None else ""
-        end = f"to {high:g}" if high is not None else f"to below {below:g}" if below is not None else "and more"
+        start = number(low) if low is not None else f"above {number(above)}" if above is not None else ""
+        end = f"to {number(high)}" if high is not None else f"to below {number(below)}" if below is not None else "and more"
         whole = "whole numbers, " if kind["type"] == "integer" else ""
         return f"{whole}{start} {end}" if start else f"{whole}{end}".strip()
     return ""
+
+
+def number(value: float) -> str:
+    """Whole numbers in full, as long as they can be read."""
+    return str(int(value)) if value == int(value) and abs(value) < 1e9 else f"{value:g}"
 
 
 def toml_value(value: Any) -> str:

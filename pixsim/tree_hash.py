@@ -39,4 +39,4 @@ def in_full(value: Any) -> str:
         return f"{value.wavelengths} {value.values}"
     if "Transform" in kind:
         return str(np.array(value.matrix).tolist())
-    return str(np.array(value).tolist()) if "Array" in kind else str(value)
+    return str(np.array(value).tolist()) if "Array" in kind or "Color" in kind else str(value)

@@ -33,7 +33,7 @@ def cache(
     if kind is not None and kind not in kinds:
         raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
     freed = kept.clear(kind) if clear else None
-    found = summary()
+    found = summary(kind)
     lines = [f"{kept.folder()}: {found['size_bytes'] / MIB:.1f} MiB of {found['limit_bytes'] / MIB:.0f}"]
     lines += [
         f"  {name:<12} {own['entries']:>6} entries {own['size_bytes'] / MIB:>10.1f} MiB" for name, own in found["kinds"].items()
@@ -44,12 +44,12 @@ def cache(
     show(found, json, "\n".join(lines))
 
 
-def summary() -> dict[str, Any]:
+def summary(kind: str | None = None) -> dict[str, Any]:
     """The folder, its limit, and entries and bytes of each kind."""
     from pixsim import cache as kept
 
     kinds: dict[str, dict[str, int]] = {}
-    for entry in kept.entries():
+    for entry in kept.entries(kind):
         own = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
         own["entries"] += 1
         own["size_bytes"] += entry.size_bytes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -59,14 +58,14 @@ def study(
             report = write_sensitivity_report(outcome, folder, seconds)
             found, lines = outcome.as_dict(), sensitivity_lines(outcome)
         else:
-            from pixsim.engine import Workers
+            from pixsim.engine import Workers, workers_here
             from pixsim.report import write_report
 
             plan = sweep.checked_study(layers)
             folder = study_folder(out, plan.name, quick)
             result = sweep.study(plan, folder, progress=stage, **how)
             stage("report")
-            report = write_report(result, folder, seconds, Workers(jobs or os.cpu_count() or 1) if scheduler is None else Workers())
+            report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             found = result.as_dict()
             lines = [*(found_line(curve) for curve in result.curves), *budget_lines(found)]
     show(found, json, "\n".join([*lines, f"report: {report}"]))
