@@ -13,7 +13,6 @@ import platform
 import threading
 import time
 import warnings
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,6 +29,8 @@ import pixsim
 from pixsim.errors import refuse
 from pixsim.files import FOLDER_VARIABLE as FOLDER_VARIABLE
 from pixsim.files import cache_folder
+from pixsim.safe_files import read_text
+from pixsim.safe_npz import read_arrays
 
 Kept = TypeVar("Kept")
 Arrays = dict[str, NDArray[Any]]
@@ -40,7 +41,8 @@ LARGEST_SHARE = 0.25  # of the limit, for one entry: a larger one would drive ou
 TRIM_SHARE = 1 / 16  # of the limit: a process that wrote so much looks whether the folder has grown too large
 ABANDONED_S = 3600.0  # a partial file of this age was left by a process that was killed
 OWN_SUFFIXES = (".py", ".csv", ".toml")  # of pixsim's sources: formulas, spectra, technologies
-DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, EOFError, zipfile.BadZipFile, NotImplementedError)
+LARGEST_JSON = 1 << 26  # bytes
+DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RecursionError)
 
 _written_bytes = 0  # by this process since it last trimmed
 
@@ -79,7 +81,7 @@ def kept(
 ) -> Kept:
     """The JSON entry of a key, made and kept where it is missing or damaged. A folder that cannot be written is warned of."""
     path = folder() / kind / f"{key}.json"
-    found = _found(path, lambda: read(json.loads(path.read_text(encoding="utf-8"))))
+    found = _found(path, lambda: read(json.loads(read_text(path, "cache entry", "JSON", LARGEST_JSON))))
     if found is None:
         found = make()
         text = json.dumps(write(found), sort_keys=True)
@@ -91,11 +93,7 @@ def arrays(kind: str, key: str) -> Arrays | None:
     """The arrays of a key, or None where they are not kept, or damaged."""
     path = folder() / kind / f"{key}.npz"
 
-    def read() -> Arrays:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}  # to its last byte: there the CRC is compared
-
-    return _found(path, read)
+    return _found(path, lambda: read_arrays(path, "cache entry", "arrays"))
 
 
 def keep_arrays(kind: str, key: str, content: Arrays) -> None:
@@ -117,6 +115,8 @@ def has_room(size_bytes: int) -> bool:
 
 def _found(path: Path, read: Callable[[], Kept]) -> Kept | None:
     if not limit_bytes():
+        return None
+    if not os.path.lexists(path):
         return None
     try:
         found = read()

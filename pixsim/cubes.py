@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import struct
-import tokenize
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -19,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.errors import PixsimError, refuse
+from pixsim.safe_files import read_bytes, size_of
+from pixsim.safe_npz import read_arrays
 from pixsim.spectral import LIGHT_SPEED_M_PER_S, Array, read_channels, read_header
 from pixsim.units import PREFIX, PREFIXES
 
@@ -29,8 +27,9 @@ SHOWN_NAMES = 12
 CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
 NPZ_NEEDED = ("data", "wavelength_nm", "units")
 NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
-NPZ_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, SyntaxError)
-NPZ_DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
+LARGEST_BESIDE = 1 << 16  # bytes of what stands beside the picture
+LARGEST_ENVI_HEADER, MOST_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
+ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
 ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 1e3, "µm": 1e3, "μm": 1e3}
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
 ENVI_COMPLEX = ("6", "9")  # data types
@@ -73,8 +72,7 @@ def read_cube(path: Path) -> Cube:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise refuse("picture", f"'{path}'", "a file that ends in .exr, .npz or .hdr (ENVI, its raw file beside it)")
-    if not path.is_file():
-        raise refuse("picture", f"'{path}', which does not exist", "a readable file")
+    size_of(path, "picture", "a readable file")
     return reader(path)
 
 
@@ -130,23 +128,14 @@ def _channel_nm(match: re.Match[str]) -> float:
 
 def read_npz(path: Path) -> Cube:
     """Arrays as `write_npz` names them; nothing pickled is loaded."""
-    try:
-        with zipfile.ZipFile(path) as file:
-            names = [name.removesuffix(".npy") for name in file.namelist()]
-            if {"data", "wavelength_nm"} - set(names) or set(names) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
-                allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
-                raise refuse(f"arrays in '{path}'", shortened(names) or "none", allowed)
-            for name in file.namelist():
-                with file.open(name) as member:
-                    old = np.lib.format.read_magic(member) == (1, 0)
-                    read_header_of = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
-                    _check_size(path, read_header_of(member)[0])
-        with np.load(path, allow_pickle=False) as arrays:
-            told = {name: arrays[name] for name in names}
-    except PixsimError:
-        raise
-    except NPZ_DAMAGE as error:
-        raise refuse("npz file", f"'{path}' ({error})", "a readable file of numpy.savez, without pickled objects") from None
+    told: dict[str, Any] = read_arrays(path, "npz file", "a readable file of numpy.savez, without pickled objects")
+    if {"data", "wavelength_nm"} - set(told) or set(told) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
+        allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
+        raise refuse(f"arrays in '{path}'", shortened(list(told)) or "none", allowed)
+    for name, array in told.items():
+        _check_size(path, array.shape)
+        if name != "data" and array.size * array.itemsize > LARGEST_BESIDE:
+            raise refuse(f"{name} in '{path}'", f"{array.size} values", f"up to {LARGEST_BESIDE} bytes")
     data, nm = told.pop("data"), told.pop("wavelength_nm")
     if data.ndim != 3 or data.dtype.kind not in "iuf" or nm.ndim != 1 or nm.dtype.kind not in "iuf":
         got = f"data {data.dtype} {data.shape}, wavelength_nm {nm.dtype} {nm.shape}"
@@ -168,6 +157,8 @@ def read_envi(path: Path) -> Cube:
     except ImportError:
         raise refuse("ENVI file", f"'{path}' and no SPy to read it", "pip install 'pixsim[envi]'") from None
     name = str(path.absolute())
+    if read_bytes(path, "ENVI file", "an ENVI header", LARGEST_ENVI_HEADER).count(b"\n") > MOST_ENVI_LINES:
+        raise refuse("ENVI file", f"'{path}' of more than {MOST_ENVI_LINES} lines", "an ENVI header")
     try:
         with warnings.catch_warnings(action="ignore"):  # about capitals in field names
             header: dict[str, Any] = envi.read_envi_header(name)
@@ -182,7 +173,7 @@ def read_envi(path: Path) -> Cube:
         gaps = np.argwhere(data == float(header["data ignore value"])) if "data ignore value" in header else np.empty((0, 3))
     except PixsimError:
         raise
-    except (spectral.SpyException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (*ENVI_DAMAGE, spectral.SpyException) as error:
         got = f"'{path}' ({type(error).__name__}: {error})"
         raise refuse("ENVI file", got, "an ENVI header with its raw file beside it") from None
     if gaps.size:
@@ -199,7 +190,7 @@ def read_envi(path: Path) -> Cube:
 
 def _check_envi(path: Path, header: dict[str, Any]) -> None:
     """Refuse what SPy would read as something else, before it reads."""
-    _check_size(path, tuple(int(header[field]) for field in ("lines", "samples", "bands")))
+    _check_size(path, tuple(int(str(header[field])) for field in ("lines", "samples", "bands")))
     fields = "file type", "interleave", "byte order", "data type"
     kind, interleave, order, number = told = [str(header.get(field, "ENVI Standard")).lower() for field in fields]
     if kind != "envi standard" or interleave not in ENVI_INTERLEAVES or order not in "01" or number in ENVI_COMPLEX:

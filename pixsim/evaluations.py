@@ -208,6 +208,15 @@ class Content:
             pixel = self.pixel(technology, pitch_um)
             yield pitch_um, {repeat: content_hash([pixel, self.display, repeat]) for repeat in range(repeats)}
 
+    def wanted(self, repeats: int) -> dict[str, Row]:
+        """The key of each row, and what it stands for."""
+        return {
+            key: {"technology": technology, "pitch_um": str(pitch_um), "repeat": str(repeat)}
+            for technology in self.study.technologies
+            for pitch_um, keys in self.rows(technology, repeats)
+            for repeat, key in keys.items()
+        }
+
     def frames(self, technology: str, pitch_um: float) -> str:
         """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
         made_by = cache.made_by("mitsuba", "drjit")
@@ -256,10 +265,10 @@ def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Prog
     study = lights.study
     content = Content(study, lights.camera, lights.irradiance)
     pitches = [keys for each in study.technologies for _, keys in content.rows(each, most_repeats(study))]
-    wanted = [key for keys in pitches for key in keys.values()]
+    wanted = content.wanted(most_repeats(study))
     ledger = Ledger(results, COLUMNS, TEXTS)
     with ledger.alone():
-        done = ledger.begin(set(wanted))
+        done = ledger.begin(wanted)
         tasks = {technology: list(tasks_of(content, technology, done)) for technology in study.technologies}
         missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
         for group in lights.groups():

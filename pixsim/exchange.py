@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 import pixsim
 from pixsim import optics
+from pixsim.config import Layer
 from pixsim.cubes import Cube, read_cube, shortened
 from pixsim.errors import PixsimError, refuse
 from pixsim.files import replacing
+from pixsim.messages import checked
 from pixsim.parameters import Camera, CameraOptions
 from pixsim.spectral import Array, SpectralImage, even_light, read_exr, read_header
 from pixsim.units import ALLOWED_UNITS, HOW_TO_STATE, IRRADIANCE_UNIT, LightUnit, parse_light_unit
@@ -74,7 +76,7 @@ def read_with_camera(
         image = _own(path, None, units, None)
         told = image.header.get("camera") or {}
         die = {"die_mm": image.pitch_um * image.shape[1] / 1e3} if options.die_mm is None else {}
-        camera = options.over(Camera.model_validate({**told, **die}))
+        camera = options.over(checked(Camera, [Layer({**told, **die}, f"camera in '{path}'")]))
         _agreed_pitch(path, image.pitch_um, None, camera, image.shape[1])
         return image, camera
     cube = read_cube(path)

@@ -41,7 +41,9 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         with replacing(Path(path)) as unfinished:
             yield unfinished
-    except (OSError, RuntimeError) as error:
+    except PixsimError:
+        raise
+    except (OSError, RuntimeError, ValueError) as error:  # ValueError: a name that OpenEXR does not take
         raise refuse("output file", f"'{path}' ({error})", "a path that can be written") from None
 
 

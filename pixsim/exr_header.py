@@ -51,14 +51,14 @@ def _judge(path: Path, file: IO[bytes]) -> None:
     for needed in ("channels", "dataWindow", "compression"):
         if needed not in told:
             raise _damaged(path, f"a header without {needed}")
-    kind = told.get("type", b"").rstrip(b"\0")
-    if kind not in (b"", b"scanlineimage", b"tiledimage"):
-        raise refuse("EXR file", f"'{path}' of type {kind.decode('utf-8', 'replace')!r}", "scanlineimage or tiledimage")
+    layout = told.get("type", b"").rstrip(b"\0")
+    if layout not in (b"", b"scanlineimage", b"tiledimage"):
+        raise refuse("EXR file", f"'{path}' of type {layout.decode('utf-8', 'replace')!r}", "scanlineimage or tiledimage")
     left, top, right, bottom = struct.unpack("<4i", told["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     count = _channel_count(told["channels"])
     if not (1 <= width <= MOST_SIDE and 1 <= height <= MOST_SIDE and 4 * width * height * count <= MOST_BYTES):
-        got = f"{width} × {height} samples in {count} channels in '{path}'"
+        got = f"{width} × {height} × {count} values in '{path}'"
         raise refuse("EXR file", got, f"up to {MOST_SIDE} a side and {MOST_BYTES // 4} in all")
     if not 1 <= count <= MOST_CHANNELS:
         raise refuse("EXR file", f"{count} channels in '{path}'", f"1 to {MOST_CHANNELS}")

@@ -42,6 +42,12 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
+def literal(text: str) -> str:
+    """A name from a file, as Matplotlib shows it letter by letter: between two dollar signs it would read mathematics."""
+    printable = "".join(each if each.isprintable() else "\ufffd" for each in text)
+    return printable.replace("$", r"\$")
+
+
 def save_svg(figure: Figure, path: Path) -> None:
     """Write a figure as `svg_text` makes it."""
     path.write_text(svg_text(figure), encoding="utf-8")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.errors import PixsimError
+from pixsim.safe_files import is_utf8
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
@@ -45,6 +46,8 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     PixsimError where it cannot be written to.
     """
     folder = Path(out)
+    if not is_utf8(folder):
+        raise PixsimError(f"output folder: '{folder}' is not in UTF-8. Choose another with --out.")
     made = [each for each in (folder, *folder.parents) if not each.exists()]
     probe = folder / ".pixsim-probe"
     try:

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from pixsim.errors import refuse
 from pixsim.mitsuba_xml import children, nodes_of
 from pixsim.parameters import Camera
 from pixsim.spectral import Array
 
+SMALLEST_VOLUME = 1e-200  # what a scale makes of 1
 FLAT = ("rectangle", "disk")
 PARALLEL = 1e-6  # sine of the angle between normals of planes that count as parallel
 IN_FRONT_M = 1e-9
@@ -54,7 +56,19 @@ class Body:
 
 
 def matrix_of(node: Any, name: str = "to_world") -> Array:
-    return np.asarray(node.props[name].matrix, float).reshape(4, 4) if name in node.props else np.eye(4)
+    if name not in node.props:
+        return np.eye(4)
+    if not hasattr(node.props[name], "matrix"):
+        raise refuse(f"{node.props.plugin_name()}.{name}", node.props[name], "a <transform>")
+    return np.asarray(node.props[name].matrix, float).reshape(4, 4)
+
+
+def check_transforms(state: Any) -> None:
+    """Refuse what turns things into nothing, or into what has no place."""
+    for node in state.nodes:
+        matrix = matrix_of(node)
+        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < SMALLEST_VOLUME:
+            raise refuse(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "finite numbers and scales other than 0")
 
 
 def find_bodies(state: Any, sensor: Any) -> list[Body]:

@@ -11,7 +11,7 @@ import io
 import math
 import os
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -50,10 +50,13 @@ class Ledger:
         except (KeyError, TypeError, ValueError):
             return False
 
-    def begin(self, wanted: Collection[str]) -> dict[str, Row]:
-        """Rows of the wanted keys that are there; others, of another study, are kept in FILE.old and leave the file."""
+    def begin(self, wanted: Mapping[str, Row]) -> dict[str, Row]:
+        """Rows of the wanted keys that are there; others, of another study, are kept in FILE.old and leave the file.
+
+        wanted : key -> what such a row says beside its results; one that says something else was changed by hand
+        """
         known = self.read()
-        done = {key: row for key, row in known.items() if key in wanted}
+        done = {key: row for key, row in known.items() if key in wanted and self._says(row, wanted[key])}
         something = self.path.is_file() and self.path.stat().st_size > len(",".join(self.columns)) + 2
         if something and (len(done) < len(known) or not known):
             shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
@@ -76,6 +79,9 @@ class Ledger:
             except BaseException:
                 file.truncate(before)
                 raise
+
+    def _says(self, row: Row, wanted: Row) -> bool:
+        return all(row[name] == each if name in self.texts else float(row[name]) == float(each) for name, each in wanted.items())
 
     @contextmanager
     def alone(self) -> Iterator[None]:

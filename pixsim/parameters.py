@@ -167,7 +167,10 @@ class StudyScene(Record):
 class Study(Effort):
     """Mean ΔE for many pitches, technologies and individual sensors."""
 
-    name: Annotated[str, Field(pattern=r"^[\w.\-]+$", description="letters, digits, dots and dashes; random streams depend on it")]
+    name: Annotated[
+        str,
+        Field(pattern=r"^\w[\w.\-]*$", max_length=100, description="letters, digits, dots and dashes; random streams depend on it"),
+    ]
     title: str = Field("", description="of the report")
     seed: Annotated[int, Field(ge=0)] = Field(0, description="of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(

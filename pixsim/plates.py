@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_delta_e, draw_picture, extent, label_axes, new_figure, svg_text
+from pixsim.figures import (
+    COLOURS,
+    ISO_SMOOTHING_DOTS,
+    draw_delta_e,
+    draw_picture,
+    extent,
+    label_axes,
+    literal,
+    new_figure,
+    svg_text,
+)
 from pixsim.merit import mpe30_lx_s, mtf50_cy_per_mm
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
 from pixsim.parameters import pixel_of
@@ -67,7 +77,8 @@ def draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
     """Mean ΔE of each pitch with its 95 % interval, the local fit and the optimum."""
     mean, ci95 = mean_and_ci95(curve.delta_e)
     best = curve.optimum
-    label = f"{curve.technology}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else curve.technology
+    name = literal(curve.technology)
+    label = f"{name}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=marker, ms=4, lw=1, capsize=2, color=colour, label=label)
     axes.fill_between(curve.pitch_um, mean - ci95, mean + ci95, color=colour, alpha=0.15, lw=0)
     here = window(mean)

@@ -45,11 +45,12 @@ def opened(path: Path, what: str, allowed: str, most_bytes: int | None = None) -
         raise refuse(what, f"'{path}', which does not exist", allowed) from None
     except (OSError, ValueError) as error:  # ValueError: NUL in a name
         raise refuse(what, f"'{path}' ({getattr(error, 'strerror', None) or error})", allowed) from None
+    about = os.fstat(descriptor)
+    if not stat.S_ISREG(about.st_mode):
+        os.close(descriptor)
+        kind = next((name for is_kind, name in KINDS.items() if is_kind(about.st_mode)), "no regular file")
+        raise refuse(what, f"'{path}', {kind}", allowed)
     with os.fdopen(descriptor, "rb") as file:
-        about = os.fstat(descriptor)
-        if not stat.S_ISREG(about.st_mode):
-            kind = next((name for is_kind, name in KINDS.items() if is_kind(about.st_mode)), "no regular file")
-            raise refuse(what, f"'{path}', {kind}", allowed)
         if most_bytes is not None and about.st_size > most_bytes:
             raise refuse(what, f"'{path}' of {about.st_size} bytes", f"{allowed}, of up to {most_bytes} bytes")
         yield file
@@ -59,6 +60,15 @@ def size_of(path: Path, what: str, allowed: str, most_bytes: int | None = None) 
     """Bytes of a regular file that can be read; PixsimError for others."""
     with opened(path, what, allowed, most_bytes) as file:
         return os.fstat(file.fileno()).st_size
+
+
+def is_utf8(path: Path) -> bool:
+    """Whether a path is text: libraries in C++ take no other."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def read_bytes(path: Path, what: str, allowed: str, most_bytes: int) -> bytes:

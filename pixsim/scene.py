@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from pixsim import variant as variants
 from pixsim.errors import PixsimError, refuse
+from pixsim.geometry import check_transforms
 from pixsim.lamps import find_lamp
 from pixsim.mitsuba_xml import children, nodes_of, parse
 from pixsim.parameters import Camera, CameraOptions
@@ -130,6 +131,7 @@ def load_scene(
     film_size(state, eye)
     sample_count(state, eye)
     check_supported(state)
+    check_transforms(state)
     check_textures(state, loaded.path.parent)
     if luminance is not None:
         loaded = _with_luminance(loaded, luminance)

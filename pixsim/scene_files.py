@@ -20,7 +20,7 @@ from typing import Any
 from xml.parsers import expat
 
 from pixsim.errors import PixsimError, refuse
-from pixsim.safe_files import LARGEST_ASSET, LARGEST_SPECTRUM, read_text, size_of
+from pixsim.safe_files import LARGEST_ASSET, LARGEST_SPECTRUM, is_utf8, read_text, size_of
 
 ALLOWED = "a readable XML file"
 LARGEST_XML = 8 << 20  # bytes of all files together, an include as often as it is included
@@ -56,7 +56,7 @@ class Told:
             if grown > LONGEST_VALUE:
                 got = f"an attribute that its parameters make {grown} characters long"
                 raise refuse(f"scene '{path}'", got, f"up to {LONGEST_VALUE}")
-            value = re.sub(rf"(?<!\\)\${re.escape(name)}", lambda _, own=self.values[name]: own, value)
+            value = re.sub(rf"(?<!\\)\${re.escape(name)}", self.values[name].replace("\\", r"\\"), value)
         self.left_expanded -= len(value)
         if self.left_expanded < 0:
             raise refuse(f"scene '{path}'", "parameters in more places than can be", f"{MOST_EXPANDED} characters in all")
@@ -68,7 +68,9 @@ def judge_scene(path: Path, given: dict[str, str]) -> Told:
 
     given : parameters that the user sets
     """
-    told = Told(path.resolve().parent, given, values=dict(given))
+    if not is_utf8(path):
+        raise refuse("scene", f"'{path}'", "a path in UTF-8, as Mitsuba takes it", "Rename the file or its folder.")
+    told = Told(Path(os.path.realpath(path)).parent, given, values=dict(given))
     _judge(path, told, 0)
     return told
 
@@ -160,7 +162,7 @@ def _included(name: str, path: Path, told: Told, by_user: bool) -> Path:
     """The file that Mitsuba will include: beside the including one, else beside the scene, else where the command is given."""
     folders = (path.parent, told.folder, Path())
     found = _found(name, folders)
-    inside = any(found.resolve().is_relative_to(folder.resolve()) for folder in (told.folder, Path()))
+    inside = any(Path(os.path.realpath(found)).is_relative_to(os.path.realpath(folder)) for folder in (told.folder, Path()))
     if not (inside or by_user):
         mend = "Put the file beside the scene, or name it by a parameter, -D part=FILE."
         raise refuse(f"scene '{path}'", f'<include filename="{name}"/>', f"files in '{told.folder}' and below", mend)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pixsim.figures import COLOURS, new_figure
+from pixsim.figures import COLOURS, literal, new_figure
 from pixsim.files import versions, write_json
 from pixsim.plates import Column, Plate
 from pixsim.report import write_page, write_plates
@@ -23,7 +23,7 @@ def tornado(result: SensitivityResult) -> Plate:
         draw_bar(right, row, base.mean_delta_e, [(case.label, case.first.optimum.mean_delta_e, True) for case in cases])
     for axes, at, label in ((left, base.pitch_um, "optimal pixel size (µm)"), (right, base.mean_delta_e, "best mean ΔE")):
         axes.axvline(at, color="0.2", lw=1)
-        axes.set_xlabel(f"{label}, {result.base_case.first.technology}")
+        axes.set_xlabel(f"{label}, {literal(result.base_case.first.technology)}")
         axes.grid(axis="x", alpha=0.25)
         axes.use_sticky_edges = False
         axes.margins(x=0.15, y=0.03)

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import zipfile
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.errors import PixsimError, refuse
+from pixsim import safe_npz
+from pixsim.errors import refuse
 from pixsim.exr import shortest
 from pixsim.figures import COLOURS, new_figure, save_svg
 from pixsim.files import output_folder, replacing, write_json
 from pixsim.plates import Plate
 from pixsim.raw import BITS_OF_PICTURES, read_frame
+from pixsim.safe_files import size_of
 from pixsim.sfr import NYQUIST_CY_PER_PX, EdgeResponse
 from pixsim.spectral import read_channels
 
 SUFFIXES = ".exr, .npy, .npz, or a grey .png or .tiff of 16 bits"
-DAMAGE = (OSError, ValueError, EOFError, zipfile.BadZipFile)
+MOST_BITS = 32
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,7 @@ def read_edge_picture(path: Path) -> EdgePicture:
     readers |= {".png": read_picture, ".tif": read_picture, ".tiff": read_picture}
     if path.suffix.lower() not in readers:
         raise refuse("edge picture", f"'{path}'", SUFFIXES)
-    if not path.is_file():
-        raise refuse("edge picture", f"'{path}', which does not exist", SUFFIXES)
+    size_of(path, "edge picture", SUFFIXES)
     return readers[path.suffix.lower()](path)
 
 
@@ -57,25 +57,37 @@ def read_exr_picture(path: Path) -> EdgePicture:
     if len(channels) != 1:
         raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: DN of pixsim's raw.exr, or luminance")
     (data,) = channels.values()
-    pitch_um, black_level_dn = (shortest(header[name]) if name in header else None for name in ("pitch_um", "black_level_dn"))
-    return EdgePicture(data, pitch_um, black_level_dn, 2.0 ** int(header["bits"]) - 1 if "bits" in header else None)
+    pitch_um, black_level_dn, bits = (_attribute(path, header, name) for name in ("pitch_um", "black_level_dn", "bits"))
+    if (pitch_um is not None and not pitch_um > 0) or (bits is not None and not 1 <= bits <= MOST_BITS):
+        got = f"pitch_um {pitch_um}, bits {bits}"
+        raise refuse(f"header of '{path}'", got, f"a pitch above 0, 1 to {MOST_BITS} bits")
+    return EdgePicture(data, pitch_um, black_level_dn, None if bits is None else 2.0**bits - 1)
+
+
+def _attribute(path: Path, header: dict[str, Any], name: str) -> float | None:
+    """A number of an EXR's header as it was before it became float32."""
+    value = header.get(name)
+    if value is None:
+        return None
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        raise refuse(f"header of '{path}'", f"{name} = {value!r}", "a number")
+    return shortest(value)
 
 
 def read_array(path: Path) -> EdgePicture:
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return EdgePicture(loaded)
-        with loaded:
-            if "dn" in loaded.files:  # as pixsim writes it
-                return read_picture(path)
-            if len(loaded.files) != 1:
-                raise refuse(f"arrays of '{path}'", ", ".join(loaded.files) or "none", "one: the picture")
-            return EdgePicture(loaded[loaded.files[0]])
-    except PixsimError:
-        raise
-    except DAMAGE as error:
-        raise refuse("edge picture", f"'{path}' ({error})", "a readable file of numpy.save or numpy.savez") from None
+    allowed = "a readable file of numpy.save or numpy.savez"
+    if path.suffix.lower() == ".npy":
+        loaded = safe_npz.read_array(path, "edge picture", allowed)
+    else:
+        arrays = safe_npz.read_arrays(path, "edge picture", allowed)
+        if "dn" in arrays:  # as pixsim writes it
+            return read_picture(path)
+        if len(arrays) != 1:
+            raise refuse(f"arrays of '{path}'", ", ".join(arrays) or "none", "one: the picture")
+        (loaded,) = arrays.values()
+    if loaded.dtype.kind not in "biuf":
+        raise refuse("edge picture", f"'{path}' of {loaded.dtype}", "real numbers")
+    return EdgePicture(loaded)
 
 
 def read_picture(path: Path) -> EdgePicture:

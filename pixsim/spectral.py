@@ -263,7 +263,7 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
         raise refuse("irradiance file", f"'{path}' without pixsim's header", "a file from pixsim.write_exr")
     try:
-        own = json.loads(header["pixsim"])
+        own = checked_header(json.loads(header["pixsim"]))
         bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
         more = {"header": own["header"], "within": (own["within_nm"], own["within_shares"]) if "within_nm" in own else None}
         if "spectra_w_per_m2_nm" in own:
@@ -272,5 +272,20 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
             return SpectralImage(*bands, factors=(spectra, pictures), **more)
         data = np.stack([channels[_band_channel(nm)] for nm in own["wavelength_nm"]], axis=2)
         return SpectralImage(*bands, data=data, **more)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, IndexError, RecursionError) as error:
         raise refuse("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None
+
+
+def checked_header(own: dict[str, Any]) -> dict[str, Any]:
+    """A file's own header, where those that use its entries find what they expect. ValueError or TypeError where they would not."""
+    told = own["header"]
+    if not all(isinstance(told.get(name, {}), dict) for name in ("parameters", "camera")):
+        raise ValueError("parameters and camera are tables")
+    if not all(isinstance(told.get(name, ""), str) for name in ("scene", "source", "units")):
+        raise ValueError("scene, source and units are texts")
+    numbers = np.array(own["wavelength_nm"] + own["band_width_nm"] + told.get("lamp_w_per_m2_sr_nm", []), float)
+    if numbers.size % len(own["wavelength_nm"]) or not np.isfinite(numbers).all():
+        raise ValueError("numbers for other bands, or that are none")
+    if not 0 < told.get("luminance_cd_per_m2", 1.0) < math.inf:
+        raise ValueError("luminance_cd_per_m2 is above 0")
+    return own

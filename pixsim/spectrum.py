@@ -11,8 +11,10 @@ from pixsim.spectral import Array
 
 LOW_NM, HIGH_NM = 360.0, 830.0  # what Mitsuba samples
 # Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
+# Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
 # their ratios are exact in Mitsuba's float32 and its combined response has its nodes where ours are.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
+MOST = 1e30  # of any unit
 FINEST_REGULAR_NM, MOST_REGULAR_VALUES = 0.1, 8192
 COARSE_SPACING_NM = 0.199  # of a table's nodes: 0.2 nm but for rounding; closer ones get the finest step
 
@@ -34,6 +36,8 @@ class Spectrum:
             raise refuse("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in rising order")
         if not (np.isfinite(x).all() and np.isfinite(self.values).all()):
             raise refuse("spectrum", "nan or infinity among its wavelengths or values", "finite numbers")
+        if self.values.max() > MOST or self.values.min() < -MOST:
+            raise refuse("spectrum", f"values up to {np.abs(self.values).max():.3g}", f"up to {MOST:g}, which float32 holds")
 
     def at(self, wavelength_nm: Array) -> Array:
         return np.interp(wavelength_nm, self.nodes_nm, self.values, left=0.0, right=0.0)

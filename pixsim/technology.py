@@ -9,8 +9,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from pixsim import bounds
-from pixsim.config import packaged, read_toml
+from pixsim.config import Layer, packaged, read_toml
 from pixsim.errors import PixsimError, refuse
+from pixsim.messages import checked
 from pixsim.parameters import Record
 from pixsim.pixel_record import NO_TECHNOLOGY
 
@@ -149,11 +150,9 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
-        return Technology(
-            name=table.get("name", path.stem),
-            **values,
-            **({"junction": junction} if junction else {}),
-            sources={key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()},
-        )
+        sources = {key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()}
+        own = {"name": table.get("name", path.stem), "sources": sources} | ({"junction": junction} if junction else {})
+        technology: Technology = checked(Technology, [Layer(values | own, str(path))])
+        return technology
     except KeyError as missing:
         raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence, source") from None

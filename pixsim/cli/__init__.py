@@ -6,6 +6,7 @@ input that cannot be used, 130 interrupted.
 
 from __future__ import annotations
 
+import io
 import signal
 import sys
 import traceback
@@ -46,6 +47,9 @@ def main(tokens: Sequence[str] | None = None) -> None:
     tokens : the words after `pixsim`; None takes those of the process
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # else worker processes are orphaned
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names of files may be no UTF-8
+            stream.reconfigure(errors="backslashreplace")
     words = manner.take(sys.argv[1:] if tokens is None else tokens)
     keep_helpers_files_together()
     warnings.showwarning = lambda message, *_, **__: manner.note(f"warning: {message}")

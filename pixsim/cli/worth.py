@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -17,6 +18,7 @@ from pixsim.cli.tables import (
     ExposureTable,
     PixelTable,
 )
+from pixsim.files import output_folder
 
 
 @app.command
@@ -53,7 +55,7 @@ def accuracy(
 
     tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
     settings = settings_of(config, tables, define, {"seed": seed})
-    with stages() as stage:
+    with stages() as stage, output_folder(out) if out else nullcontext():  # told before a minute of work
         found = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
         folder = out or DEFAULT_OUT / f"{found.name}-accuracy"
