@@ -39,7 +39,9 @@ DEFAULT_GIB = 4.0
 GIB = 1 << 30
 LARGEST_SHARE = 0.25  # of the limit, for one entry: a larger one would drive out all others
 TRIM_SHARE = 1 / 16  # of the limit: a process that wrote so much looks whether the folder has grown too large
+HELPERS = ("kernels", "matplotlib")  # files that Mitsuba and Matplotlib keep, and tidy, by themselves
 ABANDONED_S = 3600.0  # a partial file of this age was left by a process that was killed
+NAMES = "names"  # an array of an entry: those that it has
 OWN_SUFFIXES = (".py", ".csv", ".toml")  # of pixsim's sources: formulas, spectra, technologies
 LARGEST_JSON = 1 << 26  # bytes
 DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RecursionError)
@@ -93,13 +95,19 @@ def arrays(kind: str, key: str) -> Arrays | None:
     """The arrays of a key, or None where they are not kept, or damaged."""
     path = folder() / kind / f"{key}.npz"
 
-    return _found(path, lambda: read_arrays(path, "cache entry", "arrays"))
+    def read() -> Arrays:
+        found = read_arrays(path, "cache entry", "arrays")
+        if sorted(found) != found.pop(NAMES).tolist():  # damage may hide an array from the file's own table
+            raise ValueError("an array is missing")
+        return found
+
+    return _found(path, read)
 
 
 def keep_arrays(kind: str, key: str, content: Arrays) -> None:
     """Keep arrays for a key. A folder that cannot be written is warned of; so much for one entry is left out in silence."""
 
-    named: dict[str, Any] = content  # for the type checker, which sees savez's other option among the names
+    named: dict[str, Any] = {**content, NAMES: np.array(sorted([*content, NAMES]))}
 
     def write(partial: Path) -> None:
         with partial.open("wb") as file:  # a name would get the ending .npz
@@ -148,7 +156,7 @@ def _keep(path: Path, write: Callable[[Path], object], size_bytes: int) -> None:
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():
-        trim()
+        trim()  # what belongs to others and cannot be removed stays
         _written_bytes = 0
 
 
@@ -169,24 +177,26 @@ class Entry:
 
 
 def entries(kind: str | None = None) -> list[Entry]:
-    """All entries, or those of a kind, the one used last at the end."""
+    """All entries, or those of a kind, the one used last at the end. Mitsuba's and Matplotlib's files only where named."""
     found = [entry for each in _kinds(kind) for entry in _in(each)]
     return sorted(found, key=lambda entry: (entry.used_s, entry.path))
 
 
 def _kinds(kind: str | None) -> list[Path]:
     try:
-        return [Path(each) for each in os.scandir(folder()) if each.is_dir() and kind in (None, each.name)]
-    except (FileNotFoundError, NotADirectoryError):
+        folders = [Path(each) for each in os.scandir(folder()) if each.is_dir()]
+    except OSError:
         return []
+    return [each for each in folders if (each.name not in HELPERS if kind is None else each.name == kind)]
 
 
 def _in(kind: Path) -> Iterator[Entry]:
-    for each in os.scandir(kind):
-        with suppress(FileNotFoundError):  # another process has removed it
-            if each.is_file() and not each.name.startswith("."):
-                about = each.stat()
-                yield Entry(Path(each), about.st_size, about.st_mtime)
+    with suppress(OSError):  # another process has removed the folder
+        for each in os.scandir(kind):
+            with suppress(OSError):  # or the file
+                if each.is_file(follow_symlinks=False) and not each.name.startswith("."):
+                    about = each.stat()
+                    yield Entry(Path(each), about.st_size, about.st_mtime)
 
 
 def trim() -> int:
@@ -196,19 +206,24 @@ def trim() -> int:
     for entry in found:
         if freed >= excess:
             break
-        entry.path.unlink(missing_ok=True)
-        freed += entry.size_bytes
+        freed += _removed(entry)
     for kind in _kinds(None):
-        for each in os.scandir(kind):
-            with suppress(OSError):
+        with suppress(OSError):
+            for each in os.scandir(kind):
                 if each.name.startswith(".") and time.time() - each.stat().st_mtime > ABANDONED_S:
-                    Path(each).unlink()
+                    Path(each).unlink(missing_ok=True)
     return freed
 
 
 def clear(kind: str | None = None) -> int:
     """Remove all entries, or those of a kind; bytes freed."""
-    found = entries(kind)
-    for entry in found:
-        entry.path.unlink(missing_ok=True)
-    return sum(entry.size_bytes for entry in found)
+    return sum(_removed(entry) for entry in entries(kind))
+
+
+def _removed(entry: Entry) -> int:
+    """Bytes freed: none where the file belongs to another, or is gone."""
+    try:
+        entry.path.unlink()
+    except OSError:
+        return 0
+    return entry.size_bytes

@@ -177,18 +177,26 @@ def _once(
     function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], workers: Workers
 ) -> Iterator[tuple[int, Result]]:
     """Each call's number and result, as they come."""
-    if workers.client:
-        yield from _on_cluster(function, calls, workers.client)
-    elif workers.jobs == 1:
+    if not workers.client and workers.jobs == 1:
         yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
+        return
+    if workers.client:
+        results = _on_cluster(function, calls, workers.client)
     else:
         # At least two: what is left after a worker's death may be what killed it, and must not come to this process.
-        yield from _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
+        results = _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
+    told: set[str] = set()
+    for index, result, notes in results:
+        for note in notes:
+            if note not in told:
+                warnings.warn(note, stacklevel=4)
+                told.add(note)
+        yield index, result
 
 
 def _on_cluster(
     function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], client: Any
-) -> Iterator[tuple[int, Result]]:
+) -> Iterator[tuple[int, Result, list[str]]]:
     from joblib import Parallel, delayed, parallel_config
 
     shared = {id(make): make() for _, make in calls.values()}
@@ -204,23 +212,27 @@ def _on_cluster(
 
 def _on_one_thread(
     function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], shared: dict[int, Shared], client: Any
-) -> Iterator[tuple[int, Result]]:
+) -> Iterator[tuple[int, Result, list[str]]]:
     from distributed import as_completed
 
     there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
     futures = [
         client.submit(_numbered, function, index, task, there[id(make)], pure=False) for index, (task, make) in list(calls.items())
     ]
-    yield from (future.result() for future in as_completed(futures))
+    yield from (future.result() for future in as_completed(futures, loop=client.loop))
 
 
-def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result]:
-    return index, function(task, shared)
+def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result, list[str]]:
+    """A call's number, its result, and what it warns of: the process that asked tells it, once."""
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        result = function(task, shared)
+    return index, result, [str(note.message) for note in notes if issubclass(note.category, UserWarning)]
 
 
 def _on_processes(
     function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], jobs: int
-) -> Iterator[tuple[int, Result]]:
+) -> Iterator[tuple[int, Result, list[str]]]:
     """What is shared lies in files that the workers map into their memory: one copy for all of them.
 
     (joblib would do so by itself, but waits a second at the end for workers to let go.)
@@ -248,5 +260,5 @@ def _mapped(path: str) -> Any:
     return load(path, mmap_mode="r")
 
 
-def _numbered_from(function: Callable[[Task, Any], Result], index: int, task: Task, path: str) -> tuple[int, Result]:
-    return index, function(task, _mapped(path))
+def _numbered_from(function: Callable[[Task, Any], Result], index: int, task: Task, path: str) -> tuple[int, Result, list[str]]:
+    return _numbered(function, index, task, _mapped(path))

@@ -23,10 +23,10 @@ from pixsim.ledger import Ledger, Row
 from pixsim.parameters import Camera, Study, content_hash
 from pixsim.parameters import pixel_of as pixel_of
 from pixsim.pixel import derive, pitch_for_fill_factor_um
-from pixsim.score import Bench, Projection, Score, bench_of, make_bench, project
+from pixsim.score import Bench, Projection, Score, bench_of, project
 from pixsim.sensor import pixels_along
 from pixsim.spectral import Array, SpectralImage
-from pixsim.technology import load_technology, with_fill_factor_law
+from pixsim.technology import Technology, load_technology, with_fill_factor_law
 
 COLUMNS = (
     "key",
@@ -100,11 +100,14 @@ class Lights:
             yield self.study.technologies[first : first + self.room]
 
 
-def bench_at(study: Study, light: Light, camera: Camera, technology: str, pitch_um: float) -> Bench:
-    pixel = pixel_of(study, technology, pitch_um)
-    if isinstance(light, Projection):
-        return bench_of(light, derive(pixel), study.exposure, study.display)
-    return make_bench(light, camera, pixel, study.exposure, study.display)
+def bench_at(
+    study: Study, light: Light, camera: Camera, technology: str, pitch_um: float, process: Technology | None = None
+) -> Bench:
+    """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
+    physics = derive(pixel_of(study, technology, pitch_um), process)
+    if not isinstance(light, Projection):
+        light = project(light, camera, physics, study.display)
+    return bench_of(light, physics, study.exposure, study.display)
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
@@ -123,6 +126,7 @@ class Task:
     study: Study
     camera: Camera
     technology: str
+    process: Technology
     pitch_um: float
     light_key: str
     frames_key: str
@@ -166,7 +170,8 @@ def _bench(task: Task, light: Light) -> Bench:
     if getattr(_recent, "light_key", None) != task.light_key:
         _recent.light_key, _recent.light, _recent.pitch_um = task.light_key, light, None
     if _recent.pitch_um != task.pitch_um:
-        _recent.bench = bench_at(task.study, _recent.light, task.camera, task.technology, task.pitch_um)
+        how = task.technology, task.pitch_um, task.process
+        _recent.bench = bench_at(task.study, _recent.light, task.camera, *how)
         _recent.pitch_um = task.pitch_um
     bench: Bench = _recent.bench
     return bench
@@ -185,7 +190,9 @@ class Content:
         """Of the light, the exposure and the random streams; whatever shows it."""
         study = self.study
         light = [self.irradiance.header, self.camera.model_dump()]
-        return content_hash([*light, study.exposure.model_dump(), study.name, study.seed])
+        # With pixsim's sources and the packages that compute: a row is never one of another formula.
+        made_by = cache.made_by("mitsuba", "drjit", "colour-science")
+        return content_hash([*light, study.exposure.model_dump(), study.name, study.seed, made_by])
 
     @cached_property
     def display(self) -> str:
@@ -200,7 +207,8 @@ class Content:
 
     def pixel(self, technology: str, pitch_um: float) -> str:
         """Of all that the frames of a pitch depend on."""
-        return content_hash([self.picture, self.process(technology), pixel_of(self.study, technology, pitch_um).model_dump()])
+        pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # where its file lies is no content
+        return content_hash([self.picture, self.process(technology), pixel])
 
     def rows(self, technology: str, repeats: int) -> Iterator[tuple[float, dict[int, str]]]:
         """Each pitch with the key of each repeat's row."""
@@ -219,8 +227,7 @@ class Content:
 
     def frames(self, technology: str, pitch_um: float) -> str:
         """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
-        made_by = cache.made_by("mitsuba", "drjit")
-        return content_hash([self.pixel(technology, pitch_um), made_by]) if self.keeps_frames else ""
+        return self.pixel(technology, pitch_um) if self.keeps_frames else ""
 
     @cached_property
     def keeps_frames(self) -> bool:
@@ -247,14 +254,15 @@ def block_key(frames_key: str, block: int) -> str:
 
 def tasks_of(content: Content, technology: str, done: Container[str]) -> Iterator[Task]:
     """What is missing of a technology, small pixels first, since they take longest."""
-    study, light_key = content.study, content.light(technology)
+    study, light_key, process = content.study, content.light(technology), load_technology(technology)
     for pitch_um, keys in content.rows(technology, study.repeats):
         frames = content.frames(technology, pitch_um)
         for block in range(-(-study.repeats // REPEATS_A_TASK)):
             repeats = range(block * REPEATS_A_TASK, min(study.repeats, (block + 1) * REPEATS_A_TASK))
             missing = {repeat: keys[repeat] for repeat in repeats if keys[repeat] not in done}
             if missing:
-                yield Task(study, content.camera, technology, pitch_um, light_key, block_key(frames, block), missing)
+                own = light_key, block_key(frames, block), missing
+                yield Task(study, content.camera, technology, process, pitch_um, *own)
 
 
 def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Progress | None = None) -> list[Row]:
@@ -281,4 +289,5 @@ def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Prog
                 if progress:
                     progress(1 - missing / total)
         ledger.write([done[key] for key in wanted if key in done])
+    _recent.__dict__.clear()  # of this process; a worker keeps its last light until its next task
     return [done[key] for keys in pitches for repeat, key in keys.items() if repeat < study.repeats]

@@ -92,12 +92,17 @@ class Ledger:
             yield
             return
         lock = self.path.with_name(f".{self.path.name}.lock")
-        with self._told(), lock.open("w") as file:
+        with self._told():
+            file = lock.open("w")
+        with file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                same = os.path.samestat(os.fstat(file.fileno()), lock.stat())
+            except (BlockingIOError, FileNotFoundError):
+                same = False  # another has it, or had it a moment ago and took it away
+            if not same:
                 mend = "Wait for it, or take another --out."
-                raise refuse("study", f"'{self.path.parent}', where another process is at work", "one at a time", mend) from None
+                raise refuse("study", f"'{self.path.parent}', where another process is at work", "one at a time", mend)
             try:
                 yield
             finally:

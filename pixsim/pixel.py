@@ -179,12 +179,14 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
 
 
-def derive(pixel: Pixel) -> PixelPhysics:
+def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Fill in from the technology what the pixel leaves open.
+
+    technology : where it is at hand; None loads the one that the pixel names
 
     PixsimError for an unknown technology, and for a pitch at or below the smallest one (named in the message).
     """
-    technology = with_fill_factor_law(load_technology(pixel.technology), pixel.fill_factor_law)
+    technology = with_fill_factor_law(technology or load_technology(pixel.technology), pixel.fill_factor_law)
 
     def given(value: float | None, otherwise: float) -> float:
         return otherwise if value is None else value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -21,6 +22,7 @@ import pytest
 import pixsim
 from pixsim import cache, engine
 from pixsim.engine import Workers, results_of, workers_for
+from pixsim.sweep import load_study
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 TOML = """
@@ -77,6 +79,15 @@ def die_always(task: int, _: object) -> int:
     return task
 
 
+def whoami(_: int, __: object) -> int:
+    return os.getpid()
+
+
+def warn(task: int, _: object) -> int:
+    warnings.warn("the moon is out", stacklevel=1)
+    return task
+
+
 def fail(task: int, _: object) -> int:
     return 1 // task
 
@@ -116,6 +127,13 @@ def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> No
     assert sorted(found) == [task for task in range(12) if task != 3]
 
 
+def test_what_workers_warn_of_is_told_once_and_here() -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert sorted(results_of(warn, [(task, nothing) for task in range(6)], Workers(2))) == list(range(6))
+    assert [str(note.message) for note in told] == ["the moon is out"]
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_error_of_the_work_itself_is_not_retried(jobs: int) -> None:
     with pytest.raises(ZeroDivisionError):
@@ -134,6 +152,7 @@ def busy(_: int, __: object) -> float:
     return (time.process_time() - processor) / (time.perf_counter() - wall)
 
 
+@pytest.mark.filterwarnings("ignore:.*brighter than display white")
 def test_a_worker_takes_one_core() -> None:
     """One thread cannot use more than one second a second; clocks and a start-up thread leave 10 %."""
     loads = list(results_of(busy, [(task, nothing) for task in range(4)], Workers(2)))
@@ -326,6 +345,31 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 def test_a_cluster_gives_the_same_bytes(cluster, toml: Path, expected: bytes, tmp_path: Path) -> None:
     pixsim.study(toml, tmp_path, scheduler=cluster[0])
     assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def test_one_worker_of_one_thread_computes_what_it_is_asked(tmp_path: Path) -> None:
+    """joblib takes a cluster of one thread for none, and would compute here."""
+    with running_cluster(tmp_path, 1) as (address, _), workers_for(None, address) as workers:
+        pids = set(results_of(whoami, [(task, nothing) for task in range(3)], workers))
+    assert pids
+    assert os.getpid() not in pids
+
+
+def test_a_technology_is_sent_to_the_workers(cluster, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They need not have its file, and one that is edited counts at once."""
+    process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+    monkeypatch.chdir(tmp_path)
+    study = load_study(toml).model_copy(update={"technologies": ("mine.toml",)})
+    found = []
+    for noise in ("3.5", "35.5"):
+        text = process.read_text(encoding="utf-8")
+        Path("mine.toml").write_text(re.sub(r"(\[read_noise_e\]\nvalue = )[\d.]+", rf"\g<1>{noise}", text), encoding="utf-8")
+        pixsim.study(study, tmp_path / f"cluster{noise}", scheduler=cluster[0])
+        pixsim.study(study, tmp_path / f"here{noise}", jobs=1)
+        there, here = ((tmp_path / f"{where}{noise}/results.csv").read_bytes() for where in ("cluster", "here"))
+        assert there == here
+        found.append(here)
+    assert found[0] != found[1]
 
 
 def test_a_client_serves_and_stays_open(cluster, toml: Path, expected: bytes, tmp_path: Path) -> None:

@@ -14,7 +14,9 @@ from test_cli import command
 import pixsim
 from pixsim import cache, kept_renders
 from pixsim.cache import FOLDER_VARIABLE, LIMIT_VARIABLE
+from pixsim.convergence import render_until
 from pixsim.kept_renders import KeptRenders
+from pixsim.plan import make_render_plan
 from pixsim.renderer import Renderer
 
 RUN = "run {scene} --variant scalar_spectral -D resolution=32 --display.dots 32 --config {out}.toml --out {out}"
@@ -175,3 +177,24 @@ def test_one_job_keeps_a_share_of_the_cache_only(monkeypatch):
             if job.find(index, 0) is None:
                 job.keep(index, 0, [picture], 16)
         assert len(cache.entries(kept_renders.KIND)) == 4
+
+
+def test_the_clock_ends_a_kept_render_at_the_same_place(rendered):
+    """Kept renders cost no time: counted anew, the same limit would let each repeat go further."""
+    scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=32)
+    pixel = pixsim.Pixel(pitch_um=84.8)
+
+    def once(max_seconds: float) -> tuple[int, str]:
+        camera = scene.camera()
+        plan = make_render_plan(scene, camera)
+        how = {"render_noise": 1e-6, "max_seconds": max_seconds, "keep": True}
+        with pytest.warns(UserWarning, match="ended the render"):
+            image, noise = render_until(scene, camera, plan, [pixel], pixsim.Exposure(), **how)
+        return noise.runs, image.factors[1].tobytes()
+
+    first = once(0.5)
+    assert first[0] >= 2
+    made = len(rendered)
+    assert [once(0.5) for _ in range(3)] == [first] * 3
+    assert len(rendered) == made, "all of them were kept"
+    assert once(1.5)[0] > first[0]

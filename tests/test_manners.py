@@ -16,6 +16,7 @@ import pytest
 import pixsim
 from pixsim import cache, cli
 from pixsim.parameters import Run, Study
+from pixsim.sweep import load_study
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 SMALL = ["-D", "resolution=64", "--display.dots", "64"]
@@ -125,6 +126,21 @@ def test_a_curve_that_is_none(text: str, told: str, sheet: Path, capsys: pytest.
     assert f"{sheet}: pixel.quantum_efficiency: " in err
     assert told in err
     assert "Traceback" not in err
+
+
+def test_a_byte_order_mark_is_no_part_of_a_curve(sheet: Path) -> None:
+    """A spreadsheet's "CSV UTF-8" begins with one."""
+    (sheet.parent / "qe.csv").write_text("\ufeff400,0.5\n500,0.6\n", encoding="utf-8")
+    assert cli.base.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.5), (500.0, 0.6))
+
+
+def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("qe.csv").write_text("400,0.1\n500,0.1\n", encoding="utf-8")
+    assert cli.base.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency[0] == (400.0, 0.3)
+    study = sheet.parent / "s.toml"
+    study.write_text('name = "s"\n[quick.pixel]\nquantum_efficiency = "qe.csv"\n', encoding="utf-8")
+    assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
 
 
 def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:

@@ -25,11 +25,11 @@ def cache(
 
     An entry is named by the hash of all that made it, so that nothing in it is ever out of date: clearing only frees
     space. PIXSIM_CACHE_DIR moves the folder, PIXSIM_CACHE_GIB bounds it (4 by default, 0 keeps nothing); what was not used
-    for the longest time goes first.
+    for the longest time goes first. Mitsuba's kernels and Matplotlib's fonts lie beside the entries; --kind names them too.
     """
     from pixsim import cache as kept  # with NumPy, which help does without
 
-    kinds = sorted({entry.kind for entry in kept.entries()})
+    kinds = sorted({entry.kind for each in (None, *kept.HELPERS) for entry in kept.entries(each)})
     if kind is not None and kind not in kinds:
         raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
     freed = kept.clear(kind) if clear else None
@@ -49,7 +49,7 @@ def summary(kind: str | None = None) -> dict[str, Any]:
     from pixsim import cache as kept
 
     kinds: dict[str, dict[str, int]] = {}
-    for entry in kept.entries(kind):
+    for entry in kept.entries(kind) if kind else [entry for each in (None, *kept.HELPERS) for entry in kept.entries(each)]:
         own = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
         own["entries"] += 1
         own["size_bytes"] += entry.size_bytes
