@@ -213,13 +213,11 @@ def _on_cluster(
 def _on_one_thread(
     function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], shared: dict[int, Shared], client: Any
 ) -> Iterator[tuple[int, Result, list[str]]]:
-    from distributed import as_completed
-
     there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
     futures = [
         client.submit(_numbered, function, index, task, there[id(make)], pure=False) for index, (task, make) in list(calls.items())
     ]
-    yield from (future.result() for future in as_completed(futures, loop=client.loop))
+    yield from (future.result() for future in futures)  # one thread does them in this order
 
 
 def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result, list[str]]:
