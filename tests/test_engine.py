@@ -349,7 +349,8 @@ def test_a_cluster_gives_the_same_bytes(cluster, toml: Path, expected: bytes, tm
 
 def test_one_worker_of_one_thread_computes_what_it_is_asked(tmp_path: Path) -> None:
     """joblib takes a cluster of one thread for none, and would compute here."""
-    with running_cluster(tmp_path, 1) as (address, _), workers_for(None, address) as workers:
+    here = str(Path(__file__).parent)  # where a worker finds the function
+    with running_cluster(tmp_path, 1, PYTHONPATH=here) as (address, _), workers_for(None, address) as workers:
         pids = set(results_of(whoami, [(task, nothing) for task in range(3)], workers))
     assert pids
     assert os.getpid() not in pids
