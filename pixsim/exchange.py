@@ -82,7 +82,7 @@ def read_with_camera(
     cube = read_cube(path)
     known = cube.pitch_um is not None and options.die_mm is None
     die_mm = _positive(path, "pitch_um", cube.pitch_um) * cube.data.shape[1] / 1e3 if known else Camera().die_mm
-    camera = options.over(Camera(die_mm=die_mm))
+    camera = options.over(checked(Camera, [Layer({"die_mm": die_mm}, f"'{path}'")]))
     return _from_cube(path, cube, camera, units, None), camera
 
 

@@ -48,21 +48,26 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     folder = Path(out)
     if not is_utf8(folder):
         raise PixsimError(f"output folder: '{folder}' is not in UTF-8. Choose another with --out.")
-    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    made = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
     probe = folder / ".pixsim-probe"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch()
         probe.unlink()
     except OSError as error:
+        _remove_empty(made)
         raise PixsimError(f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out.") from None
     try:
         yield folder
     except BaseException:
-        with suppress(OSError):  # it holds something
-            for each in made:
-                each.rmdir()
+        _remove_empty(made)
         raise
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for each in folders:
+        with suppress(OSError):  # it holds something, or was never made
+            each.rmdir()
 
 
 def write_new(path: Path, text: str) -> None:

@@ -58,7 +58,7 @@ class Body:
 def matrix_of(node: Any, name: str = "to_world") -> Array:
     if name not in node.props:
         return np.eye(4)
-    if not hasattr(node.props[name], "matrix"):
+    if "Transform" not in node.props.type(name).name:
         raise refuse(f"{node.props.plugin_name()}.{name}", node.props[name], "a <transform>")
     return np.asarray(node.props[name].matrix, float).reshape(4, 4)
 

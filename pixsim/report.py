@@ -150,8 +150,9 @@ def write_drawn(folder: Path, drawn: Sequence[Drawn]) -> list[tuple[Drawn, str, 
     figures.mkdir(exist_ok=True)
     shown = []
     for each in drawn:
-        (figures / f"{each.name}.svg").write_text(each.svg, encoding="utf-8")
-        (figures / f"{each.name}.csv").write_text(each.csv, encoding="utf-8", newline="")
+        for suffix, text in (("svg", each.svg), ("csv", each.csv)):
+            with replacing(figures / f"{each.name}.{suffix}") as partial:
+                partial.write_text(text, encoding="utf-8", newline="")
         shown.append((each, data_uri("image/svg+xml", each.svg.encode()), data_uri("text/csv", each.csv.encode())))
     return shown
 

@@ -1,0 +1,141 @@
+"""Valid small files of each kind that pixsim reads, and what reads them: seeds for files that are changed at random."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import pixsim
+from pixsim.charts import write_chart
+from pixsim.cli.base import settings_of
+from pixsim.evaluations import COLUMNS, TEXTS
+from pixsim.exchange import read_with_camera, write_npz
+from pixsim.ledger import Ledger
+from pixsim.parameters import CameraOptions
+from pixsim.quantum_efficiency import read_curve
+from pixsim.scene import load_scene, packaged_scenes
+from pixsim.sfr_report import read_edge_picture
+from pixsim.spectral import SpectralImage, write_exr
+from pixsim.sweep import load_study
+from pixsim.technology import load_technology
+
+Reader = Callable[[Path], object]
+PACKAGE = Path(pixsim.__file__).parent
+NM = np.array([450.0, 550.0, 650.0])
+CONFIG = """
+seed = 3
+[camera]
+f_number = 2.8
+[pixel]
+technology = "0.35um"
+pitch_um = 8.0
+bits = 12
+quantum_efficiency = [[400, 0.3], [550, 0.6]]
+[display]
+dots = 64
+"""
+SCENE = """<scene version="3.0.0">
+<!-- a chart -->
+<default name="spp" value="4"/><default name="scale" value="1"/>
+<integrator type="path"><integer name="max_depth" value="2"/></integrator>
+<sensor type="thinlens" id="eye"><float name="fov" value="40"/><float name="aperture_radius" value="0.0005"/>
+<float name="focus_distance" value="0.8"/><transform name="to_world"><lookat origin="0,0,0" target="0,0,1" up="0,1,0"/></transform>
+<sampler type="multijitter"><integer name="sample_count" value="$spp"/></sampler>
+<film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/><rfilter type="box"/></film></sensor>
+<bsdf type="diffuse" id="grey"><spectrum name="reflectance" value="400:0.2, 700:0.4"/></bsdf>
+<include filename="part.xml"/>
+<shape type="rectangle"><ref id="grey"/><transform name="to_world"><scale x="$scale" y="$scale"/><translate z="1"/></transform>
+<emitter type="area"><texture type="d65" name="radiance"><float name="scale" value="0.01"/>
+<texture type="bitmap" name="texture"><string name="filename" value="chart.exr"/><boolean name="raw" value="true"/>
+<transform name="to_uv"><scale y="-1"/></transform></texture></texture></emitter></shape></scene>
+"""
+ENVI = (
+    "ENVI\nsamples = 5\nlines = 4\nbands = 3\nheader offset = 0\nfile type = ENVI Standard\ndata type = 4\ninterleave = bsq\n"
+    "byte order = 0\nwavelength units = Nanometers\nwavelength = {450, 550, 650}\nfwhm = {9, 9, 9}\ndata units = W.m^-2.nm^-1\n"
+    "pitch_um = 5\n"
+)
+
+
+def light(factored: bool = False) -> SpectralImage:
+    values = np.random.default_rng(1).uniform(0.1, 1.0, (4, 5, 3)).astype(np.float32)
+    content = {"factors": (np.ones((1, 3)), values[:, :, :1].transpose(2, 0, 1))} if factored else {"data": values}
+    header = {"scene": "a.xml", "camera": pixsim.Camera().model_dump(), "parameters": {}, "luminance_cd_per_m2": 100.0}
+    return SpectralImage(NM, 10.0, 5.0, header=header, **content)
+
+
+def rows(path: Path) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows([f"key{n}", "0.35um", *["1.5"] * (len(COLUMNS) - 2)] for n in range(3))
+
+
+def read_rows(path: Path) -> object:
+    wanted = {"key1": {"technology": "0.35um", "pitch_um": "1.5", "repeat": "1.5"}}
+    ledger = Ledger(path, COLUMNS, TEXTS)
+    ledger.read()
+    return ledger.begin(wanted)
+
+
+def read_picture(path: Path) -> object:
+    image, camera = read_with_camera(path, CameraOptions(), None)
+    pixsim.pictures.axes_of(image)
+    return image, camera
+
+
+def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
+    """Kind -> a valid file and what reads it."""
+    shipped = packaged_scenes()["still_life"]
+    texts = {
+        "config.toml": CONFIG,
+        "study.toml": (PACKAGE / "studies/modern.toml").read_text(),
+        "technology.toml": (PACKAGE / "data/technologies/0.35um.toml").read_text(),
+        "curve.csv": "nm,qe\n400,0.1\n500,0.5\n600,0.4\n",
+        "scene.xml": SCENE,
+        "part.xml": '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="0.01"/></shape></scene>',
+        "shipped.xml": shipped.read_text().replace('"spectra/', f'"{shipped.parent}/spectra/'),
+        "cube.hdr": ENVI,
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    light().data.transpose(2, 0, 1).tofile(folder / "cube.img")
+    write_chart(folder / "chart.exr", np.ones((4, 4), np.float32))
+    write_exr(folder / "light.exr", light())
+    write_exr(folder / "factors.exr", light(factored=True))
+    write_npz(folder / "light.npz", light())
+    np.save(folder / "edge.npy", np.ones((4, 4)))
+    Image.fromarray(np.ones((8, 8), np.uint16)).save(folder / "edge.png")
+    rows(folder / "results.csv")
+    readers: dict[str, Reader] = {
+        "config.toml": lambda path: settings_of([path], {}, None, {}),
+        "study.toml": load_study,
+        "technology.toml": lambda path: load_technology.__wrapped__(str(path)),
+        "curve.csv": read_curve,
+        "scene.xml": partial(load_scene, variant="scalar_spectral"),
+        "shipped.xml": partial(load_scene, variant="scalar_spectral"),
+        "light.exr": read_picture,
+        "factors.exr": read_picture,
+        "light.npz": read_picture,
+        "cube.hdr": read_picture,
+        "chart.exr": read_edge_picture,
+        "edge.npy": read_edge_picture,
+        "edge.png": read_edge_picture,
+        "results.csv": read_rows,
+    }
+    return {name: (folder / name, reader) for name, reader in readers.items()}
+
+
+def changed(content: bytes, changes: list[tuple[float, bytes]], end: float, repeated: int) -> bytes:
+    """Bytes put over others at places from 0 to 1, the rest after `end` cut off, and the middle said again."""
+    work = bytearray(content)
+    for place, new in changes:
+        at = int(place * len(work))
+        work[at : at + len(new)] = new
+    work = work[: int(end * len(work)) or 1]
+    middle = work[len(work) // 3 : 2 * len(work) // 3]
+    return bytes(work + middle * repeated)

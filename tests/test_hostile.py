@@ -1,0 +1,709 @@
+"""Input made to do harm: it is refused in words, soon, in little memory, and nothing half is left behind."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import warnings
+import xml.etree.ElementTree as ET
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from fuzz_targets import CONFIG, ENVI, SCENE, changed, light, read_picture, rows, seeds
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import pixsim
+from pixsim import cache, cli, figures
+from pixsim.cli.base import settings_of
+from pixsim.errors import PixsimError, refuse
+from pixsim.evaluations import COLUMNS, TEXTS
+from pixsim.exr import read_channels
+from pixsim.ledger import Ledger
+from pixsim.quantum_efficiency import as_quantum_efficiency
+from pixsim.scene import load_scene
+from pixsim.sfr_report import read_edge_picture
+from pixsim.sweep import load_study
+from pixsim.technology import load_technology
+
+COMMAND = [sys.executable, "-m", "pixsim"]
+LONGEST_S = 10
+MOST_MIB = 1024
+SMALL = ["-D", "resolution=32", "-D", "spp=4", "--display.dots", "32"]
+
+
+@contextmanager
+def in_time() -> Iterator[None]:
+    """A reader that waits for a pipe, or for the end of what has none, is told to stop."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError(f"more than {LONGEST_S} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(LONGEST_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def peak_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+@contextmanager
+def refused(*words: str) -> Iterator[None]:
+    """PixsimError that says these words, in time, and with no more memory than there was."""
+    before = peak_mib()
+    with in_time(), pytest.raises(PixsimError) as error:
+        yield
+    for word in words:
+        assert word in str(error.value)
+    assert peak_mib() - before < MOST_MIB / 4
+
+
+def told(*words: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command in this process."""
+    with in_time(), pytest.raises(SystemExit) as end, warnings.catch_warnings(action="ignore"):
+        cli.main([str(word) for word in words])
+    said = capsys.readouterr()
+    return int(end.value.code or 0), said.out, said.err
+
+
+def refused_command(*words: object, capsys: pytest.CaptureFixture[str]) -> str:
+    code, out, complaint = told(*words, capsys=capsys)
+    assert (code, out) == (2, ""), complaint
+    assert "Traceback" not in complaint
+    assert "unexpected" not in complaint
+    return complaint
+
+
+@pytest.fixture(autouse=True)
+def manner_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """main() changes how warnings are shown."""
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+
+
+# --- what is no file ---------------------------------------------------------------------------------------------------
+
+
+def no_files(folder: Path, suffix: str) -> Iterator[Path]:
+    os.mkfifo(pipe := folder / f"pipe{suffix}")
+    (loop := folder / f"loop{suffix}").symlink_to(loop)
+    (device := folder / f"zero{suffix}").symlink_to("/dev/zero")
+    (folder / f"folder{suffix}").mkdir()
+    return iter([pipe, loop, device, folder / f"folder{suffix}", folder / ("x" * 300 + suffix)])
+
+
+@pytest.mark.parametrize(
+    ("suffix", "words"),
+    [
+        (".xml", ["run", "FILE"]),
+        (".toml", ["run", "csf", "--config", "FILE"]),
+        (".toml", ["run", "csf", "--pixel.technology", "FILE"]),
+        (".toml", ["study", "FILE"]),
+        (".toml", ["datasheet", "FILE"]),
+        (".exr", ["run", "FILE"]),
+        (".exr", ["plan", "csf", "-D", "chart=FILE"]),
+        (".npz", ["run", "FILE"]),
+        (".hdr", ["run", "FILE"]),
+        (".csv", ["run", "csf", "--pixel.quantum-efficiency", "FILE"]),
+        (".png", ["sfr", "FILE"]),
+        (".npy", ["sfr", "FILE"]),
+    ],
+)
+def test_what_is_no_file_is_not_waited_for(tmp_path, capsys, monkeypatch, suffix, words):
+    monkeypatch.chdir(tmp_path)
+    for path in no_files(tmp_path, suffix):
+        refused_command(*(word.replace("FILE", str(path)) for word in words), capsys=capsys)
+    assert not (tmp_path / "pixsim-out").exists()
+
+
+def test_a_control_character_does_not_reach_the_terminal():
+    assert str(refuse("x", "\x1b[2J\u202e\0", "y")) == "x: got \\x1b[2J\\u202e\\x00; allowed: y."
+    assert len(str(refuse("x", "y" * 10**6, "z"))) < 21_000
+
+
+# --- TOML --------------------------------------------------------------------------------------------------------------
+
+TOMLS = {
+    "large": b"#" * ((1 << 20) + 1),
+    "lists": b"a = " + b"[" * 200_000,
+    "tables": b"a = " + b"{b = " * 100_000,
+    "deep": b"[" + b"a." * 40 + b"a]",
+    "dots": b"a" + b".b" * 20_000 + b" = 1",
+    "spaced dots": b"a" + b' . "b"' * 20_000 + b" = 1",
+    "no UTF-8": b"a = '\xff'",
+    "NUL": b"a = '\0'",
+    "digits": b"seed = " + b"9" * 1_000_000,
+    "hexadecimal": b"seed = 0x" + b"f" * 1000,
+    "twice": b"seed = 1\nseed = 2",
+    "date": b"seed = 1979-05-27",
+    "no date": b"seed = 1979-99-99",
+    "nothing known": b"a = 1",
+    "other types": b"camera = 3\npixel = [1]\nname = {}\n",
+}
+
+
+@pytest.mark.parametrize("content", TOMLS.values(), ids=TOMLS.keys())
+def test_a_hostile_toml(tmp_path, content):
+    (path := tmp_path / "a.toml").write_bytes(content)
+    for read in (lambda: settings_of([path], {}, None, {}), lambda: load_study(path), lambda: load_technology(str(path))):
+        with refused("a.toml"):
+            read()
+
+
+@pytest.mark.parametrize("name", ["..", ".", "../x", "a/b", "-x", "", "a" * 200, "a\\u0000b", "a\\n"])
+def test_a_study_does_not_name_a_folder_elsewhere(tmp_path, name):
+    (tmp_path / "a.toml").write_text(f'name = "{name}"')
+    with refused("name"):
+        load_study(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("more", ['[sources]\nx = "y"', "[name]\nvalue = 1", "[prnu]\nvalue = []", "[junction]\nvalue = 3"])
+def test_a_technology_with_what_is_none_of_its_entries(tmp_path, more):
+    own = (Path(pixsim.__file__).parent / "data/technologies/0.35um.toml").read_text().replace("[prnu]", "[other]")
+    (tmp_path / "t.toml").write_text(own + "\n" + more)
+    with refused("t.toml"):
+        load_technology(str(tmp_path / "t.toml"))
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "\0", "a,b\n1", "400,1\n" * 2, "400,nan\n500,1", "400,1e999\n500,1", '400,"' + "x" * 200_000, "4" * 10**6 + ",1"],
+)
+def test_a_hostile_curve(tmp_path, content):
+    (tmp_path / "qe.csv").write_text(content)
+    with in_time(), pytest.raises(ValueError, match=r"allowed"):
+        as_quantum_efficiency(str(tmp_path / "qe.csv"))
+
+
+# --- XML ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Path:
+    """A folder with a scene that works, in a folder with files that are none of its business."""
+    (folder := tmp_path / "scene").mkdir()
+    seeds(folder)
+    (tmp_path / "outside.xml").write_text('<scene version="3.0.0"/>')
+    return folder
+
+
+def with_more(stage: Path, more: str, before: str = "<shape") -> Path:
+    assert before in SCENE
+    (stage / "scene.xml").write_text(SCENE.replace(before, more + before, 1), encoding="utf-8")
+    return stage / "scene.xml"
+
+
+def load(path: Path, **parameters: object) -> pixsim.scene.Scene:
+    return load_scene(path, variant="scalar_spectral", **parameters)
+
+
+LAUGHS = "<!DOCTYPE scene [" + "".join(
+    f'<!ENTITY l{n} "{f"&l{n - 1};" * 10 if n else "ha"}">' for n in range(10)
+)  # fmt: skip
+DEFAULTS = "".join(f'<default name="p{n}" value="{f"$p{n - 1}" * 10 if n else "ha"}"/>' for n in range(10))
+TWINS = '<bsdf type="diffuse" id="t0"/>' + "".join(
+    f'<bsdf type="twosided" id="t{n}"><ref id="t{n - 1}"/></bsdf>' for n in range(1, 40)
+)
+
+
+@pytest.mark.parametrize(
+    ("before", "more", "words"),
+    [
+        ("<scene", LAUGHS + "]>", "DOCTYPE"),
+        ("<scene", '<!DOCTYPE scene [<!ENTITY e SYSTEM "file:///etc/passwd">]>', "DOCTYPE"),
+        ("<scene", "<!DOCTYPE scene>", "DOCTYPE"),
+        ("<shape", '<bsdf type="twosided">' * 100 + "</bsdf>" * 100, "nested"),
+        ("<shape", "<a>" * 1_000_000, "nested"),
+        ("<shape", TWINS, "refer to others"),
+        ("<shape", '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>', "circle"),
+        ("<shape", '<ref id="ghost"/>', "ghost"),
+        ("<shape", DEFAULTS + '<string name="a" value="$p9"/>', "characters long"),
+        ("<shape", "".join(f'<default name="q{n}" value="1"/>' for n in range(600)), "parameters"),
+        ("<shape", '<include filename="scene.xml"/>', "includes without end"),
+        ("<shape", '<include filename="part.xml"/>' * 65, "more than 64 includes"),
+        ("<shape", '<include filename="../outside.xml"/>', "and below"),
+        ("<shape", '<include filename="link.xml"/>', "and below"),
+        ("<shape", '<include filename="/etc/passwd"/>', "and below"),
+        ("<shape", '<default name="f" value="../outside.xml"/><include filename="$f"/>', "and below"),
+        ("<shape", '<include filename="ghost.xml"/>', "does not exist"),
+        ("<shape", '<include filename="pipe.xml"/>', "a named pipe"),
+        ("<shape", '<path value="/"/>', "<path"),
+        ("<shape", '<shape type="nosuch"/>', ""),
+        ("<shape", '<texture type="bitmap"><string name="filename" value="pipe.xml"/></texture>', "a named pipe"),
+        ("<shape", '<bsdf type="diffuse"><spectrum name="reflectance" filename="/dev/zero"/></bsdf>', "a device"),
+        ("<shape", '<bsdf type="diffuse"><texture name="reflectance" type="bitmap"><string name="filename" '
+                   'value="bomb.png"/></texture></bsdf>', "picture"),
+        ("<shape", "<!-- " + "x" * 100, "to the end"),
+        ("<shape", '<shape type="sphere"><transform name="to_world"><scale x="0"/></transform></shape>', "to_world"),
+        ("<shape", '<shape type="sphere"><transform name="to_world"><scale x="nan"/></transform></shape>', "to_world"),
+        ("<shape", '<shape type="sphere"><transform name="to_world"><translate x="inf"/></transform></shape>', "to_world"),
+        ("<shape", '<shape type="sphere"><string name="to_world" value="x"/></shape>', "to_world"),
+    ],
+)  # fmt: skip
+def test_a_hostile_scene(stage, before, more, words):
+    os.mkfifo(stage / "pipe.xml")
+    (stage / "link.xml").symlink_to("../outside.xml")
+    (stage / "bomb.png").write_bytes(png_bomb())
+    with refused(words):
+        scene = load(with_more(stage, more, before))
+        pixsim.render(scene, scene.camera(), seed=0)
+
+
+@pytest.mark.parametrize("content", [b"", b"\0", b"<scene version='3.0.0'", b"{}", b"\x7fELF", b"<" * (9 << 20), b"<a " * 10**6])
+def test_what_is_no_xml(tmp_path, content):
+    (tmp_path / "a.xml").write_bytes(content)
+    with refused("a.xml"):
+        load(tmp_path / "a.xml")
+
+
+def test_files_that_the_user_names_may_lie_anywhere(stage, tmp_path):
+    path = with_more(stage, '<default name="part" value="part.xml"/><include filename="$part"/>', "<include")
+    path.write_text(path.read_text().replace('<include filename="part.xml"/>', ""))
+    assert load(path, part=tmp_path / "outside.xml").names == {"part", "scale", "spp"}
+    (stage / "sub").mkdir()
+    (stage / "sub/part.xml").write_text('<scene version="3.0.0"><include filename="more.xml"/></scene>')
+    (stage / "sub/more.xml").write_text('<scene version="3.0.0"/>')
+    load(path, part="sub/part.xml")
+
+
+def test_comments_that_are_no_xml_do_no_harm(stage):
+    """Mitsuba's parser takes them, and they hide nothing: what stands in quotes is no comment."""
+    load(with_more(stage, '<!-- -- a "quote -- <include filename="ghost.xml"/> --->'))
+    with refused("scene.xml"):
+        load(with_more(stage, '<string name="a" value="<!--"/><include filename="../outside.xml"/><string name="b" value="-->"/>'))
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "resolution=1000000000", "resolution=-1", "resolution=0", "resolution=1e9", "spp=1000000000", "spp=-1", "spp=0",
+        "chart_half_width=0", "chart_half_width=nan", "emitter_scale=1e300", "emitter_scale=nan", "fov=nan", "fov=$fov",
+        "focus_distance=inf", 'chart=a"b$c', "chart='<&", "chart=ünï.exr", "chart=" + "x" * 3000, "chart=../../../etc/passwd",
+        "=", "spp",
+    ],
+)  # fmt: skip
+def test_a_hostile_parameter(capsys, tmp_path, setting):
+    refused_command("run", "csf", "--out", tmp_path / "out", *SMALL, "-D", setting, capsys=capsys)
+    assert not (tmp_path / "out").exists()
+
+
+# --- EXR, npz, ENVI, PNG -----------------------------------------------------------------------------------------------
+
+
+def exr_with(path: Path, old: bytes, new: bytes) -> Path:
+    whole = path.read_bytes()
+    assert old in whole
+    path.write_bytes(whole.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize("sides", [(1 << 31) - 1, 65535, 99_999, -5])
+def test_an_exr_that_declares_more_than_it_has(tmp_path, sides):
+    pixsim.write_exr(tmp_path / "a.exr", light())
+    exr_with(tmp_path / "a.exr", struct.pack("<4i", 0, 0, 4, 3), struct.pack("<4i", 0, 0, sides, sides))
+    for read in (read_picture, read_channels, read_edge_picture):
+        with refused("a.exr"):
+            read(tmp_path / "a.exr")
+
+
+def test_an_exr_of_other_kinds(tmp_path, capfd):
+    y = np.ones((8, 8), np.float32)
+    tiles = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+    with OpenEXR.File(tiles, {"Y": y}) as file:
+        file.write(str(tmp_path / "tiled.exr"))
+    assert np.array_equal(read_channels(tmp_path / "tiled.exr")[0]["Y"], y)
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {"Y": y}, name) for name in ("a", "b")]
+    with OpenEXR.File(parts) as file:
+        file.write(str(tmp_path / "parts.exr"))
+    with refused("several parts"):
+        read_channels(tmp_path / "parts.exr")
+    whole = bytearray((tmp_path / "tiled.exr").read_bytes())
+    whole[5] |= 0x08
+    (tmp_path / "deep.exr").write_bytes(whole)
+    with refused("a deep picture"):
+        read_channels(tmp_path / "deep.exr")
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {f"c{n}": y[:1, :1] for n in range(5000)}) as file:
+        file.write(str(tmp_path / "many.exr"))
+    with refused("5000 channels"):
+        read_channels(tmp_path / "many.exr")
+    for name in ("a.npz", "a.hdr", "a.png", "a.npy"):
+        (tmp_path / name).write_bytes((tmp_path / "tiled.exr").read_bytes())
+        with refused(name):
+            (read_edge_picture if name[2:] in ("png", "npy") else read_picture)(tmp_path / name)
+    assert capfd.readouterr().out == ""
+
+
+def test_a_torn_exr_is_refused_at_every_length(tmp_path, capfd):
+    pixsim.write_exr(tmp_path / "whole.exr", light())
+    whole = (tmp_path / "whole.exr").read_bytes()
+    for length in range(0, len(whole) - 1, 37):
+        (tmp_path / "a.exr").write_bytes(whole[:length])
+        with refused("a.exr"):
+            read_picture(tmp_path / "a.exr")
+    assert capfd.readouterr().out == "", "results go to stdout, and nothing else"
+
+
+@pytest.mark.parametrize("bits", ["x", 1e9, -1, float("nan")])
+def test_an_edge_picture_with_a_hostile_header(tmp_path, bits):
+    with OpenEXR.File({"type": OpenEXR.scanlineimage, "bits": bits}, {"Y": np.ones((8, 8), np.float32)}) as file:
+        file.write(str(tmp_path / "a.exr"))
+    with refused("bits"):
+        read_edge_picture(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        {"camera": 3}, {"camera": {"f_number": "x"}}, {"parameters": None, "scene": "csf.xml"}, {"scene": []},
+        {"luminance_cd_per_m2": "x"}, {"luminance_cd_per_m2": -1}, {"lamp_w_per_m2_sr_nm": [1]}, {"lamp_w_per_m2_sr_nm": "x"},
+    ],
+)  # fmt: skip
+def test_an_own_exr_with_a_hostile_header(tmp_path, header):
+    image = light()
+    image.header |= header
+    pixsim.write_exr(tmp_path / "a.exr", image)
+    with refused("a.exr"):
+        read_picture(tmp_path / "a.exr")
+
+
+def npy(shape: tuple[int, ...], descr: str = "<f4", content: bytes = b"") -> bytes:
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
+    return file.getvalue() + content
+
+
+def npz(path: Path, **members: bytes) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members.items():
+            file.writestr(f"{name}.npy", content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "data",
+    [npy((1 << 40,)), npy((1 << 20, 1 << 20, 3)), npy((-1, 4, 3)), npy((4, 5), "|O", b"x" * 160), npy((0, 5, 3)), npy((4, 5, 3)),
+     b"",
+        b"x" * 99,
+     npy((), "<U100000000"), npy((4, 5, 3), "<U1", b"\0" * 240), npy((1,), "|V9", b"x" * 9), npy((4, 5, 3), "<c8", b"\0" * 480)],
+)  # fmt: skip
+def test_a_hostile_npz(tmp_path, data):
+    nm = npy((3,), "<f8", np.array([450.0, 550, 650]).tobytes())
+    path = npz(tmp_path / "a.npz", data=data, wavelength_nm=nm, units=npy((), "<U1", b"W\0\0\0"))
+    with refused("a.npz"):
+        read_picture(path)
+    (tmp_path / "a.npy").write_bytes(data)
+    with refused():
+        pixsim.edge_response(read_edge_picture(tmp_path / "a.npy").data)
+
+
+def test_a_zip_bomb(tmp_path):
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file, file.open("data.npy", "w") as member:
+        member.write(npy((1 << 20,), "|u1"))
+        for _ in range(16):
+            member.write(b"\0" * (1 << 20))
+    path.write_bytes(path.read_bytes().replace(struct.pack("<I", (1 << 24) + 128), struct.pack("<I", 1 << 31)))
+    with refused("a.npz"):
+        read_edge_picture(path)
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as file:
+        for number in range(5000):
+            file.writestr(f"{number}.npy", b"")
+    with refused("5000 members"):
+        read_edge_picture(tmp_path / "b.npz")
+
+
+def png_bomb(side: int = 40_000) -> bytes:
+    """A grey picture of 16 bits, all zeros."""
+    rows_of_zeros = zlib.compressobj(9)
+    line = b"\0" * (2 * side + 1)
+    packed = b"".join(rows_of_zeros.compress(line) for _ in range(64)) + rows_of_zeros.flush()
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    head = struct.pack(">2I5B", side, side, 16, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("side", [40_000, 16_000, 100])
+def test_a_png_that_unpacks_into_more_than_can_be(tmp_path, side):
+    (tmp_path / "a.png").write_bytes(png_bomb(side)[: None if side > 100 else 60])
+    with refused("a.png"):
+        read_edge_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("lines = 4", "lines = 1000000000000"), ("lines = 4", "lines = -4"), ("samples = 5", "samples = {5, 5}"),
+     ("bands = 3", "bands = 3e9"),
+     ("header offset = 0", "header offset = 999999999999999999999"), ("header offset = 0", "header offset = -8"), ("ENVI\n", ""),
+     ("byte order = 0", "byte order = 7"), ("data type = 4", "data type = 99"), ("samples = 5", "samples = 6"),
+     ("}", ""), ("450", "x"),
+     ("fwhm", "\n" * 30_000 + "fwhm"), ("fwhm", "x" * (1 << 20) + " = 3\nfwhm"), ("pitch_um = 5", "pitch_um = 1e30")],
+)  # fmt: skip
+def test_a_hostile_envi_header(tmp_path, old, new):
+    light().data.transpose(2, 0, 1).tofile(tmp_path / "a.img")
+    (tmp_path / "a.hdr").write_text(ENVI.replace(old, new))
+    with refused("a."):
+        read_picture(tmp_path / "a.hdr")
+
+
+def test_an_envi_header_without_its_file(tmp_path):
+    (tmp_path / "a.hdr").write_text(ENVI + "data file = /etc/passwd\n")
+    os.mkfifo(tmp_path / "a.img")
+    with refused("a.hdr"):
+        read_picture(tmp_path / "a.hdr")
+
+
+# --- what was kept -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"\0" * 1000, b"\xff\xfe\n" * 9, ",".join(COLUMNS).encode() + b"\n" + b"x" * 500_000 + b"\n", b'"' + b"\n" * 1000, b"\r" * 99,
+     ",".join(COLUMNS).encode() + b"\nkey1,0.35um,1.5,1e18" + b",1.5" * 10 + b"\n"],
+)  # fmt: skip
+def test_rows_that_were_changed_by_hand_are_made_again(tmp_path, content):
+    (tmp_path / "results.csv").write_bytes(content)
+    wanted = {"key1": {"technology": "0.35um", "pitch_um": "1.5", "repeat": "1.5"}}
+    with in_time():
+        assert Ledger(tmp_path / "results.csv", COLUMNS, TEXTS).begin(wanted) == {}
+    rows(tmp_path / "results.csv")
+    assert list(Ledger(tmp_path / "results.csv", COLUMNS, TEXTS).begin(wanted)) == ["key1"]
+
+
+def test_rows_without_end(tmp_path):
+    with (tmp_path / "results.csv").open("wb") as file:
+        file.truncate(1 << 32)
+    with refused("results.csv"):
+        Ledger(tmp_path / "results.csv", COLUMNS, TEXTS).read()
+
+
+@pytest.mark.filterwarnings("ignore:cache")
+def test_a_cache_of_garbage(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path))
+    for kind in ("a", "b"):
+        (tmp_path / kind).mkdir()
+    for number, path in enumerate(no_files(tmp_path / "a", ".npz")):
+        if number < 4:
+            with in_time():
+                assert cache.arrays("a", path.stem) is None
+                cache.keep_arrays("a", path.stem, {"x": np.ones(3)})
+    for path in list(no_files(tmp_path / "b", ".json"))[:4]:
+        with in_time():
+            assert cache.kept("b", path.stem, dict, lambda: {"x": 1}, dict) == {"x": 1}
+    for content in (b"[" * 100_000, b"\xff", b"[1]", b"NaN", b"9" * 10_000, b""):
+        (tmp_path / "b/k.json").write_bytes(content)
+        with in_time():
+            assert cache.kept("b", "k", lambda found: {"x": found["x"]}, lambda: {"x": 1}, dict) == {"x": 1}
+    npz(tmp_path / "a/k.npz", x=npy((1 << 40,)))
+    (tmp_path / "stray").write_text("")
+    assert cache.arrays("a", "k") is None
+    cache.entries()
+    cache.trim()
+    cache.clear()
+
+
+# --- names, and where things go ----------------------------------------------------------------------------------------
+
+NAMES = ["a b", "a'b\"c", "ünï", "n\nl", "$x$", "[b]", "%s{}", "-dash", "...", "caf\udce9"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_any_name_works_or_is_refused_in_words(tmp_path, capsys, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    (folder := tmp_path / name).mkdir()
+    seeds_folder = folder if name != "caf\udce9" else tmp_path
+    seeds(seeds_folder)
+    (config := folder / "c.toml").write_text(CONFIG)
+    code, out, complaint = told(
+        "run", seeds_folder / "scene.xml", "--config", config, "--out", folder / "o", "--json", capsys=capsys
+    )
+    assert code in (0, 2), complaint
+    assert "Traceback" not in complaint + out
+    code, _, complaint = told("chart", "flat", "-o", folder / "flat.exr", capsys=capsys)
+    assert code in (0, 2), complaint
+    code, _, complaint = told("template", "study", "-o", folder / "t.toml", capsys=capsys)
+    assert code in (0, 2), complaint
+    assert {path.name for path in tmp_path.iterdir()} <= {name, *(each.name for each in seeds_folder.iterdir())}
+    assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.parametrize(
+    "words", [["run", "csf", *SMALL], ["datasheet", "0.35um"], ["accuracy", "csf", "--quick"], ["study", "chen2000", "--quick"]]
+)
+@pytest.mark.parametrize("out", ["file", "file/in"])
+def test_an_output_that_is_a_file(tmp_path, capsys, words, out):
+    (tmp_path / "file").write_text("mine")
+    assert "--out" in refused_command(*words, "--out", tmp_path / out, capsys=capsys)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize(
+    ("words", "room"),
+    [
+        (["run", "flat", *SMALL, "--out", "out"], 2000),
+        (["run", "flat", *SMALL, "--out", "out"], 30_000),
+        (["sfr", "edge.npy", "--out", "out"], 3000),
+        (["datasheet", "0.35um", "--out", "out"], 9000),
+        (["chart", "csf", "-o", "out/a.exr"], 9000),
+        (["template", "study", "-o", "out/a.toml"], 100),
+    ],
+)
+def test_a_full_disk_leaves_no_half_file(tmp_path, words, room):
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    x = np.arange(128) - 60 - np.arange(128)[:, None] * 0.1
+    np.save(tmp_path / "edge.npy", 1 / (1 + np.exp(-x)))
+    if words[0] in ("chart", "template"):
+        (tmp_path / "out").mkdir()
+    how = {"cwd": tmp_path, "preexec_fn": limit, "timeout": 60, "capture_output": True, "text": True}
+    ended = subprocess.run([*COMMAND, *words], **how, check=False)
+    assert (ended.returncode, ended.stdout) == (2, ""), ended.stderr
+    assert "Traceback" not in ended.stderr
+    left = [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "edge.npy"]
+    assert all(path.stat().st_size < room for path in left), "a file that met the limit"
+    assert not [path for path in left if path.suffix == ".part" or path.parent.name.startswith(".")]
+
+
+# --- reports -----------------------------------------------------------------------------------------------------------
+
+MARKUP = "</h1><script>alert(1)</script>\"'&<img src=x onerror=alert(1)>"
+
+
+@pytest.mark.parametrize("name", ["report.html.j2", "datasheet.html.j2", "accuracy.html.j2", "sensitivity.html.j2"])
+def test_no_template_lets_markup_through(name):
+    """Strings are escaped but for those that a template marks as safe: none."""
+    text = (Path(pixsim.__file__).parent / "data" / name).read_text(encoding="utf-8")
+    assert not re.search(r"\|\s*safe\b", text)
+    assert "autoescape" not in text
+
+
+@pytest.mark.parametrize("name", [MARKUP, "$x", "$\\frac{$", "a\\b", "$$", "\\$x\\$", "x\x01y", "--->", "[b]"])
+def test_a_name_in_a_figure_is_shown_as_it_is(name):
+    figure = figures.new_figure(12, 4)
+    axes = figure.subplots()
+    axes.plot([1, 2], label=figures.literal(name))
+    axes.legend()
+    svg = figures.svg_text(figure)
+    ET.fromstring(svg)
+    assert "<script" not in svg.replace("<!--", "").partition("<script")[0]
+
+
+def test_a_report_escapes_what_files_say(tmp_path, capsys):
+    """A study whose title, technology, sources and parameters are markup and mathematics."""
+    own = (Path(pixsim.__file__).parent / "data/technologies/0.35um.toml").read_text()
+    name = next(line for line in own.splitlines() if line.startswith("name"))
+    (tmp_path / "t$<b>$.toml").write_text(own.replace(name, f"name = '''{MARKUP}$\\frac'''"))
+    (tmp_path / "study.toml").write_text(
+        f"name = 'x'\ntitle = '''{MARKUP} $\\frac{{$'''\nrepeats = 2\ntechnologies = ['t$<b>$.toml']\n"
+        "pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0] }\ndisplay = { dots = 32, samples_per_deg = 10.0 }\n"
+        "scene = { file = 'csf', parameters = { resolution = 32, spp = 4 } }\n"
+        f"[sources]\n'camera.f_number' = '''{MARKUP}'''\n"
+    )
+    with pytest.raises(SystemExit) as end:
+        cli.main(["study", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    assert not end.value.code, capsys.readouterr().err
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert "&lt;script&gt;" in page
+    assert "<script" not in page
+    assert "<img src=x" not in page
+    assert "t$<b>" not in page
+    for path in (tmp_path / "out/figures").glob("*.svg"):
+        ET.fromstring(path.read_text(encoding="utf-8"))
+
+
+def test_a_data_sheet_escapes_what_files_say(tmp_path, capsys):
+    own = (Path(pixsim.__file__).parent / "data/technologies/0.35um.toml").read_text()
+    name = next(line for line in own.splitlines() if line.startswith("name"))
+    (tmp_path / "$<b>.toml").write_text(own.replace(name, f"name = '''{MARKUP}$\\frac[bold]'''"))
+    code, _, complaint = told("datasheet", tmp_path / "$<b>.toml", "--out", tmp_path / "out", capsys=capsys)
+    assert code == 0, complaint
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert "&lt;script&gt;" in page
+    assert "<script" not in page
+    assert "$<b>" not in page
+
+
+# --- at random ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def targets(tmp_path_factory: pytest.TempPathFactory) -> dict:
+    found = seeds(tmp_path_factory.mktemp("seeds"))
+    return {name: (path, path.read_bytes(), reader) for name, (path, reader) in found.items()}
+
+
+def test_the_seeds_are_read(targets):
+    for name, (path, _, reader) in targets.items():
+        assert reader(path) is not None, name
+
+
+KINDS = ["config.toml", "study.toml", "technology.toml", "curve.csv", "scene.xml", "shipped.xml", "light.exr", "factors.exr"]
+KINDS += ["light.npz", "cube.hdr", "chart.exr", "edge.npy", "edge.png", "results.csv"]
+TOKENS = [b"\0", b"\xff", b"[", b"{", b'"', b"-1", b"1e999", b"nan", b"9" * 40, b"\xff\xff\xff\x7f", b"<", b"$spp", b"null", b""]
+CHANGES = st.lists(st.tuples(st.floats(0, 1), st.sampled_from(TOKENS) | st.binary(min_size=1, max_size=4)), max_size=6)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_changed_file_is_read_or_refused(targets, kind):
+    path, whole, reader = targets[kind]
+
+    @settings(derandomize=True, max_examples=120, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @given(CHANGES, st.just(1.0) | st.floats(0, 1), st.sampled_from([0, 0, 0, 2]))
+    def check(changes: list[tuple[float, bytes]], end: float, repeated: int) -> None:
+        path.write_bytes(changed(whole, changes, end, repeated))
+        try:
+            reader(path)
+        except PixsimError:
+            pass
+        except ValueError:
+            assert kind == "curve.csv"
+
+    try:
+        with in_time():
+            check()
+    finally:
+        path.write_bytes(whole)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_bytes_are_refused(targets, kind):
+    path, whole, reader = targets[kind]
+
+    @settings(derandomize=True, max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @given(st.binary(max_size=300))
+    def check(content: bytes) -> None:
+        path.write_bytes(content)
+        try:
+            reader(path)
+        except PixsimError:
+            pass
+        except ValueError:
+            assert kind == "curve.csv"
+
+    try:
+        with in_time():
+            check()
+    finally:
+        path.write_bytes(whole)
