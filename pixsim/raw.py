@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from pixsim.errors import PixsimError, refuse
 from pixsim.exr import read_channels, shortest, write_channels, writing
+from pixsim.safe_files import judge_picture
 from pixsim.sensor import Frame
 
 UNIT = "DN"
@@ -197,6 +198,7 @@ def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
 def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     from PIL import Image
 
+    judge_picture(path)
     with (
         warnings.catch_warnings(action="ignore"),
         Image.open(path) as image,

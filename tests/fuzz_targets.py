@@ -114,7 +114,7 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     readers: dict[str, Reader] = {
         "config.toml": lambda path: settings_of([path], {}, None, {}),
         "study.toml": load_study,
-        "technology.toml": lambda path: load_technology.__wrapped__(str(path)),
+        "technology.toml": lambda path: load_technology(str(path)),
         "curve.csv": read_curve,
         "scene.xml": partial(load_scene, variant="scalar_spectral"),
         "shipped.xml": partial(load_scene, variant="scalar_spectral"),
