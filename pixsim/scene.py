@@ -27,9 +27,6 @@ LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that Mitsuba does not use: what the viewer's display shows as white
 EMITTER_SCALE = "emitter_scale"
 INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
-DEFAULT_FILM = {"height": 576, "width": 768}  # Mitsuba's
-LARGEST_FILM, LARGEST_FILM_SIDE = 1 << 28, 1 << 16  # samples: a GiB for each of a render's channels
-MOST_SAMPLES = 1 << 20  # a film cell: hours
 FILM_35_MM = (36.0, 24.0)  # what Mitsuba's `focal_length` refers to
 
 
@@ -227,20 +224,13 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
 
 
 def film_size(state: Any, sensor: Any) -> tuple[int, int]:
-    """(height, width) of the sensor's film, in samples. PixsimError where it cannot be."""
-    height, width = (_whole(_beside(state, sensor, "Film"), side, default) for side, default in DEFAULT_FILM.items())
-    if not (height <= LARGEST_FILM_SIDE and width <= LARGEST_FILM_SIDE and height * width <= LARGEST_FILM):
-        allowed = f"up to {LARGEST_FILM_SIDE} samples a side and {LARGEST_FILM} in all"
-        raise refuse("film", f"{width} × {height} samples", allowed, "Take a lower resolution.")
-    return height, width
+    """(height, width) of the sensor's film, in samples; the renderer refuses those out of range."""
+    film = _beside(state, sensor, "Film")
+    return _whole(film, "height", 576), _whole(film, "width", 768)
 
 
 def sample_count(state: Any, sensor: Any) -> int:
-    """Samples a film cell. PixsimError where it cannot be."""
-    count = _whole(_beside(state, sensor, "Sampler"), "sample_count", 4)
-    if count > MOST_SAMPLES:
-        raise refuse("sampler", f"{count} samples a film cell", f"up to {MOST_SAMPLES}", "Less noise: --render-noise 0.01.")
-    return count
+    return _whole(_beside(state, sensor, "Sampler"), "sample_count", 4)
 
 
 def _beside(state: Any, sensor: Any, kind: str) -> Any:
@@ -252,8 +242,8 @@ def _whole(node: Any, name: str, default: int) -> int:
     if node is None or name not in node.props:
         return default
     value = node.props[name]
-    if not isinstance(value, int) or value < 1:
-        raise refuse(f"{node.props.plugin_name()}.{name}", value, "a whole number of 1 and more")
+    if not isinstance(value, int):
+        raise refuse(f"{node.props.plugin_name()}.{name}", value, "a whole number")
     return value
 
 
