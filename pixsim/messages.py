@@ -49,9 +49,9 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     if problem["type"].startswith(("greater_than", "less_than")):  # Pydantic writes 1e-15 in full
         (bound,) = problem["ctx"].values()
         message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"
-    message = message[0].lower() + message[1:].replace("valid tuple", "list")
+    message = message[0].lower() + message[1:].replace("valid tuple", "list").partition(", unable to parse")[0]
     if problem["type"] == "value_error":
-        return f"{where}: {message}."
+        return f"{where}: {message.removesuffix('.')}."
     found = repr(problem["input"])
     found = found if len(found) <= LONGEST_VALUE else found[:LONGEST_VALUE] + "…"
     return f"{where}: got {found}; allowed: {message.removeprefix('input should be ')}."

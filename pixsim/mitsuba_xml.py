@@ -38,10 +38,21 @@ def speaking_mitsuba(variant: str, folder: Path) -> Iterator[Any]:
     try:
         yield mi
     except RuntimeError as error:
+        if _is_interrupt(error):
+            raise KeyboardInterrupt from None
         text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", str(error).strip())
         raise PixsimError("Mitsuba refuses the scene: " + " ".join(text.split())) from None
     finally:
         mi.set_file_resolver(before)
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether it is Ctrl-C, which Dr.Jit wraps into an error of its own while a kernel runs."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def parse(path: Path, variant: str, parameters: dict[str, str]) -> Any:

@@ -164,7 +164,7 @@ def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str, s
         "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
     }  # fmt: skip
     return [
-        (name, [(key, value, type(record).model_fields[key].description or "", study.sources.get(f"{name}.{key}", "default"))
+        (name, [(key, value, type(record).model_fields[key].description or "", study.sources.get(f"{name}.{key}", "default" if value == type(record).model_fields[key].default else "set"))
                 for key, value in record.model_dump(exclude_none=True).items()])
         for name, record in records.items()
     ]  # fmt: skip

@@ -101,7 +101,9 @@ def settings_of(config: list[Path] | None, tables: dict[str, Any], define: list[
     options |= {"scene": definitions(define)} if define else {}
     options |= {name: value for name, value in values.items() if value is not None}
     files = [settings_layer(path) for path in config or []]
-    settings: Run = checked(Run, [*without_technology(files, options), Layer(options)])
+    settings: Run = checked(Run, [*files, Layer(options)])  # names and values first, then what a data sheet lacks
+    if is_data_sheet(files, options):
+        settings = checked(Run, [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files, Layer(options)])
     return settings
 
 
@@ -115,21 +117,21 @@ def settings_layer(path: Path) -> Layer:
     return Layer(table, str(path))
 
 
-def without_technology(files: list[Layer], options: dict[str, Any]) -> list[Layer]:
-    """A [pixel] table that tells what was measured and names no technology is a data sheet: nothing is derived for it.
+def is_data_sheet(files: list[Layer], options: dict[str, Any]) -> bool:
+    """Whether a [pixel] table tells what was measured and names no technology: nothing is derived for it.
 
     PixsimError that names what such a table lacks.
     """
     pixels = [table for layer in files if isinstance(table := layer.table.get("pixel"), dict)]
     told = {name for table in [*pixels, options.get("pixel", {})] for name in table}
     if "technology" in told or not any(name in table for table in pixels for name in DATA_SHEET):
-        return files
+        return False
     source = ", ".join(layer.source for layer in files if "pixel" in layer.table)
     if missing := [name for name in ("pitch_um", *DATA_SHEET) if name not in told]:
         got = f"a sensor without a technology, and without {', '.join(missing)}"
         mend = 'Add them, or the technology that they are derived from, as technology = "0.35um".'
         raise refuse(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", mend)
-    return [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files]
+    return True
 
 
 def given(table: Any) -> dict[str, str]:
