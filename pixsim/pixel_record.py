@@ -60,7 +60,10 @@ class PixelOptions(Record):
         None, description="n in the variance n kTC/q²: 1 in the paper, ½ soft reset, 2 hard with delta double sampling"
     )
     prnu: bounds.GainSpread | None = Field(None, description="standard deviation of the gain over its mean")
-    dsnu: bounds.DarkSpread | None = Field(None, description="standard deviation of the dark current over its mean; a DSNU in electrons (EMVA 1288) is offset_fpn times the full well")
+    dsnu: bounds.DarkSpread | None = Field(
+        None,
+        description="spread of the dark current over its mean; EMVA 1288's DSNU in electrons is offset_fpn × full_well_e",
+    )
     offset_fpn: bounds.OffsetSpread | None = Field(None, description="per pixel, fraction of the full well")
     column_fpn: bounds.OffsetSpread | None = Field(None, description="per column, fraction of the full well")
     bits: Annotated[int, Field(ge=1, le=24)] = Field(10, description="of the ADC")

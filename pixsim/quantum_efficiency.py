@@ -58,15 +58,16 @@ def read_curve(path: Path) -> Curve:
     except PixsimError as error:
         raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
     pairs: list[tuple[float, float]] = []
-    separator = ";" if any(";" in line for line in lines) else ","
+    separator = next((each for each in ";\t" if any(each in line for line in lines)), ",")
+    decimal = "," if separator != "," else "."  # a comma that does not separate is a decimal one
     for number, row in enumerate(_rows(lines, separator, path), 1):
         cells = [cell.strip() for cell in row]
         if not any(cells) or cells[0].startswith("#"):
             continue
         try:
-            pairs.append((float(cells[0]), float(cells[1])))
+            pairs.append((float(cells[0].replace(decimal, ".")), float(cells[1].replace(decimal, "."))))
         except (ValueError, IndexError):
-            if pairs:
+            if pairs or cells[0][:1].isdigit():  # no title
                 raise ValueError(f"got {','.join(row)!r} in line {number} of '{path}'; allowed: wavelength in nm, value") from None
     return _checked(tuple(pairs), f"'{path}'")
 
@@ -83,7 +84,8 @@ def _checked(pairs: Curve, what: str) -> Curve:
         raise ValueError(f"got {what} of {len(pairs)} points; allowed: two and more, {ALLOWED}")
     for (nm, efficiency), (following, _) in pairwise([*pairs, (math.inf, 0.0)]):
         if not (ALLOWED_NM[0] <= nm <= ALLOWED_NM[1] and following > nm):
-            hint = " Micrometres times 1000 are nm." if 0 < nm < 2 else ""
+            swapped = " Are the columns in the other order?" if efficiency > 1 else " Micrometres times 1000 are nm."
+            hint = swapped if 0 < nm < 2 else ""
             raise ValueError(f"got {what} with {nm:g} nm followed by {following:g} nm; allowed: {ALLOWED}.{hint}")
         if not 0 <= efficiency <= 1:
             hint = " Divide per cent by 100." if 1 < efficiency <= 100 else ""

@@ -164,10 +164,21 @@ def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str, s
         "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
     }  # fmt: skip
     return [
-        (name, [(key, value, type(record).model_fields[key].description or "", study.sources.get(f"{name}.{key}", "default" if value == type(record).model_fields[key].default else "set"))
-                for key, value in record.model_dump(exclude_none=True).items()])
+        (
+            name,
+            [
+                (
+                    key,
+                    value,
+                    field.description or "",
+                    study.sources.get(f"{name}.{key}", "default" if value == field.default else "set"),
+                )
+                for key, value in record.model_dump(exclude_none=True).items()
+                for field in [type(record).model_fields[key]]
+            ],
+        )
         for name, record in records.items()
-    ]  # fmt: skip
+    ]
 
 
 def data_uri(kind: str, content: bytes) -> str:

@@ -116,7 +116,9 @@ def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> 
         ("400,0.3\n", "of 1 points"),
         ("", "of 0 points"),
         ("400,0.3\nfive hundred,0.4\n", "got 'five hundred,0.4' in line 2"),
-        ("400;0.3\n500;0,4\n", "line 2"),
+        ("400;0.3\n500;much\n", "line 2"),
+        ("400 0.3\n500 0.4\n", "got '400 0.3' in line 1"),
+        ("0.3,400\n30,500\n", "other order"),
     ],
 )
 def test_a_curve_that_is_none(text: str, told: str, sheet: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,6 +128,21 @@ def test_a_curve_that_is_none(text: str, told: str, sheet: Path, capsys: pytest.
     assert f"{sheet}: pixel.quantum_efficiency: " in err
     assert told in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("text", ["400;0,3\n500;0,4\n", "400\t0.3\n500\t0.4\n", "nm;QE\n400,0;0,3\n500;0.4\n"])
+def test_other_separators_and_decimal_commas(text: str, sheet: Path) -> None:
+    (sheet.parent / "qe.csv").write_text(text, encoding="utf-8")
+    assert cli.base.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.3), (500.0, 0.4))
+
+
+def test_a_misspelt_key_of_a_data_sheet_is_named(sheet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sheet.write_text(DATA_SHEET.replace("pitch_um", "pixel_pitch_um").replace("20000", '"20 ke-"'), encoding="utf-8")
+    code, _, err = in_process("run", "csf", "--config", sheet, capsys=capsys)
+    assert code == 2
+    assert "pixel.pixel_pitch_um: unknown name" in err
+    assert "Did you mean 'pitch_um'?" in err
+    assert "pixel.full_well_e: got '20 ke-'; allowed: a valid number." in err
 
 
 def test_a_byte_order_mark_is_no_part_of_a_curve(sheet: Path) -> None:
