@@ -1,6 +1,6 @@
 """`python -m pixsim`."""
 
-from pixsim.cli import main
+from pixsim.cli import command
 
 if __name__ == "__main__":
-    main()
+    command()

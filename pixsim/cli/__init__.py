@@ -7,11 +7,13 @@ input that cannot be used, 130 interrupted.
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import NoReturn
 
 from cyclopts.exceptions import CycloptsError
@@ -70,6 +72,20 @@ def main(tokens: Sequence[str] | None = None) -> None:
         end("interrupted; what was finished is kept, and the same command goes on from there", INTERRUPTED)
     except Exception as error:
         end(f"unexpected {type(error).__name__}: {error}\nThis is a mistake of pixsim's. --verbose tells where.", UNEXPECTED)
+    sys.exit(OK)
+
+
+def command() -> NoReturn:
+    """`main` as a process: it ends at once. Dr.Jit takes a fifth of a second to take itself down, with nothing left to do."""
+    try:
+        main()
+    except SystemExit as ending:
+        if "drjit" in sys.modules and "joblib" not in sys.modules and isinstance(ending.code, int):
+            with suppress(OSError, ValueError):  # a reader that has gone
+                sys.stdout.flush()
+                sys.stderr.flush()
+            os._exit(ending.code)
+        raise
     sys.exit(OK)
 
 
