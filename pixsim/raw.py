@@ -16,7 +16,6 @@ import json
 import math
 import os
 import warnings
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,13 +27,13 @@ from numpy.typing import NDArray
 from pixsim.errors import PixsimError, refuse
 from pixsim.exr import read_channels, shortest, write_channels, writing
 from pixsim.safe_files import judge_picture
+from pixsim.safe_npz import DAMAGE, read_arrays
 from pixsim.sensor import Frame
 
 UNIT = "DN"
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
 BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
-DAMAGE = (OSError, ValueError, EOFError, KeyError, TypeError, SyntaxError, zipfile.BadZipFile, NotImplementedError)
 
 
 @dataclass(frozen=True)
@@ -188,11 +187,11 @@ def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
 
 
 def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
-    with np.load(path, allow_pickle=False) as file:
-        if "dn" not in file.files and len(file.files) != 1:
-            raise refuse(f"arrays of '{path}'", ", ".join(file.files[:8]) or "none", "dn, the digital numbers")
-        name = "dn" if "dn" in file.files else file.files[0]
-        return file[name], {fact: file[fact] for fact in FACTS if fact in file.files}
+    arrays = read_arrays(path, "raw frame", "a readable file of digital numbers")
+    if "dn" not in arrays and len(arrays) != 1:
+        raise refuse(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, the digital numbers")
+    name = "dn" if "dn" in arrays else next(iter(arrays))
+    return arrays[name], {fact: arrays[fact] for fact in FACTS if fact in arrays}
 
 
 def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
