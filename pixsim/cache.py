@@ -48,7 +48,6 @@ DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError, 
 
 _written_bytes = 0  # by this process since it last trimmed
 
-
 folder = cache_folder
 
 
@@ -105,8 +104,7 @@ def arrays(kind: str, key: str) -> Arrays | None:
 
 
 def keep_arrays(kind: str, key: str, content: Arrays) -> None:
-    """Keep arrays for a key. A folder that cannot be written is warned of; so much for one entry is left out in silence."""
-
+    """Keep arrays for a key. A folder that cannot be written is warned of; too much for one entry is left out in silence."""
     named: dict[str, Any] = {**content, NAMES: np.array(sorted([*content, NAMES]))}
 
     def write(partial: Path) -> None:
@@ -122,9 +120,7 @@ def has_room(size_bytes: int) -> bool:
 
 
 def _found(path: Path, read: Callable[[], Kept]) -> Kept | None:
-    if not limit_bytes():
-        return None
-    if not os.path.lexists(path):
+    if not (limit_bytes() and os.path.lexists(path)):
         return None
     try:
         found = read()

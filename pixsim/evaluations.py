@@ -272,7 +272,6 @@ def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Prog
     """
     study = lights.study
     content = Content(study, lights.camera, lights.irradiance)
-    pitches = [keys for each in study.technologies for _, keys in content.rows(each, most_repeats(study))]
     wanted = content.wanted(most_repeats(study))
     ledger = Ledger(results, COLUMNS, TEXTS)
     with ledger.alone():
@@ -290,4 +289,4 @@ def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Prog
                     progress(1 - missing / total)
         ledger.write([done[key] for key in wanted if key in done])
     _recent.__dict__.clear()  # of this process; a worker keeps its last light until its next task
-    return [done[key] for keys in pitches for repeat, key in keys.items() if repeat < study.repeats]
+    return [done[key] for key, row in wanted.items() if int(row["repeat"]) < study.repeats]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import platform
@@ -91,3 +92,8 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     with replacing(path) as partial:
         text = json.dumps(content, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
         partial.write_text(text, encoding="utf-8", errors="backslashreplace")  # JSON's own form of a name that is no UTF-8
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """A file in the text of a page that opens offline."""
+    return f"data:{kind};base64," + base64.b64encode(content).decode()

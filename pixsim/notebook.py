@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import html
 import io
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.figures import new_figure, svg_text
-from pixsim.files import replacing
+from pixsim.files import data_uri, replacing
 from pixsim.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
 from pixsim.plates import delta_e_against_pitch
 
@@ -81,15 +80,11 @@ def _cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure
 
     body = "".join(line(row, "td") for row in rows)
     top = line(head, "th") if any(head) else ""
-    image = base64.b64encode(svg_text(figure).encode()).decode()
+    image = data_uri("image/svg+xml", svg_text(figure).encode())
     return (
         f"<div><strong>{html.escape(title)}</strong><table>{top}{body}</table>"
-        f'<img alt="{html.escape(title)}" style="max-width:100%" src="data:image/svg+xml;base64,{image}"></div>'
+        f'<img alt="{html.escape(title)}" style="max-width:100%" src="{image}"></div>'
     )
-
-
-def score_rows(score: Score) -> list[dict[str, Any]]:
-    return [score.statistics()]
 
 
 def study_rows(result: StudyResult) -> list[dict[str, Any]]:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from pixsim.errors import PixsimError, refuse
 from pixsim.exr import read_channels, shortest, write_channels, writing
-from pixsim.safe_files import judge_picture
+from pixsim.safe_files import judge_picture, size_of
 from pixsim.safe_npz import DAMAGE, read_arrays
 from pixsim.sensor import Frame
 
@@ -145,8 +145,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     readers = {".exr": _read_exr, ".npz": _read_npz, ".png": _read_picture, ".tif": _read_picture, ".tiff": _read_picture}
     if path.suffix.lower() not in readers:
         raise refuse("raw frame", f"'{path}'", f"a file that ends in {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise refuse("raw frame", f"'{path}', which does not exist", f"a file that ends in {', '.join(SUFFIXES)}")
+    size_of(path, "raw frame", f"a file that ends in {', '.join(SUFFIXES)}")
     try:
         dn, told = readers[path.suffix.lower()](path)
     except PixsimError:
@@ -198,10 +197,8 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     from PIL import Image
 
     judge_picture(path)
-    with (
-        warnings.catch_warnings(action="ignore"),
-        Image.open(path) as image,
-    ):  # what Pillow finds odd; what it cannot read is an error
+    # Pillow warns of what it finds odd; what it cannot read is an error.
+    with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
         if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
             mend = "One of 8 bits is encoded for a display; write the sensor's own numbers, linear in light."
             raise refuse(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", mend)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.engine import Workers, results_of
-from pixsim.files import replacing, versions, write_json
+from pixsim.files import data_uri, replacing, versions, write_json
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import map_plates, scene_plates
 from pixsim.parameters import Record
@@ -179,7 +178,3 @@ def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str, s
         )
         for name, record in records.items()
     ]
-
-
-def data_uri(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64," + base64.b64encode(content).decode()

@@ -75,9 +75,9 @@ class Score:
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """`statistics` as CSV, also into a file where a path is given."""
-        from pixsim.notebook import csv_text, score_rows
+        from pixsim.notebook import csv_text
 
-        return csv_text(score_rows(self), path)
+        return csv_text([self.statistics()], path)
 
     def _repr_html_(self) -> str:
         from pixsim.notebook import score_html

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Any
 
 from pixsim.errors import refuse
 from pixsim.parameters import Run, Study
 from pixsim.pixel_record import DATA_SHEET
 from pixsim.record import Record
 
-Kind = Literal["sensor", "study"]
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
 # By the end of a name, the longest first.

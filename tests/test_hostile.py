@@ -663,6 +663,16 @@ TOKENS = [b"\0", b"\xff", b"[", b"{", b'"', b"-1", b"1e999", b"nan", b"9" * 40, 
 CHANGES = st.lists(st.tuples(st.floats(0, 1), st.sampled_from(TOKENS) | st.binary(min_size=1, max_size=4)), max_size=6)
 
 
+def read_or_refused(reader, path, kind):
+    """Nothing but success or a refusal; that of a curve becomes one where its record is made."""
+    try:
+        reader(path)
+    except PixsimError:
+        pass
+    except ValueError:
+        assert kind == "curve.csv"
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_file_is_read_or_refused(targets, kind):
@@ -672,12 +682,7 @@ def test_a_changed_file_is_read_or_refused(targets, kind):
     @given(CHANGES, st.just(1.0) | st.floats(0, 1), st.sampled_from([0, 0, 0, 2]))
     def check(changes: list[tuple[float, bytes]], end: float, repeated: int) -> None:
         path.write_bytes(changed(whole, changes, end, repeated))
-        try:
-            reader(path)
-        except PixsimError:
-            pass
-        except ValueError:
-            assert kind == "curve.csv"
+        read_or_refused(reader, path, kind)
 
     try:
         with in_time():
@@ -695,12 +700,7 @@ def test_random_bytes_are_refused(targets, kind):
     @given(st.binary(max_size=300))
     def check(content: bytes) -> None:
         path.write_bytes(content)
-        try:
-            reader(path)
-        except PixsimError:
-            pass
-        except ValueError:
-            assert kind == "curve.csv"
+        read_or_refused(reader, path, kind)
 
     try:
         with in_time():

@@ -29,7 +29,7 @@ def cache(
     """
     from pixsim import cache as kept  # with NumPy, which help does without
 
-    kinds = sorted({entry.kind for each in (None, *kept.HELPERS) for entry in kept.entries(each)})
+    kinds = sorted(summary()["kinds"])
     if kind is not None and kind not in kinds:
         raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
     freed = kept.clear(kind) if clear else None
@@ -45,14 +45,15 @@ def cache(
 
 
 def summary(kind: str | None = None) -> dict[str, Any]:
-    """The folder, its limit, and entries and bytes of each kind."""
+    """The folder, its limit, and entries and bytes of each kind, or of one."""
     from pixsim import cache as kept
 
     kinds: dict[str, dict[str, int]] = {}
-    for entry in kept.entries(kind) if kind else [entry for each in (None, *kept.HELPERS) for entry in kept.entries(each)]:
-        own = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
-        own["entries"] += 1
-        own["size_bytes"] += entry.size_bytes
+    for each in [kind] if kind else [None, *kept.HELPERS]:
+        for entry in kept.entries(each):
+            own = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
+            own["entries"] += 1
+            own["size_bytes"] += entry.size_bytes
     return {
         "folder": str(kept.folder()),
         "limit_bytes": kept.limit_bytes(),
