@@ -26,7 +26,8 @@ Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light year
 Wavelength = Annotated[float, Field(gt=0, le=1e6)]
 Pitch = Annotated[float, Field(ge=1e-3, le=1e6)]  # 1 nm ... 1 m
 Seconds = Annotated[float, Field(ge=1e-15, le=1e9)]  # 1 fs ... 30 years
-Well = Annotated[float, Field(ge=1, le=1e18)]  # below one electron there is nothing to count
+WELL_RANGE_E = (1.0, 1e18)  # below one electron there is nothing to count
+Well = Annotated[float, Field(ge=WELL_RANGE_E[0], le=WELL_RANGE_E[1])]
 Current = Annotated[float, Field(ge=0, le=1e18)]  # 0.16 A
 NoiseElectrons = Annotated[float, Field(ge=0, le=1e12)]
 ResetFactor = Annotated[float, Field(ge=0, le=100)]

@@ -59,14 +59,13 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         if pitches.size < 5:
             raise refuse("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
         return pitches
-    process = with_fill_factor_law(load_technology(technology), study.pixel.fill_factor_law)
-    low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
+    low, told = study.pitch.min_um, "pitch.min_um"
+    if low is None:
+        process = with_fill_factor_law(load_technology(technology), study.pixel.fill_factor_law)
+        low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
+        told = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= study.pitch.max_um:
-        raise refuse(
-            "pitch.max_um",
-            study.pitch.max_um,
-            f"above {low:.4g} µm, where {technology} has a fill factor of {study.pitch.min_fill_factor:g}",
-        )
+        raise refuse("pitch.max_um", study.pitch.max_um, f"above {low:.4g} µm, {told}")
     return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
 
 

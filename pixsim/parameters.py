@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from pixsim import bounds
 from pixsim.config import merge
+from pixsim.pixel_record import DATA_SHEET, NO_TECHNOLOGY
 from pixsim.pixel_record import Pixel as Pixel
 from pixsim.pixel_record import PixelOptions as PixelOptions
 from pixsim.record import Record as Record
@@ -151,9 +152,10 @@ class Effort(Record):
 
 
 class PitchRange(Record):
-    """Pitches at equal ratios, from the pitch with `min_fill_factor` to `max_um`; or the list `values_um`."""
+    """Pitches at equal ratios, from the pitch with `min_fill_factor` (or `min_um`) to `max_um`; or the list `values_um`."""
 
     min_fill_factor: bounds.Fraction = Field(0.05, description="of the smallest pixel that is tried")
+    min_um: bounds.Pitch | None = Field(None, description="the smallest pixel that is tried, in place of its fill factor")
     max_um: bounds.Pitch = Field(15.0, description="the largest pixel that is tried, centre to centre")
     count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="pixel sizes that are tried")
     values_um: tuple[bounds.Pitch, ...] | None = Field(None, description="these pixel sizes in place of the others")
@@ -196,6 +198,16 @@ class Study(Effort):
     def _paper_needs_its_scene(self) -> Self:
         if self.paper and (self.scene.file != "csf" or "chart" in self.scene.parameters or "0.35um" not in self.technologies):
             raise ValueError("paper = true compares with Chen et al. (2000): it needs scene.file = 'csf' and technology '0.35um'")
+        return self
+
+    @model_validator(mode="after")
+    def _data_sheets_are_scaled(self) -> Self:
+        """A well that is the same at every pitch would make small pixels far too good."""
+        if NO_TECHNOLOGY in self.technologies:
+            if missing := [name for name in ("data_sheet_pitch_um", *DATA_SHEET) if getattr(self.pixel, name) is None]:
+                raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
+            if self.pitch.min_um is None and self.pitch.values_um is None:
+                raise ValueError("a data sheet tells no fill factors: give pitch.min_um, or pitch.values_um")
         return self
 
     @cached_property

@@ -10,7 +10,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.bounds import SMALLEST_FRACTION
+from pixsim.bounds import SMALLEST_FRACTION, WELL_RANGE_E
 from pixsim.errors import refuse
 from pixsim.junction import BOLTZMANN_J_PER_K as BOLTZMANN_J_PER_K
 from pixsim.junction import C_PER_FF_V as C_PER_FF_V
@@ -179,6 +179,28 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
 
 
+def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float) -> float:
+    """Photodiode area over that of the pixel that was measured; 1 where its pitch is not told.
+
+    PixsimError where that pixel has no photodiode, and where too little or too much charge would be left of its well.
+    """
+    measured_um = pixel.data_sheet_pitch_um
+    if measured_um is None:
+        return 1.0
+    fill_factor = pixel.fill_factor or float(fill_factor_law(measured_um, technology))
+    if fill_factor < SMALLEST_FRACTION:
+        allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
+        raise refuse("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
+    growth = area_um2 / (fill_factor * measured_um**2)
+    low_e, high_e = WELL_RANGE_E
+    if pixel.full_well_e is not None and not low_e <= growth * pixel.full_well_e <= high_e:
+        found = (
+            f"{pixel.pitch_um:g}, where {pixel.full_well_e:g} electrons at {measured_um:g} µm are {growth * pixel.full_well_e:.2g}"
+        )
+        raise refuse("pixel.pitch_um", found, f"a full well of {low_e:g} to {high_e:g} electrons")
+    return growth
+
+
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Fill in from the technology what the pixel leaves open.
 
@@ -204,9 +226,11 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
     warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
     dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * warmth
-    dark_current_e_per_s = given(pixel.dark_current_e_per_s, dark_e_per_s)
+    growth = growth_from_data_sheet(pixel, technology, area_um2)
+    measured_e_per_s, measured_well_e = pixel.dark_current_e_per_s, pixel.full_well_e
+    dark_current_e_per_s = dark_e_per_s if measured_e_per_s is None else growth * measured_e_per_s
     kept = well(pixel, technology, area_um2, dark_current_e_per_s)
-    full_well_e = given(pixel.full_well_e, kept.full_well_e)
+    full_well_e = kept.full_well_e if measured_well_e is None else growth * measured_well_e
     return PixelPhysics(
         pixel=pixel,
         technology=technology,

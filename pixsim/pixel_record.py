@@ -55,6 +55,11 @@ class PixelOptions(Record):
     fill_factor: bounds.Fraction | None = Field(None, description="photodiode area over pixel area")
     full_well_e: bounds.Well | None = Field(None, description="charge that the ADC's top code stands for")
     dark_current_e_per_s: bounds.Current | None = Field(None, description="per pixel")
+    data_sheet_pitch_um: bounds.Pitch | None = Field(
+        None,
+        description="pitch at which full_well_e and dark_current_e_per_s were measured; at others both go with the photodiode's "
+        "area. None: they hold at every pitch",
+    )
     read_noise_e: bounds.NoiseElectrons | None = Field(None, description="temporal, beside the reset noise")
     reset_noise_factor: bounds.ResetFactor | None = Field(
         None, description="n in the variance n kTC/q²: 1 in the paper, ½ soft reset, 2 hard with delta double sampling"

@@ -13,6 +13,7 @@ from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_a
 from pixsim.ledger import Row
 from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
 from pixsim.parameters import Camera, Study
+from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
 from pixsim.technology import load_technology
@@ -31,6 +32,11 @@ class Curve:
     fill_factor: Array = field(repr=False)
     statistics: dict[str, Array] = field(repr=False)  # mean_delta_e and the others, (pitches, repeats) each
     optimum: Optimum
+
+    @property
+    def label(self) -> str:
+        """The technology's name for readers."""
+        return "the data sheet" if self.technology == NO_TECHNOLOGY else self.technology
 
     @property
     def delta_e(self) -> Array:

@@ -46,6 +46,8 @@ EXAMPLES: dict[str, Any] = {
     "object_distance_m": 1.0,
     "transmittance": 0.95,
     "pitch_um": 3.75,
+    "data_sheet_pitch_um": 3.75,
+    "min_um": 2.0,
     "full_well_e": 10500.0,
     "read_noise_e": 2.3,
     "dark_current_e_per_s": 3.0,

@@ -47,12 +47,12 @@ def found_line(curve: Any) -> str:
     best = curve.optimum
     if not best.inside:
         return (
-            f"{curve.technology}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
+            f"{curve.label}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
             f"the error is least at {best.pitch_um:.2f} µm, the end of the range"
         )
     low, high = best.within_1_percent_um
     return (
-        f"{curve.technology}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %, sensors) "
+        f"{curve.label}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %, sensors) "
         f"± {best.fit_um:.2f} µm "
         f"(fit), mean ΔE {best.mean_delta_e:.3f}; within 1 % of it from {low:.2f} to {high:.2f} µm"
     )

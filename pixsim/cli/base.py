@@ -13,13 +13,14 @@ from cyclopts import App, Parameter
 
 import pixsim
 from pixsim import progress
-from pixsim.config import Layer, beside, read_toml
-from pixsim.errors import PixsimError, refuse
+from pixsim.config import Layer
+from pixsim.errors import PixsimError
 from pixsim.files import cache_folder
 from pixsim.messages import checked
 from pixsim.parameters import Run
-from pixsim.pixel_record import DATA_SHEET, NO_TECHNOLOGY
+from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.progress import Stage
+from pixsim.sensor_file import is_data_sheet, settings_layer
 
 DEFAULT_OUT = Path("pixsim-out")
 QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
@@ -105,33 +106,6 @@ def settings_of(config: list[Path] | None, tables: dict[str, Any], define: list[
     if is_data_sheet(files, options):
         settings = checked(Run, [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files, Layer(options)])
     return settings
-
-
-def settings_layer(path: Path) -> Layer:
-    """A file of settings; the files that it names lie beside it, or where the command is given."""
-    table = read_toml(path)
-    pixel = table.get("pixel")
-    if isinstance(pixel, dict):
-        own = {name: beside(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel}
-        table = {**table, "pixel": pixel | own}
-    return Layer(table, str(path))
-
-
-def is_data_sheet(files: list[Layer], options: dict[str, Any]) -> bool:
-    """Whether a [pixel] table tells what was measured and names no technology: nothing is derived for it.
-
-    PixsimError that names what such a table lacks.
-    """
-    pixels = [table for layer in files if isinstance(table := layer.table.get("pixel"), dict)]
-    told = {name for table in [*pixels, options.get("pixel", {})] for name in table}
-    if "technology" in told or not any(name in table for table in pixels for name in DATA_SHEET):
-        return False
-    source = ", ".join(layer.source for layer in files if "pixel" in layer.table)
-    if missing := [name for name in ("pitch_um", *DATA_SHEET) if name not in told]:
-        got = f"a sensor without a technology, and without {', '.join(missing)}"
-        mend = 'Add them, or the technology that they are derived from, as technology = "0.35um".'
-        raise refuse(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", mend)
-    return True
 
 
 def given(table: Any) -> dict[str, str]:

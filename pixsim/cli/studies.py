@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from pixsim.cli.base import DEFAULT_OUT, Json, Out, Variant, app, described, show, stages
+from pixsim.cli.base import DEFAULT_OUT, Config, Json, Out, Variant, app, described, show, stages
 from pixsim.config import Layer
 from pixsim.messages import checked
+from pixsim.sensor_file import study_layers
 from pixsim.wording import budget_lines, found_line, sensitivity_lines
 
 
@@ -17,6 +18,7 @@ from pixsim.wording import budget_lines, found_line, sensitivity_lines
 def study(
     study: str,
     *,
+    config: Config = None,
     quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
     jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
     scheduler: Annotated[
@@ -37,13 +39,13 @@ def study(
     Parameters
     ----------
     study
-        A TOML file, or the name of a packaged study: chen2000, chen2000-sensitivity, modern.
+        A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.
     """
     from pixsim import sweep
 
     table = sweep.read_study(study)
     options = {} if tolerance_delta_e is None else {"tolerance_delta_e": tolerance_delta_e}
-    layers = [table, Layer(options)]
+    layers = [*study_layers(table, config or []), Layer(options)]
     seconds: dict[str, float] = {}
     how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
     with stages(seconds) as stage:

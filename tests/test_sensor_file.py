@@ -1,0 +1,126 @@
+"""A sensor's file: the same for one picture and for a study of its pixel size; its well and dark current go with the area."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli import assert_refused, command
+
+import pixsim
+from pixsim.evaluations import pixel_of, study_pitches_um
+from pixsim.pixel import fill_factor_law
+from pixsim.sensor_file import study_layers
+from pixsim.sweep import checked_study, read_study
+
+SHEET = """
+[pixel]
+pitch_um = 4.0
+full_well_e = 12000
+read_noise_e = 2.5
+dark_current_e_per_s = 8
+quantum_efficiency = 0.6
+bits = 12
+
+[camera]
+die_mm = 2.0
+f_number = 2.8
+"""
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("pitch_um", [1.0, 4.0, 9.0])
+def test_well_and_dark_current_go_with_the_area(pitch_um: float) -> None:
+    measured = {"full_well_e": 12000, "read_noise_e": 2.5, "dark_current_e_per_s": 8, "quantum_efficiency": 0.6}
+    physics = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, data_sheet_pitch_um=4.0, **measured))
+    assert physics.full_well_e == pytest.approx(12000 * (pitch_um / 4) ** 2, rel=1e-12)
+    assert physics.dark_current_e_per_s == pytest.approx(8 * (pitch_um / 4) ** 2, rel=1e-12)
+    assert physics.read_noise_e == 2.5
+    alone = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, **measured))
+    assert (alone.full_well_e, alone.dark_current_e_per_s) == (12000, 8)
+
+
+def test_the_area_is_the_photodiode_s() -> None:
+    """At 0.35 µm a pixel of 8 µm has more photodiode beside its transistors than one of 6 µm, not (8/6)² as much."""
+    process = pixsim.load_technology("0.35um")
+    physics = pixsim.derive(pixsim.Pixel(pitch_um=8.0, full_well_e=40000, data_sheet_pitch_um=6.0))
+    areas_um2 = fill_factor_law([8.0, 6.0], process) * np.array([64.0, 36.0])
+    assert areas_um2[0] / areas_um2[1] > 2
+    assert physics.full_well_e == pytest.approx(40000 * areas_um2[0] / areas_um2[1], rel=1e-12)
+    # What is not measured stays the process's.
+    assert physics.dark_current_e_per_s == pixsim.derive(pixsim.Pixel(pitch_um=8.0)).dark_current_e_per_s
+
+
+def test_a_well_of_no_electron_is_refused() -> None:
+    with pytest.raises(pixsim.PixsimError, match=r"0\.01.*12000 electrons at 4 µm.*full well of 1 to 1e\+18"):
+        pixsim.derive(pixsim.Pixel(pitch_um=0.01, technology="none", data_sheet_pitch_um=4.0, full_well_e=12000, read_noise_e=1,
+                                   dark_current_e_per_s=0, quantum_efficiency=0.5))  # fmt: skip
+    with pytest.raises(pixsim.PixsimError, match=r"data_sheet_pitch_um: got 3; allowed: above 5\.13"):
+        pixsim.derive(pixsim.Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0))
+
+
+def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
+    return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
+
+
+def test_a_data_sheet_becomes_the_study_s_sensor(tmp_path: Path) -> None:
+    study = study_of(SHEET, tmp_path)
+    assert study.technologies == ("none",)
+    assert (study.camera.die_mm, study.camera.f_number, study.pixel.bits) == (2.0, 2.8, 12)
+    pitches_um = study_pitches_um(study, "none")
+    assert pitches_um[[0, -1]] == pytest.approx([1.0, 16.0])
+    wells_e = [pixsim.derive(pixel_of(study, "none", each)).full_well_e for each in pitches_um.tolist()]
+    np.testing.assert_allclose(wells_e, 12000 * (pitches_um / 4) ** 2, rtol=1e-12)
+
+
+def test_the_study_says_from_where_to_where(tmp_path: Path) -> None:
+    own = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
+    study = study_of(SHEET, tmp_path, str(own))
+    np.testing.assert_allclose(study_pitches_um(study, "none"), np.geomspace(2, 6, 5), atol=5e-5)
+
+
+def test_a_technology_replaces_the_study_s(tmp_path: Path) -> None:
+    study = study_of('[pixel]\ntechnology = "0.25um"\npitch_um = 7\nbits = 11\n[scene]\nresolution = 128\n', tmp_path)
+    assert (study.technologies, study.pixel.bits) == (("0.25um",), 11)
+    assert study.scene.parameters["resolution"] == 128
+    assert study.pixel.data_sheet_pitch_um is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (SHEET.replace("full_well_e = 12000", ""), ["sensor.toml: pixel", "full_well_e"]),
+        (SHEET.replace("pitch_um = 4.0", 'pitch_um = "wide"'), ["sensor.toml", "wide"]),
+        (SHEET + "[exposure]\nmax_integration = 3\n", ["sensor.toml: exposure.max_integration", "max_integration_s"]),
+        ("[pixel]\npitch_umm = 3\n", ["sensor.toml: pixel.pitch_umm"]),
+    ],
+)
+def test_what_is_wrong_with_a_sensor_is_told(text: str, words: list[str], tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", text)
+    assert_refused(*command(f"study pixel-size --config {path} --out {tmp_path / 'out'}"), words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_data_sheet_without_a_pitch_of_its_own_is_no_study() -> None:
+    table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
+    with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
+        pixsim.Study.model_validate(table)
+    table["pixel"] |= {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
+    with pytest.raises(ValueError, match=r"give pitch\.min_um"):
+        pixsim.Study.model_validate(table)
+
+
+def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
+    small = "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n"
+    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
+    path = written(tmp_path / "sensor.toml", SHEET + small)
+    code, out, err = command(f"study {own} --config {path} --jobs 1 --out {tmp_path / 'out'}")
+    assert code == 0, err
+    assert out.startswith("the data sheet: ")
+    rows = (tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 1 + 5 * 2
