@@ -279,10 +279,11 @@ def evaluate(
 
 
 def describe(score: Score, irradiance: SpectralImage) -> dict[str, Any]:
-    """score.json: numbers, then what made them."""
+    """score.json: numbers, then what made them; `pixels` are rows and columns."""
     white = "the lamps' own" if displays.white_spectrum(irradiance) is not None else "D65: the lamps share no spectrum"
     return {
         **score.statistics(),
+        "pixels": list(score.frame.dn.shape),
         "pixel": score.physics.pixel.model_dump(),
         "white_spectrum": white,
         "irradiance": irradiance.header,

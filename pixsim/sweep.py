@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,7 @@ from pixsim.messages import checked
 from pixsim.parameters import Camera, Study
 from pixsim.pixel import derive
 from pixsim.sensor import pixels_along
+from pixsim.sensor_file import study_layers
 from pixsim.spectral import SpectralImage
 from pixsim.study_result import Curve as Curve
 from pixsim.study_result import StudyResult as StudyResult
@@ -60,9 +61,21 @@ def _name_files(table: dict[str, Any], path: Path) -> None:
             own[key] = beside(path, own[key])
 
 
-def load_study(name: str | os.PathLike[str]) -> Study:
-    """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it."""
-    return checked_study([read_study(name)])
+def load_study(
+    name: str | os.PathLike[str],
+    config: Sequence[str | os.PathLike[str]] = (),
+    parameters: Mapping[str, float | int | str] | None = None,
+) -> Study:
+    """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it.
+
+    Parameters
+    ----------
+    config : TOML files of a sensor, its camera, exposure and display, as `pixsim run` takes them; later files win. The well and
+        the dark current of a data sheet go with the photodiode's area.
+    parameters : of the scene, over those of the study
+    """
+    own = {"scene": {"parameters": dict(parameters)}} if parameters else {}
+    return checked_study([*study_layers(read_study(name), [Path(each) for each in config]), Layer(own)])
 
 
 def checked_study(layers: Sequence[Layer]) -> Study:
@@ -158,6 +171,8 @@ def study(
     plan: Study | str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
+    config: Sequence[str | os.PathLike[str]] = (),
+    parameters: Mapping[str, float | int | str] | None = None,
     quick: bool = False,
     jobs: int | None = None,
     scheduler: Any = None,
@@ -170,6 +185,7 @@ def study(
     ----------
     plan : a Study, the name of a packaged one, or a TOML file
     out : folder, made if need be
+    config, parameters : over a named study, as `load_study` takes them
     quick : with the study's `quick` table
     jobs : processes; None takes one a core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers take the place of
@@ -178,7 +194,9 @@ def study(
 
     Raises PixsimError for input that cannot be used.
     """
-    chosen = plan if isinstance(plan, Study) else load_study(plan)
+    if isinstance(plan, Study) and (config or parameters):
+        raise refuse("config, parameters", "with a Study", "the name or the file of one", "Put them into the Study.")
+    chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters)
     chosen = chosen.quickened if quick else chosen
     refuse_bad_pitches(chosen)
     stage = progress or (lambda _: lambda *_: None)

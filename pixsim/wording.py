@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pixsim.plan import Plan
 
+SATURATED_TOLD = 0.01
+
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
     """The decisions as a table, as wide as the terminal or as told."""
@@ -59,13 +61,23 @@ def found_line(curve: Any) -> str:
 
 
 def score_line(result: dict[str, Any]) -> str:
-    """Mean ΔE of a run: that over sensors, where it was asked for to a tolerance, with its error."""
-    how = f"with {result['pitch_um']:g} µm pixels, {1e3 * result['integration_s']:.3g} ms"
+    """Mean ΔE of a run (over sensors, where it was asked for to a tolerance, with its error), and how it was taken."""
+    how = f"with {frame_words(result)}"
     if "error_budget" not in result:
         return f"mean ΔE {result['mean_delta_e']:.3f} {how}"
     error, sensors = result["error_budget"]["total"]["delta_e"], result["sensors"]
     within = "error not known" if error is None else f"± {error:.1g}"
     return f"mean ΔE {result['sensors_mean_delta_e']:.4f} {within} over {sensors} sensor{'s' * (sensors > 1)} {how}"
+
+
+def frame_words(result: dict[str, Any]) -> str:
+    """Its pixels and its exposure, and what keeps it from being a good one."""
+    rows, columns = result["pixels"]
+    told = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm, exposed for {1e3 * result['integration_s']:.3g} ms"
+    exposure, saturated = result["exposure"], result["saturated_fraction"]
+    if exposure["integration_s"] is None and result["integration_s"] >= exposure["max_integration_s"]:
+        told += " (the longest allowed)"
+    return told + (f", {saturated:.0%} of them saturated" if saturated > SATURATED_TOLD else "")
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:

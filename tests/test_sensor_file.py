@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pixsim
 from pixsim.evaluations import pixel_of, study_pitches_um
 from pixsim.pixel import fill_factor_law
 from pixsim.sensor_file import study_layers
-from pixsim.sweep import checked_study, read_study
+from pixsim.sweep import checked_study, load_study, read_study
 
 SHEET = """
 [pixel]
@@ -124,3 +125,21 @@ def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
     assert out.startswith("the data sheet: ")
     rows = (tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 1 + 5 * 2
+
+
+def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", SHEET)
+    study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
+    assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
+    assert study.technologies == ("none",)
+    with pytest.raises(pixsim.PixsimError, match=r"config, parameters: got with a Study"):
+        pixsim.study(study, tmp_path / "out", config=[path])
+
+
+def test_a_scene_parameter_of_a_study_from_the_command_line(tmp_path: Path) -> None:
+    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n[display]\ndots = 64\n')
+    told = "-D luminance_cd_per_m2=50 -D resolution=64 -D spp=4"
+    code, out, err = command(f"study {own} {told} --jobs 1 --json --out {tmp_path / 'out'}")
+    assert code == 0, err
+    assert json.loads(out)["irradiance"]["luminance_cd_per_m2"] == 50
+    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from pixsim.cli.base import DEFAULT_OUT, Config, Json, Out, Variant, app, described, show, stages
+from pixsim.cli.base import DEFAULT_OUT, Config, Define, Json, Out, Variant, app, definitions, described, show, stages
 from pixsim.config import Layer
 from pixsim.messages import checked
 from pixsim.sensor_file import study_layers
@@ -19,6 +19,7 @@ def study(
     study: str,
     *,
     config: Config = None,
+    define: Define | None = None,
     quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
     jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
     scheduler: Annotated[
@@ -44,7 +45,9 @@ def study(
     from pixsim import sweep
 
     table = sweep.read_study(study)
-    options = {} if tolerance_delta_e is None else {"tolerance_delta_e": tolerance_delta_e}
+    options: dict[str, Any] = {} if tolerance_delta_e is None else {"tolerance_delta_e": tolerance_delta_e}
+    if define:
+        options["scene"] = {"parameters": definitions(define)}
     layers = [*study_layers(table, config or []), Layer(options)]
     seconds: dict[str, float] = {}
     how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}

@@ -1,0 +1,168 @@
+"""Runs what a Markdown page shows: its commands in order, in one folder, and compares what they print with what the page says.
+
+Comments before a block, which no reader sees, tell what it is:
+
+    <!-- file: my_sensor.toml -->    the block is written as that file
+    <!-- output -->                  what the commands of the block before print; a line of … stands for any lines
+    <!-- slow -->                    runs in the slow test only
+    <!-- elsewhere: WHERE -->        is run there, word for word
+    <!-- picture: FILE -->           the picture that follows is that file, made by the blocks before
+
+`python tests/documents.py PAGE…` runs pages and copies their pictures anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+# Numbers in what is printed: sensors draw other noise on other kinds of processors, and last digits round.
+NUMBER_WITHIN = 0.02
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
+ANY_LINES = "…"
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block, or a picture (language "picture"), with what the comment before it says."""
+
+    line: int
+    language: str
+    text: str
+    told: dict[str, str] = field(default_factory=dict)
+
+
+def blocks_of(text: str) -> Iterator[Block]:
+    """The blocks and the made pictures of a page, in order."""
+    told: dict[str, str] = {}
+    opened: tuple[int, str, str] | None = None
+    inside: list[str] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        fence = re.match(r"^( *)(```+)(\w*)\s*$", line)
+        if opened:
+            if fence and not fence[3] and fence[2] == opened[1]:
+                yield Block(opened[0], opened[2], "\n".join(inside) + "\n", told)
+                opened, told, inside = None, {}, []
+            else:
+                inside.append(line)
+        elif fence:
+            opened = number, fence[2], fence[3]
+        elif comment := re.fullmatch(r"<!-- (\w+)(?:: (.*?))? -->", line.strip()):
+            told[comment[1]] = comment[2] or ""
+        elif "picture" in told and (shown := re.search(r"!\[[^\]]*\]\(([^)]+)\)|<img [^>]*src=\"([^\"]+)\"", line)):
+            yield Block(number, "picture", shown[1] or shown[2], told)
+            told = {}
+        elif line.strip():
+            told = {}
+    assert opened is None, f"a block that begins in line {opened} does not end"
+
+
+class Page:
+    """A page that is run in a folder."""
+
+    def __init__(self, path: Path, folder: Path, slow: bool = True) -> None:
+        self.path, self.folder, self.slow = path, folder, slow
+        self.names: dict[str, object] = {"__name__": "__main__"}
+        self.printed = ""
+        self.made: list[tuple[Path, Path]] = []  # (picture of the page, file that it is)
+
+    def run(self) -> None:
+        """Every block in order. AssertionError that names the line of one that fails, or prints something else."""
+        skipped = False
+        for block in blocks_of(self.path.read_text(encoding="utf-8")):
+            if "elsewhere" in block.told or ("slow" in block.told and not self.slow):
+                skipped = True
+                continue
+            where = f"{self.path.name}, line {block.line}"
+            if "file" in block.told:
+                target = self.folder / block.told["file"]
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_text(block.text, encoding="utf-8")
+            elif block.language == "sh":
+                self.printed, skipped = self._shell(block.text, where), False
+            elif block.language == "python":
+                self.printed, skipped = self._python(block.text, where), False
+            elif block.language == "picture":
+                made = self.folder / block.told["picture"]
+                if "slow" in block.told and not self.slow:
+                    continue
+                assert made.is_file() or skipped, f"{where}: {block.told['picture']} was not made"
+                if made.is_file():
+                    self.made.append((self.path.parent / block.text, made))
+            elif "output" in block.told and not skipped:
+                found = difference(block.text, self.printed)
+                assert not found, f"{where}: {found}\n--- printed:\n{self.printed}"
+
+    def _shell(self, text: str, where: str) -> str:
+        home = Path(sys.executable).parent
+        environment = os.environ | {"PATH": f"{home}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "160"}
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", text], cwd=self.folder, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{where}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done.stdout
+
+    def _python(self, text: str, where: str) -> str:
+        """In this process, with the names of the blocks before, as in a notebook."""
+        printed = io.StringIO()
+        with contextlib.chdir(self.folder), contextlib.redirect_stdout(printed):
+            exec(compile("\n" * int(where.rpartition(" ")[2]) + text, str(self.path), "exec"), self.names)
+        return printed.getvalue()
+
+
+def difference(said: str, printed: str) -> str:
+    """What is not as the page says, in words; nothing where all is."""
+    wanted, got = said.strip().splitlines(), printed.strip().splitlines()
+    place = 0
+    anywhere = False
+    for line in wanted:
+        if line.strip() == ANY_LINES:
+            anywhere = True
+            continue
+        rest = got[place:] if anywhere else got[place : place + 1]
+        at = next((index for index, each in enumerate(rest) if alike(line, each)), None)
+        if at is None:
+            return f"the page says {line!r}, printed is {(got[place] if place < len(got) else 'nothing more')!r}"
+        place, anywhere = place + at + 1, False
+    return "" if anywhere or place == len(got) else f"more is printed than the page says: {got[place]!r}"
+
+
+def alike(said: str, printed: str) -> bool:
+    """Same words, and numbers within `NUMBER_WITHIN` or one of the last digit shown."""
+    if NUMBER.sub("#", " ".join(said.split())) != NUMBER.sub("#", " ".join(printed.split())):
+        return False
+    pairs = zip(NUMBER.findall(said), NUMBER.findall(printed), strict=True)
+    return all(
+        abs(float(one) - float(other)) <= max(NUMBER_WITHIN * abs(float(one)), 1.01 * last_digit(one)) for one, other in pairs
+    )
+
+
+def last_digit(number: str) -> float:
+    """What one more in the last digit of a number's text is."""
+    digits, _, exponent = number.partition("e")
+    return 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
+
+
+def main(pages: list[str]) -> None:
+    for name in pages:
+        with tempfile.TemporaryDirectory() as folder:
+            page = Page(Path(name), Path(folder))
+            page.run()
+            for picture, made in page.made:
+                picture.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(made, picture)
+                print(picture)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
