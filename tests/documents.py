@@ -25,11 +25,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 ROOT = Path(__file__).parents[1]
 # Numbers in what is printed: sensors draw other noise on other kinds of processors, and last digits round.
 NUMBER_WITHIN = 0.02
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
 ANY_LINES = "…"
+SVG_NUMBER = re.compile(r"(-?\d+\.\d+)")
+SVG_WITHIN = 3.0  # points, a fiftieth of a small figure's side
+CODES_WITHIN = 2.0  # of 255, on average: noise of other processors, not another picture
 
 
 @dataclass(frozen=True)
@@ -148,9 +154,22 @@ def alike(said: str, printed: str) -> bool:
 
 
 def last_digit(number: str) -> float:
-    """What one more in the last digit of a number's text is."""
+    """What one more in the last digit of a number's text is; nothing for whole numbers, which are counts."""
     digits, _, exponent = number.partition("e")
+    if "." not in digits:
+        return 0.0
     return 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
+
+
+def alike_pictures(shown: Path, made: Path) -> bool:
+    """Same drawing with numbers nearly the same (SVG), or nearly the same picture: other processors, other last digits."""
+    if shown.suffix == ".svg":
+        one, other = (SVG_NUMBER.split(path.read_text(encoding="utf-8")) for path in (shown, made))
+        if one[::2] != other[::2]:
+            return False
+        return bool(np.allclose(np.array(one[1::2], float), np.array(other[1::2], float), rtol=0, atol=SVG_WITHIN))
+    first, second = (np.asarray(Image.open(path).convert("RGB"), float) for path in (shown, made))
+    return first.shape == second.shape and float(np.abs(first - second).mean()) < CODES_WITHIN
 
 
 def main(pages: list[str]) -> None:
