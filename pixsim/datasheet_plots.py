@@ -9,7 +9,7 @@ import numpy as np
 from pixsim.datasheet import DataSheet
 from pixsim.datasheet_experiment import BLACK_SIGMAS
 from pixsim.expected_frames import expected_curve
-from pixsim.figures import COLOURS, new_figure
+from pixsim.figures import COLOURS, LOOKS, new_figure
 from pixsim.frame_statistics import Stack
 from pixsim.photon_transfer import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.plates import Column, Plate
@@ -18,7 +18,8 @@ from pixsim.spectral import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BLUE, ORANGE, GREEN, PURPLE = COLOURS
+BLUE, ORANGE = COLOURS[:2]
+MARKED = 12  # markers along a line of many points, which tell it in grey
 BINS = 101
 
 
@@ -109,7 +110,9 @@ def snr_plate(sheet: DataSheet) -> Plate:
     axes.axvline(t.threshold_p.value, color="0.5", lw=1, ls="--", label="μ_p.min, where the SNR is 1")
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
-    finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "SNR", "lower right")
+    finish(
+        axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "SNR, mean over standard deviation", "lower right"
+    )
     caption = (
         "Signal-to-noise ratio against light. Between the two thresholds lies the dynamic range; PRNU ends the rise of the total."
     )
@@ -227,9 +230,10 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
     figure = new_figure(8.6, 3.6)
     table: dict[str, list[float]] = {}
     for axes, (name, map_, _) in zip(figure.subplots(1, 2), stacks, strict=True):
-        for label, axis, colour in (("horizontal", 1, BLUE), ("vertical", 0, ORANGE)):
+        for label, axis, look in (("horizontal", 1, LOOKS[0]), ("vertical", 0, LOOKS[1])):
             frequency, power = spectrogram(map_, axis)
-            axes.plot(frequency[1:], np.sqrt(power[1:]), color=colour, lw=0.9, label=f"{name}, {label}")
+            style = look.line | {"ls": "-", "markevery": max(1, power.size // MARKED)}
+            axes.plot(frequency[1:], np.sqrt(power[1:]), lw=0.9, ms=4, label=f"{name}, {label}", **style)
             table[f"{name.lower()}_{label}_frequency"] = frequency.tolist()
             table[f"{name.lower()}_{label}_amplitude"] = np.sqrt(power).tolist()
         axes.axhline(float(map_.std()), color="0.5", lw=0.8, ls=":")
@@ -247,11 +251,12 @@ def profile_plate(sheet: DataSheet) -> Plate:
     figure = new_figure(8.6, 3.6)
     table: dict[str, list[float]] = {}
     for axes, (name, label, map_) in zip(figure.subplots(1, 2), deviations(sheet), strict=True):
-        for words, axis, colour in (("columns", 0, BLUE), ("rows", 1, ORANGE)):
+        for words, axis, look in (("columns", 0, LOOKS[0]), ("rows", 1, LOOKS[1])):
             mean = map_.mean(axis=axis)
-            axes.plot(np.arange(mean.size), mean, color=colour, lw=0.9, label=f"{name}, means of {words}", zorder=2 + axis)
+            style = look.line | {"ls": "-", "markevery": max(1, mean.size // MARKED)}
+            axes.plot(np.arange(mean.size), mean, lw=0.9, ms=4, label=f"{name}, means of {words}", zorder=2 + axis, **style)
             table[f"{name.lower()}_{words}"] = mean.tolist()
-        finish(axes, "column or row", label.replace(", deviation from the mean", ""))
+        finish(axes, "number of the column or row", label.replace(", deviation from the mean", ""))
     caption = (
         f"Profiles: means over columns and rows, less the mean. The black level leaves {BLACK_SIGMAS:g} σ of the dark below it."
     )

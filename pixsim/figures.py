@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,8 +18,41 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito (2008): told apart by colour-blind people, and printed grey.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+
+@dataclass(frozen=True)
+class Look:
+    """How one line of a figure is told from the others: by colour, and, printed grey, by dashes and marker."""
+
+    colour: str
+    dashes: str | tuple[int, tuple[int, ...]]
+    marker: str
+
+    @property
+    def stroke(self) -> dict[str, Any]:
+        """For Matplotlib, of a line without markers."""
+        return {"color": self.colour, "ls": self.dashes}
+
+    @property
+    def line(self) -> dict[str, Any]:
+        return self.stroke | {"marker": self.marker}
+
+
+LEGEND_LINE = 3.5  # long enough to show the dashes
+# Okabe and Ito (2008), in an order that keeps the first four at least 20 (CIEDE2000) apart for every kind of colour blindness,
+# and their lightness apart in grey; what comes after them needs its marker.
+LOOKS = (
+    Look("#0072B2", "-", "o"),
+    Look("#D55E00", (0, (5, 2)), "s"),
+    Look("#000000", (0, (6, 2, 1, 2)), "^"),
+    Look("#56B4E9", (0, (1, 1)), "D"),
+    Look("#009E73", (0, (3, 1, 1, 1, 1, 1)), "v"),
+    Look("#E69F00", (0, (8, 2)), "P"),
+    Look("#CC79A7", (0, (2, 3)), "X"),
+    Look("#777777", (0, (8, 2, 1, 2, 1, 2)), "<"),
+    Look("#0072B2", (0, (3, 1)), ">"),
+    Look("#D55E00", (0, (1, 3)), "p"),
+)
+COLOURS = tuple(look.colour for look in LOOKS)
 ISO_SMOOTHING_DOTS = 8.0  # about a cycle of the middle frequencies: ΔE peaks in each dark bar
 
 

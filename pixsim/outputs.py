@@ -20,6 +20,7 @@ from pixsim.files import output_folder, versions, write_json
 from pixsim.parameters import Camera, Run
 from pixsim.pictures import save_delta_e_png, save_png
 from pixsim.raw import BITS_OF_PICTURES, write_frame
+from pixsim.run_page import write_run_page
 from pixsim.score import Bench, Score, describe, make_bench
 from pixsim.sensor import pixels_along
 from pixsim.spectral import SpectralImage, write_channels, write_exr
@@ -174,6 +175,7 @@ def write_all(
         save_png(partial / "image.png", score.image)
         save_delta_e_png(partial / "delta_e.png", score.delta_e, irradiance)
         write_json(partial / "score.json", summary)
+        write_run_page(partial, score, irradiance, summary, raw_suffixes)
         for path in sorted(partial.iterdir()):
             path.replace(folder / path.name)
     finally:

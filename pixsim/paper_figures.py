@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
-from pixsim.figures import COLOURS, ISO_SMOOTHING_DOTS, draw_picture, extent, new_figure
+from pixsim.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, extent, new_figure
 from pixsim.merit import dr_and_snr_db, system_mtf
 from pixsim.paper import (
     FIGURE_2B_PITCHES_UM,
@@ -18,22 +18,23 @@ from pixsim.paper import (
     frequency_contrast_table,
 )
 from pixsim.parameters import pixel_of
+from pixsim.pictures import CONTRAST_LABEL, DELTA_E_SHOWN
 from pixsim.pixel import derive
-from pixsim.plates import MARKERS, Column, Plate, coarse_table, draw_iso, pictures
-from pixsim.sweep import Curve, StudyResult
+from pixsim.plates import Column, Plate, coarse_table, draw_iso, pictures
+from pixsim.sweep import StudyResult
 
 FIGURE_5_PITCH_UM = 8.0
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 
-def scene_plates(result: StudyResult, curve: Curve) -> list[Plate]:
-    """The paper's Figures 2, 4 and 5: pixels, scene and pictures."""
-    return [figure_2a(), figure_2b(result), figure_4(result), figure_5(result, curve)]
+def scene_plates(result: StudyResult) -> list[Plate]:
+    """The paper's Figures 2 and 4: pixels and scene."""
+    return [figure_2a(), figure_2b(result), figure_4(result)]
 
 
 def map_plates(evidence: Evidence) -> list[Plate]:
-    """The paper's Figure 6, and where the errors are: from mean ΔE maps of many sensors."""
-    return [figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
+    """The paper's Figures 5 and 6, and where the errors are: from mean ΔE maps of many sensors."""
+    return [figure_5(evidence), figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
 
 
 def figure_2a() -> Plate:
@@ -42,14 +43,16 @@ def figure_2a() -> Plate:
     figure = new_figure(6.0, 3.8)
     axes = figure.subplots()
     table: dict[str, Column] = {"pitch_um": pitch_um.tolist()}
-    for capacitance, style in (("paper", "-"), ("mosis", "--")):
-        for name, colour, db in zip(("DR", "SNR at 20 % well"), COLOURS, dr_and_snr_db(pitch_um, capacitance), strict=False):
-            axes.plot(pitch_um, db, style, color=colour, label=f"{name}, capacitance '{capacitance}'")
+    looks = iter(LOOKS)
+    for capacitance in ("paper", "mosis"):
+        for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, capacitance), strict=True):
+            look = next(looks)
+            axes.plot(pitch_um, db, ms=4, markevery=6, label=f"{name}, capacitance '{capacitance}'", **look.line)
             table[f"{name.split()[0].lower()}_{capacitance}_db"] = db.tolist()
     axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
     axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("dB")
-    axes.legend(frameon=False, fontsize=8)
+    axes.set_ylabel("dynamic range, and SNR (dB)")
+    axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = "Figure 2a. Dynamic range and SNR at 20 % of the well against pixel size, 0.35 µm, 30 ms: equations (1) and (2)."
     return Plate("figure_2a_dr_snr", caption, figure, table)
 
@@ -60,17 +63,17 @@ def figure_2b(result: StudyResult) -> Plate:
     figure = new_figure(6.0, 3.8)
     axes = figure.subplots()
     table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist()}
-    for pitch_um, colour, marker in zip(FIGURE_2B_PITCHES_UM, COLOURS, MARKERS, strict=True):
+    for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
         physics = derive(pixel_of(result.study, REFERENCE_TECHNOLOGY, pitch_um))
         mtf = system_mtf(result, physics, relative * SIX_UM_NYQUIST_CY_PER_MM)
-        axes.plot(relative, mtf, color=colour, marker=marker, markevery=20, ms=4, label=f"{pitch_um:g} µm")
+        axes.plot(relative, mtf, markevery=20, ms=4, label=f"{pitch_um:g} µm", **look.line)
         nyquist = 6.0 / pitch_um
-        axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=colour, lw=1)
+        axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=look.colour, lw=1)
         table[f"mtf_{pitch_um:g}um"] = mtf.tolist()
     axes.set_xlabel("spatial frequency over the Nyquist frequency of 6 µm pixels (83.3 lp/mm)")
-    axes.set_ylabel("system MTF")
+    axes.set_ylabel("system MTF: contrast on the sensor over the scene's")
     axes.set_ylim(0, 1)
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, handlelength=LEGEND_LINE)
     caption = (
         "Figure 2b. System MTF: white-light diffraction times the photodiode's sinc. Dotted: the Nyquist frequency of each "
         "pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch suggests."
@@ -89,9 +92,11 @@ def figure_4(result: StudyResult) -> Plate:
     return Plate("figure_4_scene", caption, figure, table)
 
 
-def figure_5(result: StudyResult, curve: Curve) -> Plate:
+def figure_5(evidence: Evidence) -> Plate:
     """Ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
-    plate = pictures(result, curve, FIGURE_5_PITCH_UM, "figure_5_pictures_8um")
+    result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
+    (score,) = result.scores(curve.technology, FIGURE_5_PITCH_UM, 1)
+    plate = pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], "figure_5_pictures_8um")
     return replace(plate, caption="Figure 5. " + plate.caption)
 
 
@@ -102,13 +107,13 @@ def figure_6(evidence: Evidence) -> Plate:
     figure = new_figure(5.4, 5.0)
     axes = figure.subplots()
     vertices: list[tuple[float, float, float]] = []
-    for pitch_um, colour in zip(FIGURE_6_PITCHES_UM, COLOURS, strict=True):
+    for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
         smooth = gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
-        lines = draw_iso(axes, evidence.result, smooth, [level], [colour], [1.6], [f"{pitch_um:g} µm"])
+        lines = draw_iso(axes, evidence.result, smooth, [level], [look], [1.6], [f"{pitch_um:g} µm"])
         vertices += [(pitch_um, x / width_mm, y / height_mm) for x, y in lines]
-    handles = [axes.plot([], [], color=colour, label=f"{p:g} µm")[0]
-               for p, colour in zip(FIGURE_6_PITCHES_UM, COLOURS, strict=True)]  # fmt: skip
-    axes.legend(handles=handles, frameon=False, loc="upper left")
+    handles = [axes.plot([], [], label=f"{p:g} µm", **look.stroke)[0]
+               for p, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False)]  # fmt: skip
+    axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
     pitch_um_of, x, y = np.array(vertices).T.reshape(3, -1)
     table: dict[str, Column] = {
         "pitch_um": pitch_um_of.tolist(),
@@ -128,14 +133,16 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     frequency, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM])
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
-    image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0)
+    image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=DELTA_E_SHOWN)
     for (row, column), value in np.ndenumerate(values):
-        axes.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=7, color="w" if value < values.max() / 2 else "k")
+        axes.text(
+            column, row, f"{value:.1f}", ha="center", va="center", fontsize=8, color="w" if value < DELTA_E_SHOWN / 2 else "k"
+        )
     axes.set_xticks(range(frequency.size), [f"{each:.2g}" for each in frequency])
     axes.set_yticks(range(contrast.size), [f"{each:.2g}" for each in contrast])
     axes.set_xlabel("spatial frequency on the sensor (lp/mm)")
-    axes.set_ylabel("contrast")
-    figure.colorbar(image, ax=axes, label="mean ΔE")
+    axes.set_ylabel(CONTRAST_LABEL)
+    figure.colorbar(image, ax=axes, label="mean ΔE", extend="max")
     table: dict[str, Column] = {"contrast": contrast.tolist()}
     table |= {f"delta_e_at_{each:.3g}_lp_per_mm": values[:, index].tolist() for index, each in enumerate(frequency)}
     return Plate("delta_e_by_frequency_and_contrast", "Mean ΔE by spatial frequency and contrast, 8 µm pixels.", figure, table)

@@ -20,6 +20,7 @@ from pixsim.record import Record as Record
 from pixsim.record import content_hash as content_hash
 
 FASTEST_WORKING_F_NUMBER = 0.5
+Part = Annotated[float, Field(ge=0, le=1)]  # of a length
 
 
 class Camera(Record):
@@ -185,6 +186,10 @@ class Study(Effort):
     )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(32, description="at most so many for target_ci_um")
     iso_delta_e: Annotated[float, Field(gt=0, le=1e6)] = Field(3.0, description="level of the iso-ΔE curves")
+    detail: tuple[Part, Part] | None = Field(
+        None,
+        description="of the picture, from its left and its top (0 to 1): centre of the detail that the report shows of all sizes",
+    )
     paper: bool = Field(False, description="compare with the statements of Chen et al. (2000); needs the csf scene and 0.35um")
     scene: StudyScene = StudyScene()
     camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")

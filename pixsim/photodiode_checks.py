@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.figures import COLOURS, new_figure
+from pixsim.figures import LEGEND_LINE, LOOKS, new_figure
 from pixsim.junction import E_PER_FC, Diode
 from pixsim.parameters import Pixel
 from pixsim.photodiode import collected_charge_e
@@ -152,13 +152,9 @@ def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
     figure = new_figure(8.6, 4.2)
     left, right = figure.subplots(1, 2)
     corner = left.inset_axes((0.54, 0.1, 0.42, 0.46))
-    for each in found:
+    for each, look in zip(found, LOOKS, strict=False):
         of_diode = each.well_limit == "diode"
-        style: dict[str, Any] = {
-            "ls": "--" if each.conversion == "junction" else "-",
-            "color": COLOURS[of_diode],
-            "zorder": 3 - of_diode,
-        }
+        style: dict[str, Any] = look.stroke | {"zorder": 3 - of_diode}
         label = f"{each.well_limit} limit, {each.conversion} conversion: {each.full_well_e / 1e3:.0f} ke- in the top code"
         left.plot(each.generated_e / 1e3, each.dn, lw=1.5, label=label, **style)
         corner.plot(each.generated_e / 1e3, each.dn, lw=1.5, **style)
@@ -170,7 +166,9 @@ def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
         axes.grid(alpha=0.25)
     draw_corner(corner, found[2], pixel)
     left.set_ylim(0, 1.05 * 2**pixel.bits)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    figure.legend(
+        *left.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=8, handlelength=LEGEND_LINE
+    )
     return Plate("dn_against_light", response_caption(found, pixel), figure, response_table(found))
 
 

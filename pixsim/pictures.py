@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 DELTA_E_SHOWN = 10.0  # top of the fixed colour scale, so that two maps can be compared
 VIEWING_GAMMA = 2.2
 MOST_TICKS = 7
+CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
 # Of a map with axes, in px.
 MAP, LEFT, TOP, BELOW, BESIDE = 560, 110, 70, 90, 160
 BAR, BAR_GAP, TICK, GAP, POINT = 30, 50, 7, 5, 20
@@ -38,10 +40,14 @@ class Axis:
     ticks: tuple[tuple[float, str], ...]
 
 
+def grey_codes(luminance: Array) -> NDArray[np.uint8]:
+    """Relative luminance encoded for a display of gamma 2.2."""
+    return np.asarray(np.rint(255 * np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
+
+
 def save_png(path: Path, luminance: Array) -> None:
     """A grey picture of relative luminance, encoded for a display of gamma 2.2."""
-    codes = np.rint(255 * np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8)
-    _save(path, np.repeat(codes[:, :, None], 3, axis=2))
+    path.write_bytes(png_bytes(np.repeat(grey_codes(luminance)[:, :, None], 3, axis=2)))
 
 
 def save_delta_e_png(path: Path, delta_e: Array, irradiance: SpectralImage) -> None:
@@ -54,28 +60,28 @@ def save_delta_e_png(path: Path, delta_e: Array, irradiance: SpectralImage) -> N
     canvas.paste(Image.fromarray(shown), (LEFT, TOP))
     draw = ImageDraw.Draw(canvas)
     title = f"S-CIELAB difference from the ideal image, mean {delta_e.mean():.3f}"
-    draw.text((LEFT + width / 2, TOP - POINT), title, BLACK, _font(18), anchor="ms")
+    draw.text((LEFT + width / 2, TOP - POINT), title, BLACK, font(18), anchor="ms")
     x, y = axes_of(irradiance)
     height_um, width_um = picture_size_um(irradiance)
     for at_mm, text in x.ticks:
         _mark(draw, LEFT + at_mm * 1e3 / width_um * width, TOP + height, text, down=True)
     for at_mm, text in y.ticks:
         _mark(draw, LEFT, TOP + at_mm * 1e3 / height_um * height, text, down=False)
-    draw.text((LEFT + width / 2, TOP + height + 45), x.label, BLACK, _font(15), anchor="mt")
+    draw.text((LEFT + width / 2, TOP + height + 45), x.label, BLACK, font(15), anchor="mt")
     _upright(canvas, y.label, LEFT - 95, TOP + height / 2)
     _colour_bar(canvas, draw, LEFT + width + BAR_GAP, height)
-    _save(path, np.asarray(canvas))
+    path.write_bytes(png_bytes(np.asarray(canvas)))
 
 
 def delta_e_colours(delta_e: Array) -> NDArray[np.uint8]:
     """(H, W, 3) codes of the fixed scale, 0 to `DELTA_E_SHOWN`; what is beyond has its last colour."""
-    table = _viridis()
+    table = viridis()
     place = np.clip(delta_e / DELTA_E_SHOWN * len(table), 0, len(table) - 1)
     return np.asarray(table[place.astype(int)])
 
 
 @lru_cache
-def _viridis() -> NDArray[np.uint8]:
+def viridis() -> NDArray[np.uint8]:
     return np.loadtxt(str(resources.files("pixsim") / "data/viridis.csv"), np.uint8, delimiter=",", skiprows=2)
 
 
@@ -98,12 +104,12 @@ def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:
     canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (left, TOP + height - high))
     top = TOP + height - high
     point = [(left, top), (left + BAR / 2, top - POINT), (left + BAR - 1, top)]
-    draw.polygon(point, fill=tuple(_viridis()[-1].tolist()), outline=BLACK)
+    draw.polygon(point, fill=tuple(viridis()[-1].tolist()), outline=BLACK)
     draw.rectangle((left, top, left + BAR - 1, TOP + height), outline=BLACK)
     for value in range(0, int(DELTA_E_SHOWN) + 1, 2):
         at = top + (1 - value / DELTA_E_SHOWN) * high
         draw.line((left + BAR, at, left + BAR + TICK, at), BLACK)
-        draw.text((left + BAR + TICK + GAP, at), str(value), BLACK, _font(15), anchor="lm")
+        draw.text((left + BAR + TICK + GAP, at), str(value), BLACK, font(15), anchor="lm")
     _upright(canvas, "ΔE", left + BAR + 48, TOP + height / 2)
 
 
@@ -111,22 +117,22 @@ def _mark(draw: ImageDraw, x: float, y: float, text: str, down: bool) -> None:
     end = (x, y + TICK) if down else (x - TICK, y)
     draw.line((x, y, *end) if down else (x - 1, y, *end), BLACK)  # the map keeps its border
     beyond = (x, y + TICK + GAP) if down else (x - TICK - GAP, y)
-    draw.text(beyond, text, BLACK, _font(15), anchor="mt" if down else "rm")
+    draw.text(beyond, text, BLACK, font(15), anchor="mt" if down else "rm")
 
 
 def _upright(canvas: Image, text: str, left: float, middle: float) -> None:
     """A text that is read from below."""
     from PIL import Image, ImageDraw
 
-    box = _font(15).getbbox(text, anchor="lt")
+    box = font(15).getbbox(text, anchor="lt")
     own = Image.new("RGB", (math.ceil(box[2]) + 1, math.ceil(box[3]) + 1), WHITE)
-    ImageDraw.Draw(own).text((0, 0), text, BLACK, _font(15), anchor="lt")
+    ImageDraw.Draw(own).text((0, 0), text, BLACK, font(15), anchor="lt")
     turned = own.transpose(Image.Transpose.ROTATE_90)
     canvas.paste(turned, (round(left), round(middle - turned.height / 2)))
 
 
 @lru_cache
-def _font(size: int) -> Any:
+def font(size: int) -> Any:
     """Matplotlib's DejaVu Sans, found without importing Matplotlib."""
     from PIL import ImageFont
 
@@ -135,12 +141,14 @@ def _font(size: int) -> Any:
     return ImageFont.truetype(str(Path(folder) / "mpl-data/fonts/ttf/DejaVuSans.ttf"), size)
 
 
-def _save(path: Path, codes: NDArray[np.uint8]) -> None:
+def png_bytes(codes: NDArray[np.uint8]) -> bytes:
+    """A PNG of grey (H, W) or coloured (H, W, 3) codes."""
     from PIL import Image, PngImagePlugin
 
-    told = PngImagePlugin.PngInfo()
+    told, content = PngImagePlugin.PngInfo(), io.BytesIO()
     told.add_text("Software", "pixsim")
-    Image.fromarray(codes).save(path, "png", pnginfo=told)
+    Image.fromarray(codes).save(content, "png", pnginfo=told)
+    return content.getvalue()
 
 
 # --- Axes of a sensor's picture ---------------------------------------------------------------------------------------
@@ -177,7 +185,9 @@ def _csf_axes(width_mm: float, height_mm: float) -> tuple[Axis, Axis]:
     contrasts = np.array([0.01, 0.03, 0.1, 0.3, 0.951])
     y_mm = (1 - np.log(contrasts / largest) / np.log(LOWEST_CONTRAST)) * height_mm
     across = _ticks(x_mm, (f"{f:.3g}" for f in frequencies))
-    return Axis("spatial frequency on the sensor (lp/mm)", across), Axis("contrast", _ticks(y_mm, (f"{c:g}" for c in contrasts)))
+    return Axis("spatial frequency on the sensor (lp/mm)", across), Axis(
+        CONTRAST_LABEL, _ticks(y_mm, (f"{c:g}" for c in contrasts))
+    )
 
 
 def _ticks(at_mm: Array, texts: Iterable[str]) -> tuple[tuple[float, str], ...]:

@@ -15,6 +15,9 @@ from scipy.ndimage import gaussian_filter
 from pixsim.figures import (
     COLOURS,
     ISO_SMOOTHING_DOTS,
+    LEGEND_LINE,
+    LOOKS,
+    Look,
     draw_delta_e,
     draw_picture,
     extent,
@@ -33,12 +36,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from pixsim.score import Score
     from pixsim.study_result import Curve, StudyResult
 
 Column = Sequence[float | str]
 COARSE = 64  # samples a side of the tables of pictures
 SENSORS_SHOWN = 8  # in mean maps
-MARKERS = ("o", "s", "^", "D")
 
 
 @dataclass(frozen=True)
@@ -73,19 +76,22 @@ class Drawn:
         return cls(plate.name, plate.caption, svg_text(plate.figure), plate.csv)
 
 
-def draw_curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
+def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     """Mean ΔE of each pitch with its 95 % interval, the local fit and the optimum."""
+    colour = look.colour
     mean, ci95 = mean_and_ci95(curve.delta_e)
     best = curve.optimum
     name = literal(curve.technology)
     label = f"{name}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else name
-    axes.errorbar(curve.pitch_um, mean, ci95, fmt=marker, ms=4, lw=1, capsize=2, color=colour, label=label)
+    axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
     axes.fill_between(curve.pitch_um, mean - ci95, mean + ci95, color=colour, alpha=0.15, lw=0)
     here = window(mean)
-    axes.plot(*fitted_curve(curve.pitch_um[here], mean[here]), color=colour, lw=1.5)
+    axes.plot(*fitted_curve(curve.pitch_um[here], mean[here]), lw=1.5, **look.stroke)
     if best.inside:
         axes.plot(best.pitch_um, best.mean_delta_e, "v", ms=9, mfc="white", mec=colour, mew=1.5)
     axes.axvspan(*best.within_1_percent_um, color=colour, alpha=0.12, lw=0)
+    for edge_um in best.within_1_percent_um:
+        axes.axvline(edge_um, lw=0.7, **look.stroke)
 
 
 def fill_factor_axis(axes: Axes, curve: Curve) -> None:
@@ -99,8 +105,8 @@ def fill_factor_axis(axes: Axes, curve: Curve) -> None:
 def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
-    for curve, colour, marker in zip(curves, cycle(COLOURS), cycle(MARKERS), strict=False):
-        draw_curve(axes, curve, colour, marker)
+    for curve, look in zip(curves, cycle(LOOKS), strict=False):
+        draw_curve(axes, curve, look)
     axes.set_xlabel("pixel size (µm)")
     axes.set_ylabel("mean ΔE, S-CIELAB")
     axes.set_ylim(bottom=0)
@@ -136,15 +142,15 @@ def other_statistics(curve: Curve) -> Plate:
     """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
-    for name, colour, marker in zip(("mean_delta_e", *OTHER_STATISTICS), (*COLOURS, "#555555"), (*MARKERS, "x"), strict=True):
+    for name, look in zip(("mean_delta_e", *OTHER_STATISTICS), LOOKS, strict=False):
         values = curve.statistics[name].mean(axis=1)
         label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
-        axes.plot(curve.pitch_um, values / values.min(), marker=marker, ms=3.5, lw=1, color=colour, label=label)
+        axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
     axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("ΔE over its least value")
+    axes.set_ylabel("ΔE over its least value of all pixel sizes")
     axes.set_ylim(0.9, 3.0)
     axes.grid(alpha=0.25)
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = (
         f"The same pictures judged by other statistics of ΔE ({curve.technology}), each divided by its smallest value. The "
         "pitch in the legend is the best of those tried. The maximum belongs to single dots of the darkest bars, where S-CIELAB, "
@@ -153,27 +159,27 @@ def other_statistics(curve: Curve) -> Plate:
     return Plate("other_statistics", caption, figure, curve_table([curve]))
 
 
-def pictures(result: StudyResult, curve: Curve, pitch_um: float, name: str) -> Plate:
-    """Ideal image, one output image, its ΔE map, and curves of equal ΔE of the mean map."""
-    scores = result.scores(curve.technology, pitch_um, SENSORS_SHOWN)
-    smooth = gaussian_filter(np.mean([score.delta_e for score in scores], axis=0), ISO_SMOOTHING_DOTS, mode="nearest")
+def pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
+    """Ideal image, one output image, its ΔE map, and curves of equal ΔE of the mean of several sensors' maps."""
+    mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
+    smooth = gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
     figure = new_figure(8.6, 7.6)
     (ideal, image), (map_, iso) = figure.subplots(2, 2)
     ideal.set_title("ideal image")
-    draw_picture(ideal, scores[0].ideal, result.irradiance)
+    draw_picture(ideal, score.ideal, result.irradiance)
     image.set_title(f"image from {pitch_um:.2f} µm pixels")
-    draw_picture(image, scores[0].image, result.irradiance)
-    map_.set_title(f"ΔE map, mean {scores[0].mean_delta_e:.3f}")
-    draw_delta_e(figure, map_, scores[0].delta_e, result.irradiance)
-    iso.set_title(f"curves of equal ΔE, mean of {len(scores)} sensors")
+    draw_picture(image, score.image, result.irradiance)
+    map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
+    draw_delta_e(figure, map_, score.delta_e, result.irradiance)
+    iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
-    draw_iso(iso, result, smooth, levels, COLOURS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
+    draw_iso(iso, result, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.technology}): the ideal image, the picture of one sensor, its ΔE map "
         f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
     )
-    return Plate(name, caption, figure, coarse_table(np.mean([score.delta_e for score in scores], axis=0), "delta_e"))
+    return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
 
 
 def coarse_table(values: Array, name: str) -> dict[str, Column]:
@@ -190,7 +196,7 @@ def draw_iso(
     result: StudyResult,
     smooth: Array,
     levels: Sequence[float],
-    colours: Sequence[str],
+    looks: Sequence[Look],
     widths: Sequence[float],
     labels: Sequence[str],
 ) -> list[tuple[float, float]]:
@@ -206,10 +212,12 @@ def draw_iso(
             y,
             smooth,
             levels=[levels[i] for i in there],
-            colors=[colours[i] for i in there],
+            colors=[looks[i].colour for i in there],
+            linestyles=[looks[i].dashes for i in there],
             linewidths=[widths[i] for i in there],
         )
-        axes.legend(lines.legend_elements()[0], [labels[i] for i in there], frameon=False, loc="upper left")
+        handles = [axes.plot([], [], lw=widths[i], label=labels[i], **looks[i].stroke)[0] for i in there]
+        axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
         points = [(float(px), float(py)) for segments in lines.allsegs for segment in segments for px, py in segment]
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
@@ -260,14 +268,15 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
     figure = new_figure(6.0, 3.8)
     axes = figure.subplots()
-    axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0])
+    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50, on the left")
     axes.set_xlabel("pixel size (µm)")
     axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
     axes.set_ylim(bottom=0)
     other = axes.twinx()
-    other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1])
+    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure, on the right")
     other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
     other.spines["right"].set_visible(True)
+    axes.legend(handles=[*detail, *light], frameon=False, loc="upper center", handlelength=LEGEND_LINE)
     caption = (
         f"Both sides of the trade-off ({curve.technology}): the frequency at which the system MTF is one half, and the least "
         "exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High detail and little light are good."

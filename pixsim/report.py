@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from pixsim.details import scale
 from pixsim.engine import Workers, results_of
-from pixsim.files import data_uri, replacing, versions, write_json
+from pixsim.files import replacing, versions, write_json
+from pixsim.pages import described, text_uri, write_page
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import map_plates, scene_plates
 from pixsim.parameters import Record
 from pixsim.plates import (
+    SENSORS_SHOWN,
     Drawn,
     Plate,
     delta_e_against_pitch,
@@ -24,8 +24,9 @@ from pixsim.plates import (
     other_statistics,
     pictures,
 )
-from pixsim.sweep import Curve, StudyResult
+from pixsim.study_result import Curve, StudyResult
 from pixsim.technology import load_technology
+from pixsim.views import Views, best_place, file_label, study_views
 
 # Of the paper, for the curves that any study has.
 FIGURE_NUMBERS = {
@@ -33,16 +34,8 @@ FIGURE_NUMBERS = {
     "delta_e_against_pitch_all": "Figure 8. ",
     "optimum_against_technology": "Figure 9. ",
 }
-
-
-def file_label(technology: str) -> str:
-    """A technology's name for file names: 0.35um, or the stem of a user's TOML."""
-    return Path(technology).stem if technology.endswith(".toml") else technology
-
-
-def nearest_pitch_um(curve: Curve) -> float:
-    """The evaluated pitch nearest the optimum."""
-    return float(curve.pitch_um[np.argmin(np.abs(np.log(curve.pitch_um / curve.optimum.pitch_um)))])
+# Of the page, and the sections whose figures stand under them.
+HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
 
 @dataclass(frozen=True)
@@ -64,24 +57,37 @@ def sections_of(result: StudyResult) -> list[Section]:
     return [Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)]
 
 
-def draw_section(section: Section, result: StudyResult) -> tuple[int, list[Drawn], list[Finding]]:
-    """Its number, its figures, and what it found."""
+@dataclass(frozen=True)
+class Made:
+    """What a section came to: its figures, the pictures that people see, and what it found."""
+
+    section: Section
+    drawn: list[Drawn]
+    views: Views | None = None
+    rows: tuple[Finding, ...] = ()
+
+
+def draw_section(section: Section, result: StudyResult) -> Made:
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
     rows: list[Finding] = []
+    views = None
     if section.kind == "curves":
         plates = curve_plates(result, first)
     elif section.kind == "pictures":
         curve = by_name[section.technology]
-        plates = [pictures(result, curve, nearest_pitch_um(curve), f"pictures_{file_label(curve.technology)}")]
+        scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
+        maps = [score.delta_e for score in scores]
+        plates = [pictures(result, curve, scores[0], maps, f"pictures_{file_label(curve.technology)}")]
+        views = study_views(result, curve, scores[0])
     elif section.kind == "more":
         plates = [other_statistics(first), light_against_detail(result, first)]
     elif section.kind == "paper's scene":
-        plates = scene_plates(result, first)
+        plates = scene_plates(result)
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return section.number, [Drawn.of(plate) for plate in plates], rows
+    return Made(section, [Drawn.of(plate) for plate in plates], views, tuple(rows))
 
 
 def curve_plates(result: StudyResult, first: Curve) -> list[Plate]:
@@ -96,7 +102,7 @@ def curve_plates(result: StudyResult, first: Curve) -> list[Plate]:
 
 
 def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers | None = None) -> Path:
-    """Write summary.json, figures/*.svg and *.csv, provenance.json and report.html; returns the report's path.
+    """Write summary.json, figures/ (*.svg, *.csv, contact sheets), provenance.json and report.html; returns the report's path.
 
     Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
     depend on the workers that draw the figures.
@@ -106,9 +112,17 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], w
     def itself() -> StudyResult:
         return result
 
-    made = sorted(results_of(draw_section, [(section, itself) for section in longest_first], workers or Workers()))
-    rows = [row for _, _, own in made for row in own]
-    shown = write_drawn(folder, [drawn for _, own, _ in made for drawn in own])
+    calls = [(section, itself) for section in longest_first]
+    made = sorted(results_of(draw_section, calls, workers or Workers()), key=lambda each: each.section.number)
+    rows = [row for each in made for row in each.rows]
+    views = [each.views for each in made if each.views]
+    shown = {
+        heading: write_drawn(folder, [drawn for each in made if each.section.kind in kinds for drawn in each.drawn])
+        for heading, kinds in HEADINGS.items()
+    }
+    for each in views:
+        with replacing(folder / "figures" / f"contact_sheet_{file_label(each.technology)}.png") as partial:
+            partial.write_bytes(each.sheet)
     paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}
     write_json(folder / "summary.json", result.as_dict() | paper_table)
     provenance = {"versions": versions(), "seconds": seconds}
@@ -117,6 +131,8 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], w
         "study": result.study,
         "curves": [(curve, curve.as_dict()) for curve in result.curves],
         "plates": shown,
+        "views": views,
+        "scale_bar": scale(),
         "findings": rows,
         "budget": result.budget,
         "header": result.irradiance.header,
@@ -125,17 +141,6 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], w
         "provenance": provenance,
     }
     return write_page(folder / "report.html", "report.html.j2", page)
-
-
-def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
-    """Fill in a packaged template; every string is escaped."""
-    from jinja2 import Environment, FileSystemLoader
-
-    folder = str(resources.files("pixsim") / "data")
-    environment = Environment(loader=FileSystemLoader(folder), autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    with replacing(path) as partial:
-        partial.write_text(environment.get_template(template).render(**content), encoding="utf-8")
-    return path
 
 
 def write_plates(folder: Path, plates: Sequence[Plate]) -> list[tuple[Drawn, str, str]]:
@@ -152,7 +157,7 @@ def write_drawn(folder: Path, drawn: Sequence[Drawn]) -> list[tuple[Drawn, str, 
         for suffix, text in (("svg", each.svg), ("csv", each.csv)):
             with replacing(figures / f"{each.name}.{suffix}") as partial:
                 partial.write_text(text, encoding="utf-8", newline="")
-        shown.append((each, data_uri("image/svg+xml", each.svg.encode()), data_uri("text/csv", each.csv.encode())))
+        shown.append((each, text_uri("image/svg+xml", each.svg), text_uri("text/csv", each.csv)))
     return shown
 
 
@@ -166,14 +171,8 @@ def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str, s
         (
             name,
             [
-                (
-                    key,
-                    value,
-                    field.description or "",
-                    study.sources.get(f"{name}.{key}", "default" if value == field.default else "set"),
-                )
-                for key, value in record.model_dump(exclude_none=True).items()
-                for field in [type(record).model_fields[key]]
+                (key, value, meaning, study.sources.get(f"{name}.{key}", "default" if usual else "set"))
+                for key, value, meaning, usual in described(record)
             ],
         )
         for name, record in records.items()

@@ -7,8 +7,9 @@ from typing import Any
 
 from pixsim.figures import COLOURS, literal, new_figure
 from pixsim.files import versions, write_json
+from pixsim.pages import write_page
 from pixsim.plates import Column, Plate
-from pixsim.report import write_page, write_plates
+from pixsim.report import write_plates
 from pixsim.sensitivity import Case, SensitivityResult
 
 
@@ -42,7 +43,7 @@ def draw_bar(axes: Any, row: int, base: float, points: list[tuple[str, float, bo
     axes.barh(row, max(values) - min(values), left=min(values), height=0.55, color=COLOURS[0], alpha=0.25)
     for index, (label, value, solid) in enumerate(sorted(points, key=lambda point: point[1])):
         axes.plot(value, row, "o", ms=4, color=COLOURS[0], mfc=COLOURS[0] if solid else "white")
-        axes.annotate(label, (value, row), textcoords="offset points", xytext=(0, 5 if index % 2 else -10), fontsize=6, ha="center")
+        axes.annotate(label, (value, row), textcoords="offset points", xytext=(0, 5 if index % 2 else -10), fontsize=7, ha="center")
 
 
 def case_table(result: SensitivityResult) -> dict[str, Column]:

@@ -141,7 +141,7 @@ def sfr_plate(found: EdgeResponse, pitch_um: float | None) -> Plate:
         at = mtf50 * scale
         axes.plot(at, 0.5, "o", ms=5, color=COLOURS[1])
         axes.annotate(f"MTF50 {at:.3g}", (at, 0.5), xytext=(12, 12), textcoords="offset points", color=COLOURS[1])
-    axes.set(xlabel=f"frequency along the edge's normal ({unit})", ylabel="e-SFR")
+    axes.set(xlabel=f"frequency along the edge's normal ({unit})", ylabel="e-SFR, contrast over that at 0")
     axes.set_xlim(0, scale)
     axes.set_ylim(0, 1.03)
     table: dict[str, Any] = {"frequency_cy_per_px": found.frequency_cy_per_px.tolist(), "sfr": found.sfr.tolist()}

@@ -30,7 +30,7 @@ class Curve:
     feature_size_um: float
     pitch_um: Array = field(repr=False)
     fill_factor: Array = field(repr=False)
-    statistics: dict[str, Array] = field(repr=False)  # mean_delta_e and the others, (pitches, repeats) each
+    statistics: dict[str, Array] = field(repr=False)  # mean_delta_e, the others and integration_s, (pitches, repeats) each
     optimum: Optimum
 
     @property
@@ -124,7 +124,9 @@ def curve_of(technology: str, rows: list[Row]) -> Curve:
     pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
     place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
     repeats = 1 + max(int(row["repeat"]) for row in own)
-    statistics = {name: np.full((pitches.size, repeats), np.nan) for name in COLUMNS if name.endswith("_delta_e")}
+    statistics = {
+        name: np.full((pitches.size, repeats), np.nan) for name in COLUMNS if name.endswith("_delta_e") or name == "integration_s"
+    }
     fill_factor = np.zeros(pitches.size)
     for row in own:
         index = place[float(row["pitch_um"])]

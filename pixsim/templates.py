@@ -64,6 +64,7 @@ EXAMPLES: dict[str, Any] = {
     "white_cd_per_m2": 1000.0,
     "parameters": {"resolution": 512},
     "scene": {"resolution": 512},
+    "detail": [0.8, 0.9],
     "sources": {"pixel.bits": "data sheet, page 3"},
     "quick": {"repeats": 4},
 }

@@ -79,7 +79,7 @@ def test_equal_maps_are_equal_bytes(tmp_path):
 
 
 def test_a_run_needs_neither_matplotlib_nor_a_study():
-    code = "import sys, pixsim.outputs, pixsim.pictures; pixsim.pictures._font(15); print(*sys.modules)"
+    code = "import sys, pixsim.outputs, pixsim.pictures; pixsim.pictures.font(15); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "pixsim.pictures" in loaded
     assert not {"matplotlib", "scipy.stats", "pixsim.sweep", "mitsuba"} & set(loaded)

@@ -65,18 +65,19 @@ def scaled(result: StudyResult) -> StudyResult:
 
 
 def paper_plates(evidence: Evidence) -> list[Plate]:
-    return [*scene_plates(evidence.result, evidence.curves["0.35um"]), *map_plates(evidence)]
+    return [*scene_plates(evidence.result), *map_plates(evidence)]
 
 
 def every_plate(evidence: Evidence) -> dict[str, Plate]:
     result, curve = evidence.result, evidence.result.curves[0]
+    scores = result.scores(curve.technology, 7.0)
     plates = [
         *paper_plates(evidence),
         light_against_detail(result, evidence.curves["0.35um"]),
         delta_e_against_pitch(result, [curve]),
         delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
         other_statistics(curve),
-        pictures(result, curve, 7.0, "pictures_0.35um"),
+        pictures(result, curve, scores[0], [score.delta_e for score in scores], "pictures_0.35um"),
         optimum_against_technology(scaled(result)),
     ]
     return {plate.name: plate for plate in plates}
@@ -282,7 +283,7 @@ def test_contrasts_stand_where_the_chart_has_them() -> None:
     expected = (1 + np.log(told / (975 / 1025)) / np.log(100)) * 64 * 0.0424
     assert axes.get_yticks() == pytest.approx(expected, abs=1e-3)
     assert told[-1] == 0.951
-    assert axes.get_ylabel() == "contrast"
+    assert axes.get_ylabel() == "contrast, (max − min) / (max + min)"
 
 
 @pytest.mark.parametrize("header", [{"scene": "flat.xml"}, {"scene": "csf.xml", "parameters": {"chart": "mine.exr"}}, {}])

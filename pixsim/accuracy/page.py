@@ -11,7 +11,8 @@ from pixsim.accuracy.lines import SHORT, accuracy_lines, errors_told, number, ve
 from pixsim.accuracy.plots import plates_of
 from pixsim.accuracy.result import METRICS, Accuracy
 from pixsim.files import output_folder, replacing, versions, write_json
-from pixsim.report import write_page, write_plates
+from pixsim.pages import write_page
+from pixsim.report import write_plates
 
 
 def write_accuracy(found: Accuracy, out: Path) -> Path:

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixsim.accuracy.fits import pareto
 from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.result import METRICS, Accuracy
-from pixsim.figures import COLOURS, new_figure
+from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, Look, new_figure
 from pixsim.photodiode_checks import response_plate
 from pixsim.plates import Column, Plate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito's other colours, for more than four kinds of points.
-MORE_COLOURS = (*COLOURS, "#56B4E9", "#E69F00", "#000000", "#777777")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p")
 RENDERED = ("methods", "spp", "film", "sampler", "lens", "bands")
 LEGEND_COLUMNS = 6
 JOINED = ("spp", "film")  # ladders that a line makes easier to follow
@@ -47,9 +44,8 @@ def shown_metrics(found: Accuracy) -> list[str]:
     return [metric for metric in METRICS if found.rivals(metric)]
 
 
-def style(name: str, names: list[str]) -> dict[str, Any]:
-    index = names.index(name)
-    return {"color": MORE_COLOURS[index % len(MORE_COLOURS)], "marker": MARKERS[index % len(MARKERS)]}
+def look(name: str, names: list[str]) -> Look:
+    return LOOKS[names.index(name) % len(LOOKS)]
 
 
 def finite(rungs: list[Rung], metric: str) -> list[Rung]:
@@ -75,8 +71,8 @@ def work_precision(found: Accuracy) -> Plate:
         draw_front(axes, found, metric)
         for name, rungs in groups.items():
             own = finite(rungs, metric)
-            look = style(name, list(groups)) | {"ls": "-" if name in JOINED or "Mitsuba" in name else "", "lw": 0.7, "ms": 5}
-            axes.plot([each.seconds for each in own], [getattr(each, metric) for each in own], label=name, **look)
+            style = look(name, list(groups)).line | ({} if name in JOINED or "Mitsuba" in name else {"ls": ""})
+            axes.plot([each.seconds for each in own], [getattr(each, metric) for each in own], label=name, lw=0.7, ms=5, **style)
         if math.isfinite(value := getattr(found.shipped, metric)):
             axes.plot(found.shipped.seconds, value, "*", ms=15, mfc="white", mec="black", mew=1.3, label="as shipped", zorder=5)
         log_axes(axes, "seconds, render and score, warm", AXES[metric])
@@ -126,20 +122,23 @@ def convergence(found: Accuracy) -> Plate:
     figure = new_figure(3.5 * columns, 2.9 * rows)
     grid = np.atleast_1d(figure.subplots(rows, columns, squeeze=False).ravel())
     for axes, name in zip(grid, names, strict=False):
-        for metric, colour, marker in zip(METRICS, COLOURS, MARKERS, strict=False):
+        for metric, drawn in zip(METRICS, LOOKS, strict=False):
+            marker = drawn.marker
             own = finite(found.ladder(name), metric)
             order = found.order(name, metric)
             label = AXES[metric].removeprefix("error of ").split(" (")[0] + (f": order {order}" if order else "")
             if own:
-                axes.plot([e.value for e in own], [getattr(e, metric) for e in own], marker, ms=4.5, color=colour, label=label)
+                axes.plot(
+                    [e.value for e in own], [getattr(e, metric) for e in own], marker, ms=4.5, color=drawn.colour, label=label
+                )
                 shipped = [e for e in own if e.shipped]
                 axes.plot([e.value for e in shipped], [getattr(e, metric) for e in shipped], marker, ms=9, mfc="none", mec="black")
             if order:
                 line = np.array(sorted(e.value for e in own))
-                axes.plot(line, [order.at(x) for x in line], color=colour, lw=0.8)
+                axes.plot(line, [order.at(x) for x in line], lw=0.8, **drawn.stroke)
         log_axes(axes, SETTINGS[name], "error", sorted({each.value for each in found.ladder(name)}))
         axes.set_title(name, fontsize=9)
-        axes.legend(fontsize=6, frameon=False)
+        axes.legend(fontsize=7, frameon=False)
     for axes in grid[len(names) :]:
         axes.set_visible(False)
     caption = (
@@ -159,16 +158,16 @@ def viewing(found: Accuracy) -> Plate:
         for name in names:
             own = sorted(finite(found.ladder(name), metric), key=lambda each: each.seconds)
             axes.plot(
-                [e.seconds for e in own], [getattr(e, metric) for e in own], "-", lw=0.7, ms=5, label=name, **style(name, names)
+                [e.seconds for e in own], [getattr(e, metric) for e in own], lw=0.7, ms=5, label=name, **look(name, names).line
             )
             for each in own:
                 axes.annotate(
-                    each.setting, (each.seconds, getattr(each, metric)), xytext=(4, 3), textcoords="offset points", fontsize=6
+                    each.setting, (each.seconds, getattr(each, metric)), xytext=(4, 3), textcoords="offset points", fontsize=7
                 )
             shipped = [each for each in own if each.shipped]
             axes.plot([e.seconds for e in shipped], [getattr(e, metric) for e in shipped], "*", ms=13, mfc="white", mec="black")
         log_axes(axes, "seconds, render and score, warm", AXES[metric])
-        axes.legend(fontsize=8, frameon=False)
+        axes.legend(fontsize=8, frameon=False, handlelength=LEGEND_LINE)
     caption = (
         "Sensors and display. Seeds: the mean over so many individual sensors against that over others. Raster: the same picture "
         "at the same angle on a display of so many dots, against the finest; a display is part of what is asked, so that this is "
@@ -182,14 +181,18 @@ def stages(found: Accuracy) -> Plate:
     names, seconds = list(found.stage_seconds), list(found.stage_seconds.values())
     figure = new_figure(7.0, 2.6)
     axes = figure.subplots()
-    axes.barh(names, seconds, color=[COLOURS[1] if each == max(seconds) else COLOURS[0] for each in seconds])
+    longest = max(seconds)
+    shown = [LOOKS[1] if each == longest else LOOKS[0] for each in seconds]
+    hatches = ["//" if each == longest else "" for each in seconds]
+    axes.barh(names, seconds, color=[each.colour for each in shown], hatch=hatches, edgecolor="white", lw=0)
     for row, each in enumerate(seconds):
         axes.annotate(f"{each:.2f} s", (each, row), xytext=(4, -3), textcoords="offset points", fontsize=8)
     axes.invert_yaxis()
     axes.margins(x=0.12)
     axes.set_xlabel("seconds of one result in a fresh process, without imports")
     caption = (
-        "Where the time goes: the longest bar is what to speed up next. Compile: what a first render takes longer than a second."
+        "Where the time goes: the longest bar, hatched, is what to speed up next. Compile: what a first render takes longer "
+        "than a second."
     )
     return Plate("stages", caption, figure, {"stage": names, "seconds": seconds})
 

@@ -72,7 +72,7 @@ def run(
     pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
     Writes irradiance.exr, raw.exr (for --raw in other formats too), ideal.png, image.png, delta_e.exr, delta_e.png,
-    score.json.
+    score.json, and report.html, which shows them.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def run(
         json,
         score_line(result)
         + (f"; noise of the render {noise['fraction']:.2g} of the sensor's" if noise else "")
-        + f"; pictures in {folder}"
+        + f"; report: {folder / 'report.html'}"
         + "".join(f"\n{line}" for line in budget_lines(result)),
     )
 

@@ -1,0 +1,41 @@
+"""HTML pages from packaged templates, one file each that opens offline."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from pixsim.files import data_uri, replacing
+from pixsim.record import Record
+
+# What may stand in a data URI inside double quotes as it is.
+PLAIN = " !$()*+,-./:;=?@[]^_{|}~"
+
+
+def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
+    """Fill in a packaged template; every string is escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    folder = str(resources.files("pixsim") / "data")
+    how: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    environment = Environment(loader=FileSystemLoader(folder), **how)
+    environment.filters["png"] = lambda content: data_uri("image/png", content)
+    with replacing(path) as partial:
+        partial.write_text(environment.get_template(template).render(**content), encoding="utf-8")
+    return path
+
+
+def text_uri(kind: str, text: str) -> str:
+    """A text file in a page that opens offline, in fewer bytes than `data_uri` takes."""
+    return f"data:{kind}," + quote(text, safe=PLAIN)
+
+
+def described(record: Record) -> list[tuple[str, Any, str, bool]]:
+    """Name, value and meaning of each field that is set, and whether the value is the default."""
+    fields = type(record).model_fields
+    return [
+        (key, value, fields[key].description or "", value == fields[key].default)
+        for key, value in record.model_dump(exclude_none=True).items()
+    ]

@@ -1,0 +1,100 @@
+"""The page of one picture: what a run found, and what people see of it, in one file that opens alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pixsim.details import Picture, crops, scale, worst_window
+from pixsim.pages import described, write_page
+from pixsim.parameters import Camera, Display, Exposure
+from pixsim.pictures import extent, grey_codes
+from pixsim.score import Score
+from pixsim.spectral import Array, SpectralImage
+from pixsim.wording import budget_lines, score_line
+
+MOST_DOTS = 1024  # along a side of the pictures in the page: larger ones would make it tens of megabytes
+# What lies beside the page.
+FILES = {
+    "score.json": "all numbers and settings, for programs",
+    "irradiance.exr": "light on the sensor, before diffraction",
+    "raw.exr": "digital numbers of the sensor",
+    "ideal.png": "what an ideal camera would have shown",
+    "image.png": "what the viewer is shown",
+    "delta_e.exr": "S-CIELAB map, for programs",
+    "delta_e.png": "S-CIELAB map, with axes",
+    "provenance.json": "versions and times",
+}
+MEANINGS = {
+    "pitch_um": "pixel size, centre to centre (µm)",
+    "fill_factor": "photodiode area over pixel area",
+    "full_well_e": "full well (electrons)",
+    "integration_s": "exposure time (s)",
+    "saturated_fraction": "pixels at the top code, of all",
+    "mean_electrons_e": "mean photo-electrons of all pixels",
+    "mean_delta_e": "mean ΔE",
+    "median_delta_e": "median ΔE",
+    "p90_delta_e": "ΔE that 90 % of the dots are below",
+    "p99_delta_e": "ΔE that 99 % of the dots are below",
+    "max_delta_e": "largest ΔE",
+}
+
+
+def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summary: dict[str, Any], raw: Sequence[str]) -> None:
+    """Write report.html beside the run's other files, whose pictures it holds.
+
+    raw : suffixes of the formats in which the frame was written
+    """
+    window = worst_window([score.delta_e])
+    width_mm, height_mm = extent(irradiance)[1:3]
+    physics, header = score.physics, irradiance.header
+    name = f"{physics.pitch_um:g} µm pixels"
+    ideal = shown_picture(folder / "ideal.png", score.ideal, "ideal image")
+    image = shown_picture(folder / "image.png", score.image, name)
+    rows, columns = score.frame.dn.shape
+    camera = Camera.model_validate(summary["camera"])
+    records = {
+        "camera": camera,
+        "pixel": physics.pixel,
+        "exposure": Exposure.model_validate(summary["exposure"]),
+        "display": Display.model_validate(summary["display"]),
+    }
+    page = {
+        "scene": Path(str(header.get("scene", "a picture made elsewhere"))).stem,
+        "line": score_line(summary),
+        "summary": summary,
+        "physics": physics,
+        "pixels": (columns, rows),
+        "die_mm": (width_mm, height_mm),
+        "camera": camera,
+        "well": float(score.frame.mean_e.max()) / physics.full_well_e,
+        "ideal": ideal,
+        "image": image,
+        "reduced": factor_for(score.ideal),
+        "crops": crops(score, window, "the sensor's picture"),
+        "place_mm": (window.centre[0] * width_mm, window.centre[1] * height_mm),
+        "scale_bar": scale(),
+        "map": (folder / "delta_e.png").read_bytes(),
+        "statistics": [(MEANINGS[key], value) for key, value in score.statistics().items()],
+        "budget": budget_lines(summary),
+        "settings": [(title, described(record)) for title, record in records.items()],
+        "header": header,
+        "files": FILES | {f"raw{suffix}": "the same, for other programs" for suffix in raw},
+    }
+    write_page(folder / "report.html", "run.html.j2", page)
+
+
+def factor_for(picture: Array) -> int:
+    """How many dots a side come to one in the page."""
+    return -(-max(picture.shape) // MOST_DOTS)
+
+
+def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
+    """A whole picture, of at most `MOST_DOTS` a side: its file, or means of squares of dots (what is left over is cut off)."""
+    n = factor_for(luminance)
+    if n == 1:
+        return Picture(name, "", path.read_bytes(), luminance.shape[1], luminance.shape[0])
+    rows, columns = (size // n for size in luminance.shape)
+    means = luminance[: rows * n, : columns * n].reshape(rows, n, columns, n).mean(axis=(1, 3))
+    return Picture.of(grey_codes(means), name)

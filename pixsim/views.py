@@ -1,0 +1,126 @@
+"""What people see of a study: the same detail from every pixel size, and whole pictures to lay over the ideal image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pixsim import cache
+from pixsim import display as displays
+from pixsim.contact_sheet import Tile, contact_sheet_png
+from pixsim.details import Picture, crops, window_at, worst_window
+from pixsim.evaluations import Content, bench_at, block_key, stream_key
+from pixsim.parameters import pixel_of
+from pixsim.pictures import grey_codes
+from pixsim.pixel import derive
+from pixsim.score import Projection, Score
+from pixsim.sensor import Frame, pixels_along
+from pixsim.spectral import Array
+from pixsim.study_result import Curve, StudyResult
+
+
+@dataclass(frozen=True)
+class Views:
+    """Pictures of one technology, or of one run.
+
+    tiles : the ideal image's detail, then that of every pitch
+    crops : for some pitches, the detail of the ideal image, of the output, and of its ΔE map
+    ideal, outputs : whole pictures
+    sheet : the tiles as one labelled PNG
+    """
+
+    technology: str
+    place: tuple[float, float]
+    tiles: tuple[Picture, ...]
+    crops: tuple[tuple[Picture, ...], ...]
+    ideal: Picture
+    outputs: tuple[Picture, ...]
+    sheet: bytes = field(default=b"", repr=False)
+
+
+def best_place(curve: Curve) -> int:
+    """Index of the evaluated pitch nearest the optimum."""
+    return int(np.argmin(np.abs(np.log(curve.pitch_um / curve.optimum.pitch_um))))
+
+
+def file_label(technology: str) -> str:
+    """A technology's name for file names: 0.35um, or the stem of a user's TOML."""
+    return Path(technology).stem if technology.endswith(".toml") else technology
+
+
+def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
+    """The smallest, the best and the largest pixels against the ideal image, and a detail from every pitch.
+
+    best : the first sensor's score at `best_place`
+    """
+    at, last = best_place(curve), curve.pitch_um.size - 1
+    ends = sorted({0, at, last})
+    scores = {place: best if place == at else result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in ends}
+    ideal = max((score.ideal for score in scores.values()), key=lambda each: each.size)
+    where = result.study.detail
+    window = (
+        window_at(where, (ideal.shape[0], ideal.shape[1])) if where else worst_window([scores[0].delta_e, scores[last].delta_e])
+    )
+    tiles = [Tile(grey_codes(window.of(ideal)), "ideal image", "")]
+    for place in range(last + 1):
+        image = scores[place].image if place in scores else picture_at(result, curve, place)
+        tiles.append(Tile(grey_codes(window.of(image)), *words(curve, place), place == at and curve.optimum.inside))
+    named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
+    return Views(
+        technology=curve.technology,
+        place=window.centre,
+        tiles=tuple(Picture.of(tile.codes, tile.name, tile.note, tile.best) for tile in tiles),
+        crops=tuple(crops(scores[place], window, f"the {called(curve, place)}") for place in ends),
+        ideal=Picture.of(grey_codes(ideal), "ideal image"),
+        outputs=tuple(
+            Picture.of(grey_codes(scores[place].image), named[place], words(curve, place)[1], place == at) for place in ends
+        ),
+        sheet=contact_sheet_png(f"{file_label(curve.technology)}: the same detail from every pixel size, 1:1", tiles),
+    )
+
+
+def words(curve: Curve, place: int) -> tuple[str, str]:
+    """Pixel size, and mean ΔE over the whole picture and the sensors."""
+    return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.delta_e[place].mean():.3f}"
+
+
+def called(curve: Curve, place: int) -> str:
+    """A pitch by its part in the story."""
+    if curve.optimum.inside and place == best_place(curve):
+        return "best"
+    return "smallest" if place == 0 else "largest"
+
+
+def pixels_of(size_um: tuple[float, float], pitch_um: float) -> tuple[int, ...]:
+    return tuple(pixels_along(um, pitch_um) for um in size_um)
+
+
+def picture_at(result: StudyResult, curve: Curve, place: int) -> Array:
+    """The first sensor's picture of a pitch, shown luminance (H, W): that of `result.scores`, without its ΔE.
+
+    What the cache holds is only shown, in a fifth of the time that the light on the pixels takes.
+    """
+    study, pitch_um = result.study, float(curve.pitch_um[place])
+    light = result.lights.of(curve.technology)
+    key = block_key(Content(study, result.camera, result.irradiance).frames(curve.technology, pitch_um), 0)
+    kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
+    if not isinstance(light, Projection) or kept is None or kept.shape != pixels_of(light.size_um, pitch_um):
+        bench = bench_at(study, light, result.camera, curve.technology, pitch_um)
+        frame = bench.capture(*stream_key(study, bench.physics.technology.name, pitch_um, 0))
+        white_e, size_um = bench.white_e_per_s * frame.integration_s, bench.size_um
+    else:
+        physics, time_s = derive(pixel_of(study, curve.technology, pitch_um)), float(curve.statistics["integration_s"][place, 0])
+        white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
+        frame = Frame(
+            dn=kept.astype(np.int32),
+            mean_e=np.broadcast_to(np.nan, kept.shape),  # nothing that is shown depends on it
+            integration_s=time_s,
+            dn_per_e=physics.dn_per_e,
+            black_level_dn=physics.pixel.black_level_dn,
+            mean_dark_e=physics.dark_current_e_per_s * time_s,
+            pitch_um=pitch_um,
+            bits=physics.pixel.bits,
+        )
+    return displays.shown_luminance(displays.frame_luminance(frame, size_um, white_e, study.display), study.display)
