@@ -1,0 +1,92 @@
+"""Markdown that reads well on GitHub and in the site: links between files, pages from elsewhere, the command line's page.
+
+A link to a page of the site stays one. A link to another file of the repository becomes its path, as code; one to nothing fails
+the build.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+from sphinx.util import logging
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+# Pages that stand elsewhere in the repository: what docs/ has under these names is a line for readers on GitHub.
+ELSEWHERE = {"repository/scenes": ROOT / "scenes/README.md", "repository/changelog": ROOT / "CHANGELOG.md"}
+COMMAND_LINE = "reference/command_line"
+COMMANDS_HERE = "<!-- commands -->"
+FENCE = re.compile(r"^ *(```|~~~)")
+CODE_OR_LINK = re.compile(r"(`+[^`]*`+)|(!?)\[((?:[^\[\]]|\[[^\]]*\]\([^)]*\))*)\]\(([^()\s]+)\)")
+logger = logging.getLogger(__name__)
+
+
+def page_of(path: Path) -> str | None:
+    """The document that shows a file. README.md is for those who have no site: its place is the first page."""
+    for name, other in ELSEWHERE.items():
+        if path == other:
+            return name
+    if path == ROOT / "README.md":
+        return "index"
+    return path.relative_to(DOCS).with_suffix("").as_posix() if path.is_relative_to(DOCS) and path.suffix == ".md" else None
+
+
+def rewritten(text: str, source: Path, docname: str) -> str:
+    """The text of a file with links as the page `docname` needs them; nothing in code is touched."""
+    here = (DOCS / docname).parent
+
+    def link(match: re.Match[str]) -> str:
+        code, picture, words, target = match.groups()
+        if code:
+            return code
+        words = CODE_OR_LINK.sub(link, words)  # a picture within a link
+        if re.match(r"[a-z+]+:|#", target):
+            return f"{picture}[{words}]({target})"
+        path, _, anchor = target.partition("#")
+        found = Path(os.path.normpath(source.parent / path))
+        if not found.exists() or not found.is_relative_to(ROOT):
+            logger.warning("a link to nothing: %s", target, location=str(source))
+            return words
+        if picture:
+            return f"![{words}]({os.path.relpath(found, here)})"
+        page = page_of(found)
+        if page:
+            anchor = f"#{anchor}" if anchor and found != ROOT / "README.md" else ""
+            return f"[{words}]({os.path.relpath(DOCS / page, here)}.md{anchor})"
+        name = found.relative_to(ROOT).as_posix()
+        return words if name in words else f"{words} (`{name}`)"
+
+    lines, fenced = [], ""
+    for line in text.splitlines():
+        fence = FENCE.match(line)
+        if fence and fenced in ("", fence[1]):
+            fenced = "" if fenced else fence[1]
+        lines.append(line if fence or fenced else CODE_OR_LINK.sub(link, line))
+    return "\n".join(lines) + "\n"
+
+
+def on_read(app: Sphinx, docname: str, content: list[str]) -> None:
+    source = ELSEWHERE.get(docname, DOCS / f"{docname}.md")
+    if docname in ELSEWHERE:
+        app.env.note_dependency(str(source))
+        content[0] = source.read_text(encoding="utf-8")
+    if docname == COMMAND_LINE:
+        content[0] = content[0].replace(COMMANDS_HERE, commands())
+    content[0] = rewritten(content[0], source, docname)
+
+
+def commands() -> str:
+    """Every command with its options, from the app itself."""
+    from pixsim.cli import app as program
+
+    told: str = program.generate_docs(output_format="markdown", heading_level=1)
+    return told[told.index("## pixsim run") :]
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    app.connect("source-read", on_read)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
