@@ -17,7 +17,6 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "from_
 exclude_patterns = ["pictures", "**/.*", "*.md.j2"]
 default_role = "name_or_code"  # of from_docstrings
 myst_heading_anchors = 4  # as GitHub names them
-suppress_warnings = ["toc.empty_glob"]  # pages appear when they are written
 
 autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"

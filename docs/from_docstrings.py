@@ -23,7 +23,7 @@ from pixsim.templates import allowed, toml_value, unit_of
 
 ENTRY = re.compile(r"(\w+(?:, \w+)*) : (.*)")
 ENUMERATOR = re.compile(r"(\(?\w{1,3}[.)] |[-+•] )")  # what would begin a list
-SHORT = {"npt.ArrayLike": "ArrayLike", "Floats": "Array", "str | os.PathLike[str]": "path", "np.random.Generator": "Generator"}
+SHORT = {"npt.ArrayLike": "ArrayLike", "Floats": "Array", "os.PathLike[str]": "PathLike", "np.random.Generator": "Generator"}
 SHORT |= {"NDArray[np.float32]": "Array", "NDArray[np.int32]": "Array", "NDArray[Any]": "Array"}
 
 # Where short names are looked for.
@@ -75,11 +75,11 @@ def rst(lines: list[str], thing: Any) -> list[str]:
             examples += ["", *part]
         elif pairs := entries(part):
             for names, text in pairs:
-                described |= {name: text for name in names.split(", ")} if fields_of(thing) else {names: text}
+                described |= dict.fromkeys(names.split(", "), text) if fields_of(thing) else {names: text}
         elif words.startswith("Raises PixsimError "):
-            raised.append(f":raises PixsimError: {escaped(words.removeprefix('Raises PixsimError '))}")
+            raised.append(f":Raises: `PixsimError` {escaped(words.removeprefix('Raises PixsimError '))}")
         elif words.startswith("Returns "):
-            told.append(f":returns: {escaped(words.removeprefix('Returns '))}")
+            told.append(f":Returns: {escaped(words.removeprefix('Returns '))}")
         elif part[0].startswith(" "):
             prose += ["", "::", "", *(f"   {line}" for line in part)]
         else:
@@ -89,7 +89,9 @@ def rst(lines: list[str], thing: Any) -> list[str]:
         prose += ["", f"Fields, as in `{heir}`: {', '.join(f'`{each}`' for each in own)}."]
         return [*prose, ""]
     if not own:
-        told = [f":param {name.replace(', ', ' , ')}: {escaped(text)}" for name, text in described.items()] + told
+        # Not `:param a, b:`, which would take a for the type of b.
+        lists = [f"   * **{name.replace(', ', '**, **')}** – {escaped(text)}" for name, text in described.items()]
+        told = ([":Parameters:", *lists] if lists else []) + told
     attributes = [line for each in own for line in attribute(each, thing, described.get(each, ""))]
     return [*prose, "", *told, *raised, *examples, "", *attributes, ""]
 

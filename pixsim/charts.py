@@ -28,12 +28,19 @@ STAR_CYCLES = 72
 
 
 def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
-    """Local frequency at x in [0, 1] across the die: exponential from 1 to 33.3 lp/mm."""
+    """Local frequency at x in [0, 1] across the die, (...) as x: exponential from 1 to 33.3 lp/mm (Chen et al. 2000).
+
+    >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # the Nyquist frequency of 15 µm pixels at the right
+    [1.0, 33.333]
+    """
     return LOWEST_FREQUENCY_LP_PER_MM * (HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM) ** np.asarray(x)
 
 
 def csf_contrast(y: ArrayLike) -> Array:
-    """Michelson contrast at y in [0, 1], 0 on top: exponential from 1 % of the largest to the largest, 0.951."""
+    """Michelson contrast at y in [0, 1], 0 on top, (...) as y: exponential from 1 % of the largest to the largest, 0.951.
+
+    25 to 1000 cd/m² (Chen et al. 2000).
+    """
     low, high = LUMINANCE_CD_PER_M2
     return (high - low) / (high + low) * LOWEST_CONTRAST ** (1 - np.asarray(y, float))
 
@@ -41,7 +48,10 @@ def csf_contrast(y: ArrayLike) -> Array:
 def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
     """The CSF chart at a point: mean (1 + contrast(y) sin φ(x)), φ the integral of 2π frequency.
 
-    x to the right and y downwards, in [0, 1]. A value of 1 stands for 1000 cd/m², the mean is 0.5125.
+    A value of 1 stands for 1000 cd/m², the mean is 0.5125 (Chen et al. 2000).
+
+    x, y : to the right and downwards, in [0, 1]; the result has the shape that they broadcast to
+    die_mm : width that the chart fills
     """
     low, high = LUMINANCE_CD_PER_M2
     growth = np.log(HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM)
@@ -50,7 +60,7 @@ def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
 
 
 def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, die_mm: float = DIE_MM) -> Array:
-    """A vertical sinusoidal grating at x in [0, 1], mean 0.5."""
+    """A vertical sinusoidal grating at x in [0, 1], (...) as x, relative luminance of mean 0.5 and a Michelson contrast."""
     return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
 
 
@@ -59,7 +69,9 @@ def _grid(height: int, width: int) -> tuple[Array, Array]:
 
 
 def csf(width: int = 8192, height: int = 256, die_mm: float = DIE_MM) -> NDArray[np.float32]:
-    """Contrast-sensitivity chart. 8192 texels hold the highest frequency to 0.06 % under bilinear interpolation.
+    """Contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texels.
+
+    8192 of them hold the highest frequency to 0.06 % under bilinear interpolation.
 
     The many rows are for the lowest half row, where a texture cannot follow its rising contrast (0.9 % short there).
     Texels are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
@@ -78,13 +90,13 @@ def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: in
 
 
 def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> NDArray[np.float32]:
-    """An edge 5° from the vertical through the centre (ISO 12233), bright on the right."""
+    """An edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, a share `dark` left."""
     slope = np.tan(np.radians(SLANT_DEG))
     return _antialiased(lambda x, y: x - 0.5 > (0.5 - y) * slope, width, height, dark)
 
 
 def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> NDArray[np.float32]:
-    """A sector star of 72 cycles in a disc of 90 % of the die."""
+    """A sector star of 72 cycles in a disc of 90 % of the die, (height, width): 1, and a fraction `dark`."""
 
     def inside(x: Array, y: Array) -> Array:
         sector = np.sin(STAR_CYCLES * np.arctan2(0.5 - y, x - 0.5)) > 0
@@ -94,7 +106,7 @@ def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> 
 
 
 def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
-    """A uniform field of value 1."""
+    """A uniform field of relative luminance 1, (height, width)."""
     return np.ones((height, width), np.float32)
 
 
@@ -107,9 +119,16 @@ CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
 
 
 def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:
-    """A chart by name, (H, W) float32; the size defaults to what the shipped textures have.
+    """A chart by name, (H, W) float32 of relative luminance; the size defaults to what the shipped textures have.
 
-    `die_mm` is the width that the chart fills, for the one whose frequencies depend on it (csf).
+    kind : csf, slanted_edge, siemens_star or flat
+    width, height : in texels
+    die_mm : width that the chart fills, for the one whose frequencies depend on it (csf)
+
+    Raises PixsimError for another kind, a size out of 2 to 32768 texels, and a die for a chart that needs none.
+
+    >>> make_chart("flat", width=3, height=2).tolist()
+    [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
     """
     if kind not in CHARTS:
         raise refuse("chart", f"'{kind}'", ", ".join(CHARTS))
@@ -124,7 +143,13 @@ def make_chart(kind: str, width: int | None = None, height: int | None = None, d
 
 
 def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> None:
-    """Write a texture that Mitsuba reads as it is (with `raw` true): one linear float32 channel Y, row 0 on top."""
+    """Write a texture that Mitsuba reads as it is (with `raw` true): one linear float32 channel Y, row 0 on top.
+
+    path : ends in .exr
+    texels : (H, W) relative luminance
+
+    Raises PixsimError for another ending, and for a path that cannot be written.
+    """
     if Path(path).suffix.lower() != ".exr":
         raise refuse("chart file", f"'{path}'", "a name that ends in .exr")
     write_channels(path, {"Y": texels}, {})

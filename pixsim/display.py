@@ -32,7 +32,10 @@ WHITE_DIGITS = 2  # so that the noise of a render does not move the white
 
 
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
-    """Scene luminance that is shown as display white: the display's own number, else that of texel value 1."""
+    """Scene luminance that is shown as display white: the display's own number, else that of texel value 1.
+
+    Raises PixsimError where neither tells it.
+    """
     white = display.white_cd_per_m2 or irradiance.header.get("luminance_cd_per_m2")
     if not white:
         raise refuse(
@@ -45,7 +48,10 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
 
 
 def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
-    """A white for a scene that tells none: the 99th percentile of its luminance, to two digits; with a warning."""
+    """A white for a scene that tells none: the 99th percentile of its luminance, to two digits; with a warning.
+
+    Raises PixsimError for a picture too dark to tell.
+    """
     factor = optics.field_factor(
         irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
     )
@@ -64,14 +70,17 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
 
 
 def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
-    """What the header lacks for a white: nothing where the display or the scene tells it, else `measured_white`."""
+    """What the header lacks for a white: nothing where the display or the scene tells it, else `measured_white`.
+
+    Raises PixsimError as that does.
+    """
     if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
         return {}
     return measured_white(irradiance, camera)
 
 
 def white_spectrum(irradiance: SpectralImage) -> Array | None:
-    """Spectrum of the scene's white in the image's bands, any unit: that of its lamps where they share one, else None."""
+    """Spectrum of the scene's white in the image's bands, (B,) in any unit: that of its lamps where they share one, else None."""
     lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
     if lamp:
         return np.asarray(lamp, float)
@@ -105,9 +114,11 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
 
 
 def dot_edges_um(length_um: float, die_um: float, pitch_um: float, display: Display) -> Array:
-    """Borders of the dots along one side of the sensor, measured from the picture's border.
+    """Borders of the dots along one side of the sensor, (dots + 1,), measured from the picture's border.
 
     `fixed_size`: `dots` belong to the width of the die. `one_to_one`: a dot is a pixel of the centred array.
+
+    length_um, die_um : of that side, and the picture's width
     """
     if display.raster == "fixed_size":
         return np.linspace(0.0, length_um, max(1, round(display.dots * length_um / die_um)) + 1)
@@ -115,12 +126,12 @@ def dot_edges_um(length_um: float, die_um: float, pitch_um: float, display: Disp
 
 
 def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:
-    """Borders of a centred array of pixels."""
+    """Borders of a centred line of `count` pixels, (count + 1,), measured from the picture's border."""
     return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
 
 
 def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
-    """(height, width) on the sensor."""
+    """(height, width) of the picture on the sensor."""
     height, width = irradiance.shape
     return height * irradiance.pitch_um, width * irradiance.pitch_um
 
@@ -128,13 +139,19 @@ def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
 def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
     """Means, over the intervals between `edges_um`, of lines of equal cells interpolated through their centres, along an axis.
 
-    The cells start at `low_um`; beyond the outermost centres a line goes on constant. Degree 0 is piecewise constant.
+    The cells start at `low_um`; beyond the outermost centres a line goes on constant.
+
+    values : (n, ...) or (..., n), any unit; the result has a mean for each interval there
+    pitch_um : of the cells
+    edges_um : (intervals + 1,) rising
+    degree : 0 is piecewise constant, 1 linear, 3 the cubic spline
+    axis : 0 or 1, along which
     """
     edges = (edges_um - low_um) / pitch_um - 0.5
     lines = np.moveaxis(values, axis, 0)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
-        means = mean_weights(len(lines), edges, degree) @ np.ascontiguousarray(lines)
+        means = _mean_weights(len(lines), edges, degree) @ np.ascontiguousarray(lines)
     else:
         from scipy.interpolate import make_interp_spline  # 0.3 s, for cubic displays only
 
@@ -145,7 +162,7 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     return np.ascontiguousarray(np.moveaxis(means, 0, axis))
 
 
-def mean_weights(n: int, edges: Array, degree: int) -> csr_array:
+def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
     """What n values at 0 … n - 1 weigh in the mean between neighbouring edges, (edges - 1, n).
 
     A value belongs to a box (degree 0) or to a hat (degree 1) around its place; the outermost ones go on for ever. Its
@@ -168,7 +185,7 @@ def mean_weights(n: int, edges: Array, degree: int) -> csr_array:
     return csr_array((weight[kept], value[kept], rows), shape=(edges.size - 1, n))
 
 
-def smooth_excess(five: Array) -> Array:
+def _smooth_excess(five: Array) -> Array:
     """How far a smooth picture may go beyond the mean of the third of five neighbouring cells (5, …), (…).
 
     At a crest it exceeds the mean of its cell by a sixth of the second difference, at most; half of the smallest of three
@@ -180,7 +197,9 @@ def smooth_excess(five: Array) -> Array:
 
 
 def cell_range(cells: Array, y: NDArray[np.intp], x: NDArray[np.intp]) -> tuple[Array, Array]:
-    """(least, most) that a point may have in the cells at the crossings of rows y and columns x, (len(y), len(x)) each.
+    """(least, most) that a point may have in the cells (H, W) at rows y and columns x, (len(y), len(x)) each, same unit.
+
+    After A. Suresh and H. T. Huynh, J. Comput. Phys. 136 (1997) 83.
 
     No point is darker or brighter than its cell and the eight around it, but where the picture is smooth (not in the two
     outermost cells along an axis); and none is below zero.
@@ -189,8 +208,8 @@ def cell_range(cells: Array, y: NDArray[np.intp], x: NDArray[np.intp]) -> tuple[
     five_rows = cells[np.clip(y + around[:, None], 0, height - 1)]
     columns = np.clip(x + around[:, None], 0, width - 1)
     inside = ((y >= 2) & (y < height - 2))[:, None], (x >= 2) & (x < width - 2)
-    beyond = np.where(inside[0], smooth_excess(five_rows).take(x, axis=1), 0.0)
-    beyond += np.where(inside[1], smooth_excess(np.stack([five_rows[2].take(each, axis=1) for each in columns])), 0.0)
+    beyond = np.where(inside[0], _smooth_excess(five_rows).take(x, axis=1), 0.0)
+    beyond += np.where(inside[1], _smooth_excess(np.stack([five_rows[2].take(each, axis=1) for each in columns])), 0.0)
     rows = five_rows[1:4]
     lowest, highest = rows.min(axis=0), rows.max(axis=0)
     least = np.minimum.reduce([lowest.take(each, axis=1) for each in columns[1:4]]) - beyond
@@ -199,7 +218,12 @@ def cell_range(cells: Array, y: NDArray[np.intp], x: NDArray[np.intp]) -> tuple[
 
 
 def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> Array:
-    """Relative luminance at the dot centres from a sensor without blur, noise or quantisation behind an ideal lens."""
+    """Relative luminance at the dot centres from a sensor without blur, noise or quantisation behind an ideal lens.
+
+    Returns (H, W) dots, 1 for the scene's white.
+
+    Raises PixsimError for more dots than memory holds, and as `white_rate` does.
+    """
     size_um = picture_size_um(irradiance)
     centres = []
     for length_um in size_um:
@@ -219,7 +243,7 @@ def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
 
 
 def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, display: Display) -> Array:
-    """Relative luminance of a frame on the display's dots, mapped by position on the die.
+    """Relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
 
     A dot shows the mean over itself of the picture interpolated between pixel centres. (Reading the picture at the dots'
     centres would make noise depend on how pixels and dots register: mean ΔE jumps by a quarter where the pitches agree.)
@@ -243,7 +267,13 @@ def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, 
 
 
 def shown_luminance(relative_luminance: Array, display: Display) -> Array:
-    """What a display of finite bits and range shows: encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1."""
+    """What a display of finite bits and range shows of `relative_luminance` (...), in the same shape, 1 for white.
+
+    Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
+
+    >>> shown_luminance(np.array([-0.1, 0.5, 2.0]), Display(gamma=1.0, bits=1)).tolist()
+    [0.0, 0.0, 1.0]
+    """
     top = 2**display.bits - 1
     light = (np.arange(top + 1) / top) ** display.gamma
     counts = np.asarray(np.clip(relative_luminance, 0.0, 1.0))
@@ -253,5 +283,5 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
 
 
 def to_xyz(luminance: Array) -> Array:
-    """Grey light of a D65 display, (H, W, 3), white at Y = 100."""
+    """Grey light of a D65 display, (H, W, 3), white at Y = 100, from relative luminance (H, W). CIE 15, 2-degree observer."""
     return luminance[:, :, None] * WHITE_XYZ

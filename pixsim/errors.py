@@ -9,7 +9,7 @@ LONGEST = 20_000  # characters of a message
 
 
 class PixsimError(ValueError):
-    """Input that pixsim cannot use; the message tells what was asked, found and allowed, and how to mend it."""
+    """Input that pixsim cannot use; the message tells what was asked, found and allowed, and how to mend it. A ValueError."""
 
     def __init__(self, message: str) -> None:
         super().__init__(shown(message))

@@ -22,12 +22,13 @@ from pixsim.errors import PixsimError, refuse
 from pixsim.files import replacing
 from pixsim.messages import checked
 from pixsim.parameters import Camera, CameraOptions
-from pixsim.spectral import Array, SpectralImage, even_light, read_exr, read_header
+from pixsim.spectral import Array, SpectralImage, read_exr, read_header
 from pixsim.units import ALLOWED_UNITS, HOW_TO_STATE, IRRADIANCE_UNIT, LightUnit, parse_light_unit
 
 ALLOWED_NM = (300.0, 1200.0)  # what glass lets through and silicon sees
 LARGEST = float(np.finfo(np.float32).max)
 PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
+PARTS_OF_A_BAND = 10
 
 
 def read_irradiance(
@@ -108,7 +109,14 @@ def _from_cube(path: Path, cube: Cube, camera: Camera | None, units: str | None,
             data[:, :, band] = told.astype(float) * light
         _check_band(path, data[:, :, band], told, centre_nm)
     _check_lit(path, data.any())
-    return SpectralImage(nm, width_nm, sampling_um, data=data, within=even_light(nm, width_nm), header=header)
+    return SpectralImage(nm, width_nm, sampling_um, data=data, within=_even_light(nm, width_nm), header=header)
+
+
+def _even_light(wavelength_nm: Array, band_width_nm: Array) -> tuple[Array, Array]:
+    """`SpectralImage.within` of bands whose light is even over them, in ten parts: nodes in nm and shares, (B, 10) each."""
+    offsets = (np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5
+    nodes = wavelength_nm[:, None] + band_width_nm[:, None] * offsets
+    return nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
 
 
 def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
@@ -116,6 +124,8 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
 
     `data` (H, W, B) float32, `wavelength_nm` and `band_width_nm` (B,), `units`, `pitch_um`, and `white_cd_per_m2` where the
     image knows its white. Factors and the header stay behind; `write_exr` keeps them.
+
+    path : ends in .npz, as `read_irradiance` expects
 
     Raises PixsimError where `path` cannot be written.
     """

@@ -6,7 +6,9 @@ import math
 import os
 import struct
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+import numpy as np
 
 from pixsim.errors import PixsimError, refuse
 from pixsim.safe_files import opened, refuse_swollen
@@ -112,3 +114,18 @@ def _judge_tiles(path: Path, content: bytes, count: int) -> None:
     sides = struct.unpack("<2IB", content)[:2]
     if min(sides) < 1 or 4 * math.prod(sides) * count > MOST_TILE_BYTES:
         raise _damaged(path, f"tiles of {sides[0]} × {sides[1]} samples")
+
+
+def checked_own(own: dict[str, Any]) -> dict[str, Any]:
+    """pixsim's own header, where those that use its entries find what they expect. ValueError or TypeError where they would not."""
+    told = own["header"]
+    if not all(isinstance(told.get(name, {}), dict) for name in ("parameters", "camera")):
+        raise ValueError("parameters and camera are tables")
+    if not all(isinstance(told.get(name, ""), str) for name in ("scene", "source", "units")):
+        raise ValueError("scene, source and units are texts")
+    numbers = np.array(own["wavelength_nm"] + own["band_width_nm"] + told.get("lamp_w_per_m2_sr_nm", []), float)
+    if numbers.size % len(own["wavelength_nm"]) or not np.isfinite(numbers).all():
+        raise ValueError("numbers for other bands, or that are none")
+    if not 0 < told.get("luminance_cd_per_m2", 1.0) < math.inf:
+        raise ValueError("luminance_cd_per_m2 is above 0")
+    return own

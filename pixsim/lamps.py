@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pixsim.errors import refuse
 from pixsim.evaluation import evaluate_emitter, evaluate_spectrum
 from pixsim.mitsuba_xml import children, nodes_of, plain
 from pixsim.spectral import LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W
@@ -173,3 +174,12 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
     if key[0] == "rgb":
         return tabulated(evaluate_emitter({"type": "rgb", "value": numbers(key[1])}, variant))
     return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))
+
+
+def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
+    """Lamps that shine; PixsimError for one that is negative or not finite."""
+    for lamp in lamps:
+        values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
+        if not np.isfinite(values).all() or values.min() < 0:
+            raise refuse("emitter", f"radiance {values.min():g}", "finite and not negative")
+    return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]

@@ -28,7 +28,12 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
     tan_field : tangent of the field angle seen from the lens centre
     magnification : image over object size; its absolute value is taken
 
+    Returns sr, in the shape that the three broadcast to.
+
     Raises PixsimError for f-numbers that are not positive or steeper than A = 1, and for tangents that are no numbers.
+
+    >>> round(float(irradiance_factor(4.0, 0.0)), 6)  # π/(1 + 4·4²) = π/65
+    0.048332
     """
     f_number, tan_field = np.asarray(f_number, float), np.asarray(tan_field, float)
     if np.isnan(tan_field).any():
@@ -47,7 +52,14 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
 
 
 def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float, magnification: float) -> Array:
-    """`irradiance_factor` at the centre of each sample of a grid centred on the axis, (H, W)."""
+    """`irradiance_factor` at the centre of each sample of a grid centred on the axis, (H, W) sr.
+
+    shape : (H, W)
+    f_number : as engraved
+    magnification : image over object size
+
+    Raises PixsimError as `irradiance_factor` does.
+    """
     y_um, x_um = (((np.arange(n) + 0.5) - n / 2) * pitch_um for n in shape)
     factor = np.empty(shape)
     for rows in strips(*shape):
@@ -58,6 +70,10 @@ def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: flo
 
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
     """1/(λ N_w), the highest frequency that a diffraction-limited lens passes: 0 for a pinhole, N_w = infinity.
+
+    Goodman, Introduction to Fourier Optics, 3rd ed. Shape (...) as the wavelengths.
+
+    f_number : the working one, N(1+|m|), a number above 0
 
     Raises PixsimError for wavelengths or f-numbers that are not positive: the OTF would exceed 1.
     """
@@ -71,8 +87,17 @@ def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
 def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_number: float) -> Array:
     """OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
 
-    `f_number` is the working one, N(1+|m|). Frequencies and wavelengths broadcast. Isoplanatic: off axis the tangential
-    cut-off really falls as cos³θ. Goodman, Introduction to Fourier Optics, 3rd ed., eq. (6-31). Frequency 0 always passes.
+    Isoplanatic: off axis the tangential cut-off really falls as cos³θ. Goodman, Introduction to Fourier Optics, 3rd ed.,
+    eq. (6-31). Frequency 0 always passes.
+
+    frequency_cy_per_mm, wavelength_nm : broadcast together; the result, 0 to 1, has their shape
+    f_number : the working one, N(1+|m|)
+
+    Raises PixsimError as `cutoff_cy_per_mm` does.
+
+    >>> cutoff = cutoff_cy_per_mm(550, 4.0)
+    >>> round(float(diffraction_otf(cutoff / 2, 550, 4.0)), 6)  # 2/3 - √3/(2π)
+    0.391002
     """
     frequency = np.abs(np.asarray(frequency_cy_per_mm, float))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # 0/0: a pinhole, settled in the next line
@@ -82,7 +107,13 @@ def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_
 
 
 def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
-    """Σ weight · OTF over wavelengths; the white-light OTF where the weights add up to 1."""
+    """Σ weight · `diffraction_otf` over wavelengths, (...) as the frequencies; the white-light OTF where the weights add up to 1.
+
+    wavelength_nm, weight : (B,), any unit of weight
+    f_number : the working one
+
+    Raises PixsimError as `cutoff_cy_per_mm` does.
+    """
     otf = np.zeros_like(frequency_cy_per_mm)
     for nm, share in zip(wavelength_nm, weight, strict=True):
         if share:
@@ -100,10 +131,21 @@ def diffract_sum(
 ) -> Array:
     """Σ over pictures (H, W), each convolved with Σ_λ weight · PSF of its weights (B,), reflected at the borders.
 
+    The PSF is that of `diffraction_otf`.
+
     In the DCT-II basis a symmetric kernel is diagonal and half-sample reflection is exact: no padding, no dark border.
     The mean is kept. Where the grid is too coarse for the light (OTF not small at its Nyquist frequency) isolated
     points ring, also below zero. One forward transform a picture, one back for all. Beside the pictures, two planes of
     float64 are in memory, and one where there is one picture.
+
+    pictures : (picture (H, W), weight (B,)) each, in any unit
+    shape : (H, W)
+    pitch_um : of the samples
+    wavelength_nm : (B,)
+    f_number : the working one
+    workers : threads of the transforms; the result does not depend on it
+
+    Raises PixsimError as `cutoff_cy_per_mm` does.
     """
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
     highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
@@ -139,9 +181,14 @@ def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None
 
 
 def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:
-    """Convolve a picture (H, W) with the white-light diffraction PSF of light in the shares `weight`; see `diffract_sum`.
+    """Convolve a picture with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
 
-    Raises PixsimError where the weights (B,) add up to 0: no light has no shape.
+    picture : (H, W)
+    weight : (B,) of the light at each wavelength; their ratios count
+    f_number : the working one
+    workers : threads of the transforms
+
+    Raises PixsimError where the weights add up to 0 (no light has no shape), and as `cutoff_cy_per_mm` does.
     """
     total = weight.sum()
     if total == 0:
@@ -151,5 +198,11 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
 
 
 def square_aperture_mtf(frequency_cy_per_mm: ArrayLike, side_um: float) -> Array:
-    """|sinc| of a square photodiode along one axis."""
+    """|sin(πx)/(πx)|, x = frequency · side, of a square photodiode along one axis; (...) as the frequencies, 0 to 1.
+
+    The geometric MTF of Chen et al. (2000), section 2.2.
+
+    >>> round(float(square_aperture_mtf(100.0, 5.0)), 6)  # at the Nyquist frequency of a side: 2/π
+    0.63662
+    """
     return np.abs(np.sinc(np.asarray(frequency_cy_per_mm, float) * side_um * 1e-3))

@@ -24,6 +24,8 @@ FEWEST_POINTS = 6
 class Optimum:
     """A minimum of mean ΔE over pitch.
 
+    pitch_um : with the least mean ΔE
+    mean_delta_e : there
     ci95_um : half width of the 95 % interval that the seeds allow (jackknife over repeats, Student's t)
     fit_um : half of the range of minima that other degrees and windows of the fit give
     inside : whether the fit has a minimum within its window; False where the error is least at an end of the pitches
@@ -39,6 +41,7 @@ class Optimum:
     within_2_percent_um: tuple[float, float]
 
     def as_dict(self) -> dict[str, Any]:
+        """As summary.json tells it."""
         return asdict(self)
 
 

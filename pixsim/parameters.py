@@ -27,6 +27,10 @@ class Camera(Record):
     """A thin lens in air and a die behind it, focused on a plane.
 
     With u the object distance: magnification m = f/(u - f), image distance v = f(1 + m), aperture radius f/2N.
+
+    >>> camera = Camera(focal_length_mm=50.0, object_distance_m=0.1)  # twice the focal length away: life size
+    >>> camera.magnification, camera.image_distance_mm, camera.working_f_number
+    (1.0, 100.0, 8.0)
     """
 
     focal_length_mm: bounds.FocalLength = Field(3.86, description="focal length")
@@ -57,11 +61,12 @@ class Camera(Record):
 
     @property
     def image_distance_mm(self) -> float:
+        """v = f(1 + |m|), from the lens to the sensor."""
         return self.focal_length_mm * (1 + self.magnification)
 
     @property
     def working_f_number(self) -> float:
-        """N(1 + |m|), which diffraction and exposure see."""
+        """N(1 + |m|), the number that diffraction and exposure see."""
         return self.f_number * (1 + self.magnification)
 
     @property
@@ -71,6 +76,7 @@ class Camera(Record):
 
     @property
     def aperture_radius_m(self) -> float:
+        """f/2N, half of the entrance pupil's diameter."""
         return 1e-3 * self.focal_length_mm / (2 * self.f_number)
 
     @property
@@ -102,6 +108,7 @@ class CameraOptions(Record):
     transmittance: bounds.Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
     def over(self, camera: Camera) -> Camera:
+        """The camera with what is given here in place of its own."""
         return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True))
 
 
@@ -163,6 +170,8 @@ class PitchRange(Record):
 
 
 class StudyScene(Record):
+    """What a study looks at."""
+
     file: str = Field("csf", description="an XML file or the name of a packaged scene")
     parameters: dict[str, float | int | str] = Field(default_factory=dict, description="set <default> parameters")
 
@@ -179,7 +188,7 @@ class Study(Effort):
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         ("0.35um",), description="packaged technologies, or paths of TOML files; each is a curve"
     )
-    pitch: PitchRange = PitchRange()
+    pitch: PitchRange = Field(PitchRange(), description="pixel sizes that are tried")
     repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="individual sensors for each pitch")
     target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
         None, description="add sensors until the 95 % interval of every optimum is this narrow (half width)"
@@ -191,11 +200,11 @@ class Study(Effort):
         description="of the picture, from its left and its top (0 to 1): centre of the detail that the report shows of all sizes",
     )
     paper: bool = Field(False, description="compare with the statements of Chen et al. (2000); needs the csf scene and 0.35um")
-    scene: StudyScene = StudyScene()
+    scene: StudyScene = Field(StudyScene(), description="what is looked at")
     camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")
-    pixel: PixelOptions = PixelOptions()
-    exposure: Exposure = Exposure()
-    display: Display = Display()
+    pixel: PixelOptions = Field(PixelOptions(), description="of every pixel, but for its process and size")
+    exposure: Exposure = Field(Exposure(), description="of every frame")
+    display: Display = Field(Display(), description="and viewer, and metric")
     sources: dict[str, str] = Field(default_factory=dict, description="dotted name -> where its value comes from")
     quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
 
@@ -226,12 +235,12 @@ class Run(Effort):
 
     seed: Annotated[int, Field(ge=0)] = Field(0, description="of the render, the sensor and its noise")
     scene: dict[str, float | int | str] = Field(default_factory=dict, description="set <default> parameters, as -D does")
-    camera: CameraOptions = CameraOptions()
-    pixel: Pixel = Pixel()
-    exposure: Exposure = Exposure()
-    display: Display = Display()
+    camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")
+    pixel: Pixel = Field(Pixel(), description="of the sensor")
+    exposure: Exposure = Field(Exposure(), description="of the frame")
+    display: Display = Field(Display(), description="and viewer, and metric")
 
 
 def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
-    """A pixel of a study."""
+    """A pixel of a study: its options, in a technology, by name or path, at a pitch."""
     return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})

@@ -37,7 +37,10 @@ BLOCK = 2048  # photocurrents at a time: 20 MB
 
 
 def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
-    """The photodiode of a pixel with its node. PixsimError for a pinned photodiode, which hands its charge over."""
+    """The photodiode of a pixel with its node.
+
+    Raises PixsimError for a pinned photodiode, which hands its charge over, and as `derive` does.
+    """
     physics = derive(pixel) if isinstance(pixel, Pixel) else pixel
     if physics.diode is None:
         raise refuse("photodiode", f"the pinned one of {physics.technology.name}", "those of 3T pixels")
@@ -46,6 +49,7 @@ def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
 
 @lru_cache
 def default_diode() -> Diode:
+    """The photodiode of `Pixel()`: 6.5 µm at 0.35 µm, 300.15 K."""
     return diode_of(Pixel())
 
 
@@ -62,15 +66,19 @@ def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike
     panels). Where I_s is 0 there is no forward current and the charge is i_ph·t, without a limit.
 
     Raises PixsimError for arguments that are negative or not finite.
+
+    >>> dark_e_per_s = derive(Pixel()).dark_current_e_per_s  # it is collected too, and nothing is lost so far from forward bias
+    >>> round(float(collected_charge_e(1e5, 0.03)) - 0.03 * (1e5 + dark_e_per_s), 6)
+    0.0
     """
     kind = diode or default_diode()
     current, time_s = np.broadcast_arrays(
-        checked("photocurrent_e_per_s", photocurrent_e_per_s), checked("integration_s", integration_s)
+        _checked("photocurrent_e_per_s", photocurrent_e_per_s), _checked("integration_s", integration_s)
     )
     return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
 
 
-def checked(name: str, values: ArrayLike) -> Array:
+def _checked(name: str, values: ArrayLike) -> Array:
     """Finite and not negative, as float64; PixsimError otherwise."""
     array = np.asarray(values, float)
     wrong = ~(np.isfinite(array) & (array >= 0))
@@ -80,7 +88,9 @@ def checked(name: str, values: ArrayLike) -> Array:
 
 
 def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:
-    """Collected charge for a = i_ph + I_s (e-/s, ≥ 0) and equally shaped times, in e-.
+    """Collected charge for a = i_ph + I_s (e-/s, ≥ 0) and equally shaped times, (...) in e-; the module tells how.
+
+    diode : as `diode_of` gives it
 
     `a` below I_s e^(-V_0/V_T), which only a negative photocurrent gives, would charge the diode: 0 there.
     """
@@ -90,40 +100,40 @@ def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode
         return generated
     with np.errstate(divide="ignore"):
         log_ratio = np.log(total_e_per_s) - np.log(diode.saturation_current_e_per_s)
-    result = np.where(reset_to_equilibrium(log_ratio, diode) > 0, generated, 0.0)
-    turning = np.flatnonzero((result > charge_before_turning_e(log_ratio, diode)).ravel())
+    result = np.where(_reset_to_equilibrium(log_ratio, diode) > 0, generated, 0.0)
+    turning = np.flatnonzero((result > _charge_before_turning_e(log_ratio, diode)).ravel())
     for some in np.array_split(turning, -(-turning.size // BLOCK)) if turning.size else ():
-        result.flat[some] = charge_while_turning_e(generated.flat[some], log_ratio.flat[some], diode)
+        result.flat[some] = _charge_while_turning_e(generated.flat[some], log_ratio.flat[some], diode)
     return result
 
 
-def reset_to_equilibrium(log_ratio: Array, diode: Diode) -> Array:
+def _reset_to_equilibrium(log_ratio: Array, diode: Diode) -> Array:
     """x_0 = (V_0 - V_oc)/V_T, from ln(a/I_s) = -V_oc/V_T."""
     return diode.reset_voltage_v / diode.thermal_v + log_ratio
 
 
-def charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
+def _charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
     """Charge down to p = -`BUMP`, all of which is kept: the diode has taken e^-`BUMP` C V_T. 0 where the reset is beyond."""
-    drop_v = diode.thermal_v * np.maximum(reset_to_equilibrium(log_ratio, diode) - BUMP, 0.0)
+    drop_v = diode.thermal_v * np.maximum(_reset_to_equilibrium(log_ratio, diode) - BUMP, 0.0)
     return diode.charge_e(diode.reset_voltage_v, np.where(np.isfinite(drop_v), drop_v, 0.0))
 
 
-def other_side(x: Array) -> Array:
+def _other_side(x: Array) -> Array:
     """-ln(e^x - 1) for x > 0, without overflow; the inverse is ln(1 + e^-p)."""
     return -x - np.log(-np.expm1(-x))
 
 
-def panel_borders(log_ratio: Array, diode: Diode) -> Array:
+def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
     """p at the ends of panels on which the integrand is smooth, rising, from the reset or -`BUMP` on; (n, panels + 1)."""
     regular = np.linspace(-BUMP, BUMP, round(2 * BUMP / PANEL) + 1)
     knees = np.array(diode.knees_v) / diode.thermal_v + log_ratio[:, None]  # x
     reached = knees > 0
-    knees = np.where(reached, other_side(np.where(reached, knees, 1.0)), BUMP)
+    knees = np.where(reached, _other_side(np.where(reached, knees, 1.0)), BUMP)
     borders = np.sort(np.hstack([np.broadcast_to(regular, (log_ratio.size, regular.size)), np.clip(knees, -BUMP, BUMP)]), axis=1)
-    return np.maximum(borders, other_side(reset_to_equilibrium(log_ratio, diode))[:, None])
+    return np.maximum(borders, _other_side(_reset_to_equilibrium(log_ratio, diode))[:, None])
 
 
-def bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Array:
+def _bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Array:
     """V_T ∫ (C - C(V_oc))/(1 + e^-p) dp, in the shape of the limits; `equilibrium_v` broadcasts to it."""
     half = (high - low)[..., None] / 2
     p, v_oc = low[..., None] + half * (1 + NODES), equilibrium_v[..., None]
@@ -131,39 +141,39 @@ def bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Array
     return E_PER_FC * diode.thermal_v * (half * WEIGHTS * excess_ff * expit(p)).sum(axis=-1)
 
 
-def charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) -> Array:
-    """Invert a·t(p) for generated charges beyond `charge_before_turning_e`: find the panel, then Newton within it. (n,)"""
+def _charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) -> Array:
+    """Invert a·t(p) for generated charges beyond `_charge_before_turning_e`: find the panel, then Newton within it. (n,)"""
     v_t = diode.thermal_v
-    v_oc, x_0 = -v_t * log_ratio, reset_to_equilibrium(log_ratio, diode)
+    v_oc, x_0 = -v_t * log_ratio, _reset_to_equilibrium(log_ratio, diode)
     scale_e = E_PER_FC * v_t * diode.capacitance_ff(v_oc)  # C(V_oc) V_T
-    borders = panel_borders(log_ratio, diode)
-    p_0 = other_side(x_0)
+    borders = _panel_borders(log_ratio, diode)
+    p_0 = _other_side(x_0)
     x = np.logaddexp(0.0, -borders)
     # Exactly nothing at the reset itself, so that the smallest charges keep their digits.
     drop_v = np.where(borders > p_0[:, None], v_t * np.maximum(x_0[:, None] - x, 0.0), 0.0)
     kept = diode.charge_e(diode.reset_voltage_v, drop_v)
     taken = scale_e[:, None] * (np.logaddexp(0.0, borders) - np.logaddexp(0.0, p_0)[:, None])
-    taken[:, 1:] += np.cumsum(bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode), axis=1)
+    taken[:, 1:] += np.cumsum(_bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode), axis=1)
     row, panel = np.arange(x_0.size), np.maximum((kept + taken <= generated_e[:, None]).sum(axis=1) - 1, 0)
     start, wanted = borders[row, panel], generated_e - (kept + taken)[row, panel]
     width = borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start  # 0 behind the last: V_oc is reached
-    step = solve_panel(wanted, start, width, v_oc, scale_e, diode)
-    return kept[row, panel] + charge_of_step_e(step, start, v_oc, diode)[0]
+    step = _solve_panel(wanted, start, width, v_oc, scale_e, diode)
+    return kept[row, panel] + _charge_of_step_e(step, start, v_oc, diode)[0]
 
 
-def charge_of_step_e(step: Array, start: Array, equilibrium_v: Array, diode: Diode) -> tuple[Array, Array]:
+def _charge_of_step_e(step: Array, start: Array, equilibrium_v: Array, diode: Diode) -> tuple[Array, Array]:
     """(charge collected, fall of x) while p goes from `start` on by `step`; small steps lose no digits."""
     x = np.logaddexp(0.0, -start)
     fall = -np.log1p(-np.expm1(-x) * np.expm1(-step))
     return diode.charge_e(equilibrium_v + diode.thermal_v * x, diode.thermal_v * fall), fall
 
 
-def solve_panel(wanted_e: Array, start: Array, width: Array, equilibrium_v: Array, scale_e: Array, diode: Diode) -> Array:
+def _solve_panel(wanted_e: Array, start: Array, width: Array, equilibrium_v: Array, scale_e: Array, diode: Diode) -> Array:
     """Step in p from `start`, within the panel, that generates a charge. The slope is a capacitance: Newton is quick."""
     step = np.zeros_like(start)
     for _ in range(NEWTON_STEPS):
-        kept, fall = charge_of_step_e(step, start, equilibrium_v, diode)
-        taken = scale_e * (step - fall) + bump_e(start, start + step, equilibrium_v, diode)
+        kept, fall = _charge_of_step_e(step, start, equilibrium_v, diode)
+        taken = scale_e * (step - fall) + _bump_e(start, start + step, equilibrium_v, diode)
         bias_v = equilibrium_v + diode.thermal_v * (np.logaddexp(0.0, -start) - fall)
         slope = E_PER_FC * diode.thermal_v * diode.capacitance_ff(bias_v)
         better = np.clip(step + (wanted_e - kept - taken) / slope, 0.0, width)

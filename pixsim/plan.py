@@ -15,7 +15,7 @@ from pixsim import bands as spectral_bands
 from pixsim.bands import Bands, Fit, Pulse, Witness
 from pixsim.errors import refuse
 from pixsim.geometry import find_bodies
-from pixsim.lamps import Lamp, find_lamps
+from pixsim.lamps import Lamp, checked_lamps, find_lamps
 from pixsim.mitsuba_xml import nodes_of
 from pixsim.needs import Chart
 from pixsim.parameters import Camera, Pixel
@@ -56,13 +56,19 @@ class Plan:
 
     lights : one for each lamp spectrum
     bands : of the result
-    white : luminance of an emissive chart's texel value 1, cd/m², or None
+    white_cd_per_m2 : luminance of an emissive chart's texel value 1, or None
     lens : "thinlens", or "perspective" where the aperture needs no sampling
     integrator : plugin and its values, or None for the scene's own
     spp : samples of each film cell in each pass
     diffraction : whether the picture changes by it
     regular_tables : whether tables at equal steps are read by index
     decisions : for people; `bound_e` adds them up
+    full_passes, full_spp : what it would take with nothing left out
+    chart : a lone one and what it needs, or None
+    tolerance_e : relative error of the mean electrons that was asked for
+    warnings : what may be wrong with the scene
+    resolution : a coarser film that is enough, where the scene leaves it open
+    sampler : Mitsuba's
     """
 
     lights: tuple[Light, ...]
@@ -79,15 +85,17 @@ class Plan:
     chart: Chart | None = field(default=None, repr=False)
     tolerance_e: float = TOLERANCE_E
     warnings: tuple[str, ...] = ()
-    resolution: int | None = None  # a coarser film that is enough, where the scene leaves it open
+    resolution: int | None = None
     sampler: str = "multijitter"
 
     @property
     def passes(self) -> int:
+        """Over all lights."""
         return sum(len(light.passes) for light in self.lights)
 
     @property
     def bound_e(self) -> float:
+        """Relative error of the mean electrons that all decisions can cost together."""
         return sum(each.bound_e for each in self.decisions)
 
     @property
@@ -102,6 +110,7 @@ class Plan:
         return fewer or any(bool(light.spectra.min() < 0) for light in self.lights)
 
     def as_dict(self) -> dict[str, Any]:
+        """For `pixsim plan --json`."""
         return {
             "decisions": [asdict(each) for each in self.decisions],
             "tolerance_e": self.tolerance_e,
@@ -200,15 +209,6 @@ def _warnings(surfaces: Surfaces, bound_e: float, tolerance_e: float) -> tuple[s
         finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MOST_BANDS} of them, are the finest"
         told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
     return tuple(told)
-
-
-def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
-    """Lamps that shine; PixsimError for one that is negative or not finite."""
-    for lamp in lamps:
-        values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
-        if not np.isfinite(values).all() or values.min() < 0:
-            raise refuse("emitter", f"radiance {values.min():g}", "finite and not negative")
-    return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
 
 
 def _witnesses(pixel: Pixel | None) -> list[Witness]:

@@ -43,6 +43,9 @@ class RawFrame:
     dn : (rows, columns) unsigned integers as the file holds them
     black_level_dn : DN without light and dark charge
     white_level_dn : the highest code
+    bits : of the ADC
+    pitch_um : centre to centre
+    integration_s : of the exposure
     dn_per_e : DN for each electron above black; with integration_s it turns them into electrons a second
     """
 
@@ -59,7 +62,7 @@ FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "in
 
 
 def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
-    """What a file tells beside the numbers."""
+    """What a file tells beside the numbers of a `Frame` or a `RawFrame`."""
     if isinstance(frame, RawFrame):
         return {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
     return {
@@ -76,6 +79,7 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     """Write a frame's digital numbers, in the format that the path's ending names, moved into place when whole.
 
     path : .tiff or .tif, .png, .exr, .npz; `read_frame` gives the same numbers back
+    frame : from `capture`, or from `read_frame`
 
     Raises PixsimError for another ending, more than 16 bits in a TIFF or PNG, and a path that cannot be written.
     """
@@ -140,6 +144,13 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     path : .tiff, .tif, .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array); also of other programs
 
     Raises PixsimError for a file that is missing, damaged, in colour, of 8 bits, or larger than 2²⁸ pixels.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_frame(f"{folder}/raw.png", RawFrame(np.array([[64, 1023]]), black_level_dn=64.0, bits=10))
+    ...     back = read_frame(f"{folder}/raw.png")
+    >>> back.dn.tolist(), back.black_level_dn, back.bits, back.pitch_um
+    ([[64, 1023]], 64.0, 10, None)
     """
     path = Path(path)
     readers = {".exr": _read_exr, ".npz": _read_npz, ".png": _read_picture, ".tif": _read_picture, ".tiff": _read_picture}

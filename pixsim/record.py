@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 
 
 class Record(BaseModel):
-    """A frozen set of parameters; an unknown name is an error."""
+    """A frozen set of parameters; an unknown name is an error, pydantic's ValidationError, which is a ValueError."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -24,6 +24,7 @@ class Record(BaseModel):
 
     @property
     def content_hash(self) -> str:
+        """16 hexadecimal digits of all that it holds."""
         return content_hash(self.model_dump(mode="json"))
 
 

@@ -61,6 +61,13 @@ def render(
     progress : called with the fraction done
 
     Raises PixsimError where Mitsuba refuses the scene, or the picture is black or not finite.
+
+    >>> from pixsim import load_scene
+    >>> light = render(load_scene("flat", resolution=17, spp=4, luminance_cd_per_m2=1000), Camera(f_number=4.0))
+    >>> m = Camera().magnification
+    >>> on_axis_lx = 1000 * np.pi / (1 + 4 * 4.0**2 * (1 + m) ** 2)  # Foote: E = π L sin²α
+    >>> round(float(light.illuminance_lx()[8, 8] / on_axis_lx), 4)
+    1.0
     """
     camera = camera or scene.camera()
     job = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)

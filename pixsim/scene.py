@@ -32,14 +32,22 @@ FILM_35_MM = (36.0, 24.0)  # what Mitsuba's `focal_length` refers to
 
 @dataclass(frozen=True)
 class Scene:
-    """A parsed Mitsuba scene: a file, the parameters it is read with, and the variant that will render it."""
+    """A parsed Mitsuba scene: a file, the parameters it is read with, and the variant that will render it.
+
+    path : of the XML
+    parameters : values of its <default> parameters that were given
+    names : of all parameters that the XML has
+    sensor_id : which of several sensors; None where there is one
+    choice : Mitsuba variant, and why
+    white_cd_per_m2 : what the file says that a display shows as white
+    """
 
     path: Path
     parameters: dict[str, str]
-    names: frozenset[str]  # of the parameters that the XML has
+    names: frozenset[str]
     sensor_id: str | None
     choice: variants.Choice
-    white_cd_per_m2: float | None = None  # what the file says that a display shows as white
+    white_cd_per_m2: float | None = None
 
     def parse(self, **more: object) -> Any:
         """Mitsuba's parser state, with `more` parameters where the user gave none."""
@@ -50,6 +58,8 @@ class Scene:
 
         The die is no part of a Mitsuba scene. Where the lens is numbers, a die option changes the focal length that is
         read from them; where it is parameters, the focal length stays and the field of view follows.
+
+        Raises PixsimError for a lens that cannot be.
         """
         options = options or CameraOptions()
         fixed = any(name not in self.names or name in self.parameters for name in LENS_PARAMETERS)
@@ -70,7 +80,7 @@ class Scene:
         return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
 
     def with_parameters(self, **more: object) -> Scene:
-        """The same scene with other values of its parameters."""
+        """The same scene with other values of its parameters, `more`."""
         return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
 
     @property
@@ -97,6 +107,7 @@ def load_scene(
 
     Parameters
     ----------
+    scene : path, or name as of `pixsim run`
     variant : Mitsuba variant; None takes the fastest that works here
     sensor : id of the sensor, where the scene has several
     parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
@@ -104,6 +115,9 @@ def load_scene(
 
     Raises PixsimError for a file that is missing or broken, a parameter that the scene does not have, a missing or
     unusable texture, no sensor or several, a sensor that is not a thin lens, an LLVM that is too old.
+
+    >>> load_scene("csf", resolution=64).camera().focal_length_mm
+    3.86
     """
     path = packaged_scenes().get(str(scene)) or Path(scene)
     if not os.path.lexists(path) or path.is_dir():

@@ -21,6 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from pixsim.colour_checks import check_choice, checked_pair, checked_triples, checked_white, is_finite
 from pixsim.errors import refuse
 from pixsim.eye_filters import ZHANG1996_SAMPLES_PER_DEG, new_transfer, transfer
 from pixsim.eye_filters import Filters as Filters
@@ -53,15 +54,24 @@ def delta_e_map(
 ) -> Floats:
     """S-CIELAB difference of a test image from its reference, (H, W), in units of ΔE.
 
-    reference_xyz, test_xyz: (H, W, 3) CIE XYZ in any unit, the same for both and for the white.
-    white_xyz: (3,) XYZ of the white that the viewer is adapted to.
-    samples_per_deg: image samples per degree of visual angle.
-    filters, workers: see `filtered_lab`; formula: see `delta_e`.
-    Multiplying both images and the white by one number changes nothing, whatever its size. XYZ slightly below zero, as noise
-    leaves it, is kept: CIELAB's linear branch goes on through zero, with no clipping and no step; see `filtered_lab`.
+    Zhang & Wandell [ZW]. Multiplying both images and the white by one number changes nothing, whatever its size. XYZ slightly
+    below zero, as noise leaves it, is kept: CIELAB's linear branch goes on through zero, with no clipping and no step.
+
+    reference_xyz, test_xyz : (H, W, 3) CIE XYZ in any unit, the same for both and for the white
+    white_xyz : (3,) XYZ of the white that the viewer is adapted to
+    samples_per_deg : image samples per degree of visual angle
+    filters, workers : as of `filtered_lab`
+    formula : as of `delta_e`
+
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+
+    >>> white = np.array([95.047, 100.0, 108.883])
+    >>> light, half = np.ones((8, 8, 1)) * white, 0.5 * np.ones((8, 8, 1)) * white
+    >>> delta_e = delta_e_map(light, half, white_xyz=white, samples_per_deg=23)  # even pictures have their plain CIELAB
+    >>> round(float(delta_e.mean()), 6), round(116 * (1 - 0.5 ** (1 / 3)), 6)
+    (23.930739, 23.930739)
     """
-    reference, test = _checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
+    reference, test = checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
     seen = partial(filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters, workers=workers)
     return delta_e(seen(reference), seen(test), formula)
 
@@ -74,18 +84,22 @@ def filtered_lab(
     filters: Filters = "published",
     workers: int = 1,
 ) -> Floats:
-    """CIELAB of an image as the eye blurs it, (H, W, 3): filter a study's ideal image once, compare many with it.
+    """CIELAB of an image as the eye blurs it, (H, W, 3): filter a study's ideal image once, compare many with it. [ZW]
 
-    xyz: (H, W, 3); white_xyz: (3,), in the same unit; samples_per_deg: samples per degree of visual angle.
-    filters: "published" is [ZW] as defined in frequency, with unit gain at zero, so that a uniform image has its plain
-    CIELAB; "zhang1996" follows [1996], sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg.
-    workers: threads of the transforms; the result does not depend on it.
     XYZ below zero (noise, the filters' negative lobe) follows CIELAB's linear branch on, so L* may be negative: clipping
     before the eye's blur would make noise around black brighter on average than it is.
+
+    xyz : (H, W, 3)
+    white_xyz : (3,), in the same unit
+    samples_per_deg : samples per degree of visual angle
+    filters : "published" is [ZW] as defined in frequency, with unit gain at zero, so that a uniform image has its plain
+        CIELAB; "zhang1996" follows [1996], sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg
+    workers : threads of the transforms; the result does not depend on it
+
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
     white, exponent = _checked_view(filters, white_xyz, samples_per_deg)
-    planes = np.moveaxis(_checked_triples("xyz", xyz, dimensions=3), -1, 0)
+    planes = np.moveaxis(checked_triples("xyz", xyz, dimensions=3), -1, 0)
     opponent = empty_planes(*planes.shape)
     for rows, strip in strips_of(planes.shape):
         np.ldexp(planes[:, rows], -exponent, out=strip)
@@ -103,10 +117,13 @@ def filtered_grey_lab(
     filters: Filters = "published",
     workers: int = 1,
 ) -> Floats:
-    """`filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white.
+    """`filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white: (H, W, 3). [ZW]
 
     Its opponent channels are multiples of one picture, so that one transform serves all three on the way in; each is
     blurred in its own way, so grey gains chroma. The transfer functions also turn them into X/Xn, Y/Yn and Z/Zn.
+    `filters` and `workers` are those of `filtered_lab`.
+
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
     spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
     return _whole(_seen(spectrum, None, filters, workers), spectrum.shape)
@@ -121,7 +138,14 @@ def grey_delta_e_map(
     filters: Filters = "published",
     workers: int = 1,
 ) -> Floats:
-    """`delta_e` (1976) of `filtered_grey_lab` from a picture that was filtered once, (H, W, 3), without the grey one's CIELAB."""
+    """`delta_e` (1976) of `filtered_grey_lab` from a picture that was filtered once, (H, W), without the grey one's CIELAB. [ZW]
+
+    reference_lab : (H, W, 3)
+    luminance : (H, W) relative, 1 for white
+    white_xyz, samples_per_deg, filters, workers : as of `filtered_lab`
+
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    """
     spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
     reference, shape = np.asarray(reference_lab, np.float64), (*spectrum.shape[1:], 3)
     if reference.shape != shape:
@@ -130,8 +154,8 @@ def grey_delta_e_map(
     difference = np.empty(spectrum.shape[1:])
     for rows, lab in _seen(spectrum, None, filters, workers):
         _distance(reference[:, rows], lab, difference[rows])
-    if not _is_finite(difference):
-        _checked_triples("reference_lab", reference_lab)
+    if not is_finite(difference):
+        checked_triples("reference_lab", reference_lab)
     return difference
 
 
@@ -141,7 +165,7 @@ def _grey_spectrum(
     """DCT-II of X/Xn, Y/Yn and Z/Zn of a grey picture as they are seen, (3, H, W)."""
     white, _ = _checked_view(filters, white_xyz, samples_per_deg)
     grey = np.asarray(luminance, np.float64)
-    if grey.ndim != 2 or grey.size == 0 or not _is_finite(grey):
+    if grey.ndim != 2 or grey.size == 0 or not is_finite(grey):
         raise refuse("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
     picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
     picture[...] = grey
@@ -154,8 +178,8 @@ def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: f
 
     Powers of two round nothing, and sums over an image neither overflow nor vanish, whatever the unit.
     """
-    _check_choice("filters", filters, get_args(Filters))
-    white = _checked_white(white_xyz)
+    check_choice("filters", filters, get_args(Filters))
+    white = checked_white(white_xyz)
     if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
         mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
         raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
@@ -190,12 +214,17 @@ def _whole(strips: Strips, shape: tuple[int, ...]) -> Floats:
 def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
     """Colour difference of each sample, (...), from two CIELAB arrays (..., 3).
 
-    formula: "1976" Euclidean [CIE]; "1994" CIE 116-1995, graphic arts (kL 1, K1 .045, K2 .015), weighted by the chroma
-    of the reference, so not symmetric; "2000" CIE 142-2001, kL = kC = kH = 1. The last two by colour-science.
+    lab_reference, lab_test : (..., 3)
+    formula : "1976" Euclidean [CIE]; "1994" CIE 116-1995, graphic arts (kL 1, K1 .045, K2 .015), weighted by the chroma
+        of the reference, so not symmetric; "2000" CIE 142-2001, kL = kC = kH = 1. The last two by colour-science.
+
     Raises PixsimError (a ValueError) for shapes that differ, values that are not finite, an unknown formula.
+
+    >>> float(delta_e([50.0, 0.0, 0.0], [53.0, 4.0, 0.0]))
+    5.0
     """
-    _check_choice("formula", formula, get_args(Formula))
-    reference, test = _checked_pair(lab_reference=lab_reference, lab_test=lab_test)
+    check_choice("formula", formula, get_args(Formula))
+    reference, test = checked_pair(lab_reference=lab_reference, lab_test=lab_test)
     if formula == "1976":
         distance = np.empty(reference.shape[:-1])
         _distance(np.moveaxis(reference, -1, 0), np.moveaxis(test, -1, 0).copy(), distance)
@@ -216,9 +245,12 @@ def _distance(first: Floats, second: Floats, out: Floats) -> None:
 
 
 def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
-    """CIELAB [CIE], unfiltered, of xyz (..., 3) under white_xyz (3,), of one unit; below zero: see `filtered_lab`."""
-    planes = np.moveaxis(_checked_triples("xyz", xyz), -1, 0)
-    white = _checked_white(white_xyz)
+    """CIELAB [CIE], unfiltered, (..., 3), of xyz (..., 3) under white_xyz (3,), of one unit; below zero: see `filtered_lab`.
+
+    Raises PixsimError (a ValueError) for shapes or values that cannot be meant.
+    """
+    planes = np.moveaxis(checked_triples("xyz", xyz), -1, 0)
+    white = checked_white(white_xyz)
     return _lab(np.stack([plane / scale for plane, scale in zip(planes, white, strict=True)]), *CIE_LAB)
 
 
@@ -259,42 +291,3 @@ def _grey_transfer(filters: Filters, height: int, width: int, samples_per_deg: f
         np.copyto(strip, transfer[:, rows])
         _combine(XYZ_FROM_OPPONENT / np.array(white)[:, np.newaxis] * opponent, strip, transfer[:, rows])
     return transfer
-
-
-def _checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = None) -> Floats:
-    array = np.asarray(values, np.float64)
-    if array.ndim != (dimensions or max(array.ndim, 1)) or array.shape[-1] != 3 or array.size == 0:
-        allowed = "(H, W, 3), not empty" if dimensions else "(..., 3), not empty"
-        raise refuse(f"{name}, shape", array.shape, allowed, "Move the three values last, y and x before them.")
-    if not _is_finite(array):
-        finite = np.isfinite(array)
-        first = np.argwhere(~finite)[0]
-        got = f"{array[tuple(first)]} at {first.tolist()} ({np.count_nonzero(~finite)} such of {array.size})"
-        raise refuse(name, got, "finite numbers", "Mend them where they arise: a filter would spread them.")
-    return array
-
-
-def _is_finite(values: Floats) -> bool:
-    """NaN goes through both extremes: two readings, and no array of truths."""
-    return math.isfinite(values.min()) and math.isfinite(values.max())
-
-
-def _checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tuple[Floats, Floats]:
-    first, second = (_checked_triples(name, values, dimensions) for name, values in arrays.items())
-    if first.shape != second.shape:
-        shapes = f"shapes {first.shape} and {second.shape}"
-        raise refuse(" and ".join(arrays), shapes, "equal ones", "Resample one image to the raster of the other.")
-    return first, second
-
-
-def _checked_white(white_xyz: npt.ArrayLike) -> Floats:
-    white = np.asarray(white_xyz, np.float64)
-    if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
-        mend = "Give X, Y, Z in the image's unit; D65 is (95.047, 100, 108.883) times its luminance over 100."
-        raise refuse("white_xyz", white.tolist(), "three finite numbers above 0", mend)
-    return white
-
-
-def _check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise refuse(name, repr(value), ", ".join(map(repr, allowed)))

@@ -42,6 +42,8 @@ class Score:
 
     delta_e : (H, W) S-CIELAB difference on the display's dots
     ideal, image : (H, W) shown luminance, 1 for white
+    frame : behind the image
+    physics : of the pixel
     """
 
     delta_e: Array = field(repr=False)
@@ -52,10 +54,11 @@ class Score:
 
     @property
     def mean_delta_e(self) -> float:
+        """Over all dots: what a study makes least."""
         return float(self.delta_e.mean())
 
     def statistics(self) -> dict[str, float]:
-        """The numbers that stand in score.json and in a study's rows."""
+        """The numbers that stand in score.json and in a study's rows, each with its unit in its name."""
         p, frame = self.physics, self.frame
         return {
             "pitch_um": p.pitch_um,
@@ -74,7 +77,7 @@ class Score:
         return score_figure(self)
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """`statistics` as CSV, also into a file where a path is given."""
+        """`statistics` as CSV, also into a file where a `path` is given."""
         from pixsim.notebook import csv_text
 
         return csv_text([self.statistics()], path)
@@ -269,10 +272,17 @@ def evaluate(
     Parameters
     ----------
     camera : the one that the irradiance was rendered with
+    exposure, display : None takes the default ones
     seed : of the individual sensor and of its temporal noise
     full : leave out no transform (the result differs by rounding only)
 
     Raises PixsimError for a pitch that is too small or larger than the die, or an unknown scene white.
+
+    >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
+    >>> pixel, display = Pixel(pitch_um=84.8, prnu=0, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
+    >>> score = evaluate(light, Camera(), pixel, display=display)
+    >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
+    ((32, 32), 1.0)
     """
     bench = make_bench(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
     return bench.score("evaluate", seed)

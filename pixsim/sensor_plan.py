@@ -39,6 +39,11 @@ def make_plan(
     full : leave nothing out
 
     Raises PixsimError for what cannot be rendered or sensed.
+
+    >>> from pixsim import load_scene
+    >>> plan = make_plan(load_scene("csf", resolution=64))
+    >>> plan.passes, plan.bound_e < plan.tolerance_e  # a chart under one lamp: one picture tells all bands
+    (1, True)
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
     physics = derive(pixel)

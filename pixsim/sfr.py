@@ -38,7 +38,7 @@ MOST_SATURATED = 1e-3  # of a region's pixels
 
 @dataclass(frozen=True)
 class EdgeResponse:
-    """The e-SFR of one edge.
+    """The e-SFR of one edge (ISO 12233).
 
     frequency_cy_per_px : (F,) along the edge's normal, 0 to 1
     sfr : (F,) 1 at frequency 0
@@ -65,11 +65,11 @@ class EdgeResponse:
 
     @property
     def at_nyquist(self) -> float:
-        """SFR at half a cycle a pixel."""
+        """SFR at half a cycle a pixel, 1 for all of the contrast."""
         return float(np.interp(NYQUIST_CY_PER_PX, self.frequency_cy_per_px, self.sfr))
 
     def frequency_cy_per_mm(self, pitch_um: float) -> Array:
-        """(F,) on the sensor."""
+        """(F,) on the sensor, for pixels of a pitch."""
         return self.frequency_cy_per_px * 1e3 / pitch_um
 
 
@@ -97,7 +97,7 @@ def edge_response(
     picture : (H, W) linear in light and 0 where there is none: DN minus black level, or electrons; row 0 on top
     region : x0, y0, x1, y1 in pixels, the last ones not included; None takes all
     half_window_px : largest distance from the edge that counts; less where the region is too small for it
-    saturation : value from which a pixel is full
+    saturation : value from which a pixel is full, in the same unit
 
     A line through the centroids of the rows' derivatives gives the edge; pixels are sorted by their distance from it into
     bins of 1/4 pixel; the SFR is |DFT| of the windowed derivative of their means, over the response of the bin (sinc) and of
@@ -106,6 +106,12 @@ def edge_response(
 
     Raises PixsimError for a picture that is no linear grey one, is too small, saturated, has too little contrast, no edge,
     or one along the rows or columns (or so little slanted that it does not pass every phase of a pixel).
+
+    >>> y, x = np.mgrid[:200, :200] - 99.5
+    >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
+    >>> edge = edge_response(np.clip(distance + 0.5, 0, 1) * 0.8 + 0.1)  # blurred by one pixel across the edge: sinc(f)
+    >>> bool(abs(edge.at_nyquist - 2 / np.pi) < 0.005), round(edge.angle_deg, 1)
+    (True, 5.0)
     """
     data = cropped(picture, region)
     if saturation is not None:

@@ -22,12 +22,12 @@ from pixsim.exr import Rows, write_rows, writing
 from pixsim.exr import read_channels as read_channels
 from pixsim.exr import read_header as read_header
 from pixsim.exr import write_channels as write_channels
+from pixsim.exr_header import checked_own
 
 Array = NDArray[np.float64]
 
 PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
-PARTS_OF_A_BAND = 10
 WHOLE = slice(None)
 BLOCK_SAMPLES = 1 << 18  # in float64 2 MiB: in a processor's cache
 MOST_BAND_BYTES = 1 << 30  # of a file's channels: where they would be more, one of illuminance stands for them
@@ -36,7 +36,7 @@ LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
 def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
-    """λ/(hc)."""
+    """λ/(hc), (...) as the wavelengths, with the constants of the SI of 2019."""
     return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
 
 
@@ -46,24 +46,27 @@ def _photometric_table() -> Array:
 
 
 def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
-    """ȳ(λ) of the CIE 1931 observer, zero outside 360-830 nm."""
+    """ȳ(λ) of the CIE 1931 observer (CIE 018:2019), (...) as the wavelengths, 1 at its peak, zero outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 1], left=0.0, right=0.0)
 
 
 def d65(wavelength_nm: ArrayLike) -> Array:
-    """Relative spectral power of CIE D65, 100 at 560 nm; zero outside 360-830 nm."""
+    """Relative spectral power of CIE D65 (CIE 15:2018), (...) as the wavelengths, 100 at 560 nm; zero outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
 
 
 def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
-    """What turns band values per nm into photometric ones: lx from W m⁻² nm⁻¹, cd/m² from W m⁻² sr⁻¹ nm⁻¹."""
+    """What turns band values per nm into photometric ones, (B,): lx from W m⁻² nm⁻¹, cd/m² from W m⁻² sr⁻¹ nm⁻¹.
+
+    683.002 lm/W times `photopic_efficiency` times the width (CIE 018:2019).
+    """
     return LUMINOUS_EFFICACY_LM_PER_W * photopic_efficiency(wavelength_nm) * np.asarray(band_width_nm, float)
 
 
 def row_blocks(height: int, width: int) -> Iterator[slice]:
-    """The rows of a picture in blocks of about `BLOCK_SAMPLES`."""
+    """Rows of a picture of `height` × `width` in blocks of about `BLOCK_SAMPLES`."""
     step = max(1, BLOCK_SAMPLES // max(1, width))
     return (slice(top, min(top + step, height)) for top in range(0, height, step))
 
@@ -80,6 +83,12 @@ class SpectralImage:
         With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
     within : where in each band its light is, (nodes in nm (B, n), shares of the light (B, n)); None takes it at the centre
     header : what made it (camera, scene hash, seed, samples, versions); JSON, travels in the file
+
+    Raises PixsimError for arrays whose shapes do not fit, and for a pitch or bands that are not positive.
+
+    >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
+    >>> light.illuminance_lx()[0].round(2).tolist()  # 683.002 lm/W · ȳ(550 nm) · 10 nm · 1 mW m⁻² nm⁻¹
+    [6.8, 6.8, 6.8]
     """
 
     def __init__(
@@ -125,7 +134,7 @@ class SpectralImage:
         return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
 
     def band(self, index: int, rows: slice = WHOLE) -> NDArray[np.float32]:
-        """(H, W) float32, W m⁻² nm⁻¹, of one band, or some of its rows."""
+        """(H, W) float32, W m⁻² nm⁻¹, of the band of an `index`, or some of its `rows`."""
         if not self.factors:
             return self.data[rows, :, index]
         spectra, pictures = self.factors[0].astype(np.float32), self.factors[1][:, rows]
@@ -140,14 +149,21 @@ class SpectralImage:
         return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
 
     def weighted(self, weight: Array) -> Array:
-        """Σ_b weight_b · E_b per pixel, (H, W) float64; elementwise, so that it does not depend on threads."""
+        """Σ_b weight_b · E_b per pixel, (H, W) float64; elementwise, so that it does not depend on threads.
+
+        weight : (B,), any unit per W m⁻² nm⁻¹
+        """
         total = np.empty(self.shape)
         for rows in row_blocks(*self.shape):  # so that no second picture of this size is needed
             total[rows] = self.weighted_part(weight, (rows, WHOLE))
         return total
 
     def weighted_part(self, weight: Array, part: tuple[slice, slice]) -> Array:
-        """`weighted` of some rows and columns, to the same bits."""
+        """`weighted` of some rows and columns, to the same bits: (rows, columns).
+
+        weight : (B,), any unit per W m⁻² nm⁻¹
+        part : rows and columns
+        """
         if self.factors:
             totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
             terms = ((total, picture[part]) for total, picture in zip(totals, self.factors[1], strict=True))
@@ -167,7 +183,7 @@ class SpectralImage:
         return (spectra * pictures.mean(axis=(1, 2), dtype=float)[:, None]).sum(axis=0)
 
     def band_mean(self, response: Callable[[Array], Array]) -> Array:
-        """Mean of a function of the wavelength over each band, weighted by the light in it, (B,)."""
+        """Mean of `response`, a function of nm, over each band, weighted by the light in it, (B,) in its unit."""
         nodes_nm, shares = self.within
         return (shares * response(nodes_nm)).sum(axis=1)
 
@@ -189,13 +205,6 @@ class SpectralImage:
         )
 
 
-def even_light(wavelength_nm: Array, band_width_nm: Array) -> tuple[Array, Array]:
-    """`within` of bands whose light is even over them, in ten parts."""
-    offsets = (np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5
-    nodes = wavelength_nm[:, None] + band_width_nm[:, None] * offsets
-    return nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
-
-
 def _band_channel(wavelength_nm: float) -> str:
     """Fichet's channel name: total (Stokes 0) emissive value, decimal comma."""
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
@@ -209,6 +218,8 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
     beside the factors, which tell all of them, one channel `Y` in lx (`illuminanceUnits`) stands in their place.
 
     Not compressed: OpenEXR's lossless ways take ten times as long for two thirds of the bytes.
+
+    Raises PixsimError where `path` cannot be written.
     """
     shown = _merged(image) if image.factors else image
     header = {"emissiveUnits": "W.m^-2.nm^-1"}
@@ -258,12 +269,23 @@ def _merged(image: SpectralImage) -> SpectralImage:
 
 
 def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
-    """Read what `write_exr` wrote. PixsimError for a file that is damaged or was not written by pixsim."""
+    """Read what `write_exr` wrote, from `path`.
+
+    Raises PixsimError for a file that is missing, damaged or was not written by pixsim.
+
+    >>> import tempfile
+    >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_exr(f"{folder}/light.exr", light)
+    ...     back = read_exr(f"{folder}/light.exr")
+    >>> bool((back.data == light.data).all()), back.pitch_um
+    (True, 5.0)
+    """
     channels, header = read_channels(path)
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
         raise refuse("irradiance file", f"'{path}' without pixsim's header", "a file from pixsim.write_exr")
     try:
-        own = checked_header(json.loads(header["pixsim"]))
+        own = checked_own(json.loads(header["pixsim"]))
         bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
         more = {"header": own["header"], "within": (own["within_nm"], own["within_shares"]) if "within_nm" in own else None}
         if "spectra_w_per_m2_nm" in own:
@@ -274,18 +296,3 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
         return SpectralImage(*bands, data=data, **more)
     except (KeyError, TypeError, ValueError, OverflowError, IndexError, RecursionError) as error:
         raise refuse("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None
-
-
-def checked_header(own: dict[str, Any]) -> dict[str, Any]:
-    """A file's own header, where those that use its entries find what they expect. ValueError or TypeError where they would not."""
-    told = own["header"]
-    if not all(isinstance(told.get(name, {}), dict) for name in ("parameters", "camera")):
-        raise ValueError("parameters and camera are tables")
-    if not all(isinstance(told.get(name, ""), str) for name in ("scene", "source", "units")):
-        raise ValueError("scene, source and units are texts")
-    numbers = np.array(own["wavelength_nm"] + own["band_width_nm"] + told.get("lamp_w_per_m2_sr_nm", []), float)
-    if numbers.size % len(own["wavelength_nm"]) or not np.isfinite(numbers).all():
-        raise ValueError("numbers for other bands, or that are none")
-    if not 0 < told.get("luminance_cd_per_m2", 1.0) < math.inf:
-        raise ValueError("luminance_cd_per_m2 is above 0")
-    return own

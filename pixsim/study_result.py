@@ -24,13 +24,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Curve:
-    """Mean ΔE against pitch for one technology."""
+    """Mean ΔE against pitch for one technology.
+
+    technology : its name, or the path of its file
+    feature_size_um : of the process
+    pitch_um : (pitches,) rising
+    fill_factor : (pitches,) photodiode area over pixel area
+    statistics : `mean_delta_e` and the others, (pitches, repeats) each
+    optimum : the pitch with the least mean ΔE
+    """
 
     technology: str
     feature_size_um: float
     pitch_um: Array = field(repr=False)
     fill_factor: Array = field(repr=False)
-    statistics: dict[str, Array] = field(repr=False)  # mean_delta_e, the others and integration_s, (pitches, repeats) each
+    statistics: dict[str, Array] = field(repr=False)
     optimum: Optimum
 
     @property
@@ -45,9 +53,11 @@ class Curve:
 
     @property
     def optimum_fill_factor(self) -> float:
+        """Photodiode area over pixel area at the optimum, linear between pitches."""
         return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
 
     def as_dict(self) -> dict[str, Any]:
+        """As summary.json tells it."""
         mean, ci95 = mean_and_ci95(self.delta_e)
         return {
             "technology": self.technology,
@@ -63,16 +73,24 @@ class Curve:
 
 @dataclass(frozen=True)
 class StudyResult:
-    """What a study found, and what its report needs."""
+    """What a study found, and what its report needs.
+
+    study : as it was run
+    curves : one for each technology
+    irradiance : that all of its pictures are made from
+    camera : that it was rendered with
+    budget : errors of the first curve, where a tolerance of ΔE was asked for
+    """
 
     study: Study
     curves: tuple[Curve, ...]
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
-    budget: dict[str, Any] | None = None  # of the first curve, where a tolerance of ΔE was asked for
+    budget: dict[str, Any] | None = None
 
     @cached_property
     def lights(self) -> Lights:
+        """The light behind the lens for each response, kept for `scores`."""
         return Lights(self.study, self.irradiance, self.camera)
 
     def as_dict(self) -> dict[str, Any]:
@@ -85,7 +103,10 @@ class StudyResult:
         }
 
     def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
-        """Pictures of the study again, for showing: the first `repeats` sensors, or all."""
+        """Pictures of the study again, for showing: the first `repeats` sensors, or all, of a `technology` at a pitch.
+
+        Raises PixsimError for a pitch that the technology cannot have.
+        """
         bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
         count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
         frames = Content(self.study, self.camera, self.irradiance).frames(technology, pitch_um)
@@ -100,7 +121,7 @@ class StudyResult:
         return study_figure(self)
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """A row for each technology, pitch and sensor, as CSV; also into a file where a path is given."""
+        """A row for each technology, pitch and sensor, as CSV; also into a file where a `path` is given."""
         from pixsim.notebook import csv_text, study_rows
 
         return csv_text(study_rows(self), path)

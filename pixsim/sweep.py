@@ -190,9 +190,18 @@ def study(
     jobs : processes; None takes one a core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers take the place of
         processes here; on one kind of processor their results are the same bits
+    variant : Mitsuba's; None takes the fastest that works here
     progress : gives a callback for each named stage
 
     Raises PixsimError for input that cannot be used.
+
+    >>> import tempfile
+    >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
+    >>> tiny |= {"scene": {"file": "csf", "parameters": {"resolution": 64, "spp": 4}}}
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     result = study(Study.model_validate(tiny), folder, jobs=1)
+    >>> result.curves[0].delta_e.shape, bool(result.curves[0].delta_e.mean(axis=1).argmin() == 0)  # (pitches, sensors)
+    ((5, 2), True)
     """
     if isinstance(plan, Study) and (config or parameters):
         raise refuse("config, parameters", "with a Study", "the name or the file of one", "Put them into the Study.")

@@ -16,7 +16,7 @@ from pixsim.parameters import Record
 from pixsim.pixel_record import NO_TECHNOLOGY
 
 Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
-Grading = Annotated[float, Field(ge=0, le=0.99)]  # ½ abrupt, ⅓ linear
+Grading = Annotated[float, Field(ge=0, le=0.99)]
 Capacitance = Annotated[float, Field(ge=0, le=1e9)]
 LEAST_FF = 1e-6  # an electron would swing it by 160 V
 
@@ -24,15 +24,15 @@ LEAST_FF = 1e-6  # an electron would swing it by 160 V
 class Junction(Record):
     """An n+/psub photodiode of a 3T pixel, with SPICE's names; capacitances are zero-bias."""
 
-    reset_voltage_v: Volts
-    voltage_swing_v: Volts
-    cj_ff_per_um2: Capacitance
-    pb_v: Volts
-    mj: Grading
-    cjsw_ff_per_um: Capacitance
-    pbsw_v: Volts
-    mjsw: Grading
-    node_capacitance_ff: Capacitance
+    reset_voltage_v: Volts = Field(description="reverse bias after reset, V")
+    voltage_swing_v: Volts = Field(description="of the photodiode, from reset to full, V")
+    cj_ff_per_um2: Capacitance = Field(description="of the area, fF/µm²")
+    pb_v: Volts = Field(description="built-in potential of the area's junction, V")
+    mj: Grading = Field(description="grading coefficient of the area's junction: ½ abrupt, ⅓ linear")
+    cjsw_ff_per_um: Capacitance = Field(description="of the sidewall, fF/µm")
+    pbsw_v: Volts = Field(description="built-in potential of the sidewall's junction, V")
+    mjsw: Grading = Field(description="grading coefficient of the sidewall's junction")
+    node_capacitance_ff: Capacitance = Field(description="fixed, of the node beside the photodiode, fF")
 
     @model_validator(mode="after")
     def _swing_below_reset(self) -> Self:
@@ -53,8 +53,8 @@ class Junction(Record):
 class Technology(Record):
     """A CMOS process, as a pixel sees it. Lengths of the fill-factor law are in units of the feature size."""
 
-    name: str
-    feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3)]
+    name: str = Field(description="as results spell it")
+    feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="F, which names the process")]
     junction: Junction | None = Field(None, description="3T: the well is the junction's capacitance times the swing")
     full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
         None, description="4T: the well of a pinned photodiode, per its area"
@@ -62,18 +62,22 @@ class Technology(Record):
     reset_noise_factor: bounds.ResetFactor = Field(
         1.0, description="n in the variance n kTC/q²; 0 for charge transfer with true CDS"
     )
-    response_curve: Literal["hp_mosis", "silicon"] = "hp_mosis"
-    dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)]
-    dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)]  # 4 to 12 in silicon
-    peak_quantum_efficiency: bounds.Fraction
-    prnu: bounds.GainSpread
-    dsnu: bounds.DarkSpread
-    offset_fpn: bounds.OffsetSpread
-    column_fpn: bounds.OffsetSpread
-    read_noise_e: bounds.NoiseElectrons
-    fill_factor_limit: bounds.Fraction
-    fill_factor_zero_pitch_features: Annotated[float, Field(gt=0, le=1e6)]
-    fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="shape of the quantum efficiency, packaged")
+    dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(description="of the photodiode at 27 °C, nA/cm²")
+    dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)] = Field(description="warmth that doubles it; 4 to 12 in silicon")
+    peak_quantum_efficiency: bounds.Fraction = Field(description="electrons per photon on the photodiode where it is largest")
+    prnu: bounds.GainSpread = Field(description="standard deviation of the gain over its mean")
+    dsnu: bounds.DarkSpread = Field(description="standard deviation of the dark current over its mean")
+    offset_fpn: bounds.OffsetSpread = Field(description="per pixel, fraction of the full well")
+    column_fpn: bounds.OffsetSpread = Field(description="per column, fraction of the full well")
+    read_noise_e: bounds.NoiseElectrons = Field(description="temporal, beside the reset noise")
+    fill_factor_limit: bounds.Fraction = Field(description="η of the fill-factor law, reached by infinitely large pixels")
+    fill_factor_zero_pitch_features: Annotated[float, Field(gt=0, le=1e6)] = Field(
+        description="p0 of the law, in feature sizes: the pitch without a photodiode"
+    )
+    fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        0.0, description="s of the law, in feature sizes: width that is lost at every pitch"
+    )
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
 
     @model_validator(mode="after")
@@ -130,7 +134,12 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
 def load_technology(name: str) -> Technology:
     """A packaged technology by name, a user's by the path of its TOML file, or none.
 
-    Every number is a table `{value, confidence, source}`. PixsimError for an unknown name, naming the known ones.
+    Every number is a table `{value, confidence, source}`.
+
+    Raises PixsimError for an unknown name, naming the known ones, and for a file that is damaged or lacks something.
+
+    >>> load_technology("0.35um").feature_size_um
+    0.35
     """
     if name == NO_TECHNOLOGY:
         return NO_PROCESS

@@ -11,9 +11,9 @@ from pixsim.cli.base import Json, app, show
 def completion(shell: Literal["bash", "zsh", "fish"], *, json: Json = False) -> None:
     """Print a script that makes a shell complete commands and options.
 
-    Examples:
-    pixsim completion bash > ~/.local/share/bash-completion/completions/pixsim
-    pixsim completion fish > ~/.config/fish/completions/pixsim.fish
+    Example: pixsim completion bash > ~/.local/share/bash-completion/completions/pixsim
+
+    Example: pixsim completion fish > ~/.config/fish/completions/pixsim.fish
 
     Parameters
     ----------

@@ -28,10 +28,11 @@ def datasheet(
 ) -> None:
     """Measure a pixel as EMVA 1288, ISO 15739 and ISO 12232 do, beside what is true.
 
-    Examples:
-    pixsim datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12
-    pixsim datasheet my_sensor.toml
-    pixsim datasheet --pixel.technology 4t-bsi --pixel.pitch-um 1.2 --seed 1
+    Example: pixsim datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12
+
+    Example: pixsim datasheet my_sensor.toml
+
+    Example: pixsim datasheet --pixel.technology 4t-bsi --pixel.pitch-um 1.2 --seed 1
 
     A photon-transfer experiment with one individual sensor of 200 × 200 pixels: 50 pairs of frames from dark to beyond
     saturation, stacks for the spatial terms, dark series over time and temperature. A black level of less than 6 σ of the

@@ -23,9 +23,9 @@ def sfr(
 ) -> None:
     """Spatial frequency response of a slanted edge, as ISO 12233 measures it.
 
-    Examples:
-    pixsim run slanted_edge
-    pixsim sfr pixsim-out/slanted_edge/raw.exr
+    Example: pixsim run slanted_edge
+
+    Example: pixsim sfr pixsim-out/slanted_edge/raw.exr
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json.
 

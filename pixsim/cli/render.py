@@ -67,9 +67,9 @@ def run(
 ) -> None:
     """Render a scene, take its picture with one sensor and score it.
 
-    Examples:
-    pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
-    pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
+    Example: pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
+
+    Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
     Writes irradiance.exr, raw.exr (for --raw in other formats too), ideal.png, image.png, delta_e.exr, delta_e.png,
     score.json, and report.html, which shows them.

@@ -20,9 +20,9 @@ def template(
 ) -> None:
     """Write a commented configuration file with every field, its unit, default and allowed range.
 
-    Examples:
-    pixsim template sensor -o my_sensor.toml
-    pixsim template study -o my_study.toml
+    Example: pixsim template sensor -o my_sensor.toml
+
+    Example: pixsim template study -o my_study.toml
 
     Parameters
     ----------
