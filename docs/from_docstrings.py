@@ -33,7 +33,7 @@ ROOMS = (*pixsim._MODULES, "scene", "score", "study_result", "raw", "sfr", "tech
 def escaped(text: str) -> str:
     """Prose without reStructuredText's marks, but for `code`."""
     parts = re.split(r"(`[^`]+`)", text)
-    parts[::2] = [re.sub(r"([\\*|])|(_)(?!\w)", r"\\\1\2", part) for part in parts[::2]]
+    parts[::2] = [re.sub(r"([\\*|])|(_)(?!\w)|(?<!https)(:)(?=//)", r"\\\1\2\3", part) for part in parts[::2]]
     return ENUMERATOR.sub(r"\\\1", "".join(parts), count=1) if ENUMERATOR.match(text) else "".join(parts)
 
 
@@ -200,10 +200,24 @@ def on_missing(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
     return link
 
 
+def on_doctree(_: Sphinx, document: nodes.document) -> None:
+    """An entry is found by the module that a thing is from too: pages of source code point back there."""
+    for node in document.findall(addnodes.desc_signature):
+        thing, names = pixsim, node.get("fullname", "").split(".")
+        for each in [*node.get("module", "pixsim").split(".")[1:], names[0]]:
+            thing = getattr(thing, each, None)
+        home = getattr(thing, "__module__", None)
+        for place in (home, "pixsim") if home and node["ids"] else ():
+            if (alias := f"{place}.{node['fullname']}") not in document.ids:
+                node["ids"].append(alias)
+                document.ids[alias] = node
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     app.add_role("name_or_code", NameOrCode())
     app.connect("autodoc-process-signature", on_signature)
     app.connect("autodoc-process-docstring", on_docstring)
     app.connect("autodoc-skip-member", on_skip)
     app.connect("missing-reference", on_missing)
+    app.connect("doctree-read", on_doctree)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

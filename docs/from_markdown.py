@@ -83,7 +83,7 @@ def commands() -> str:
     """Every command with its options, from the app itself."""
     from pixsim.cli import app as program
 
-    told: str = program.generate_docs(output_format="markdown", heading_level=1)
+    told: str = program.generate_docs(output_format="markdown", heading_level=1, usage_name="pixsim")
     return told[told.index("## pixsim run") :]
 
 
