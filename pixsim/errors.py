@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import re
+from collections.abc import Iterable
 
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 LONGEST = 20_000  # characters of a message
@@ -24,3 +26,9 @@ def shown(text: str) -> str:
 def refuse(what: str, got: object, allowed: str, mend: str = "") -> PixsimError:
     """Build the error in the house's form; the caller raises it."""
     return PixsimError(f"{what}: got {got}; allowed: {allowed}." + (f" {mend}" if mend else ""))
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """How to mend a misspelt name; nothing where none is near."""
+    near = difflib.get_close_matches(name, known, 1)
+    return f"Did you mean '{near[0]}'?" if near else ""

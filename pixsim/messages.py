@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -10,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from pixsim.config import Layer, merged
-from pixsim.errors import PixsimError
+from pixsim.errors import PixsimError, did_you_mean
 from pixsim.record import Record
 
 LONGEST_VALUE = 80
@@ -40,9 +39,8 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     where = _where(title, problem, layers)
     if problem["type"] == "extra_forbidden":
         known = _names(title, path[:-1])
-        near = difflib.get_close_matches(path[-1].replace("-", "_"), known, 1)
-        mend = f" Did you mean '{near[0]}'?" if near else ""
-        return f"{where}: unknown name; allowed: {', '.join(known)}.{mend}"
+        mend = did_you_mean(path[-1].replace("-", "_"), known)
+        return f"{where}: unknown name; allowed: {', '.join(known)}.{mend and ' '}{mend}"
     if problem["type"] == "missing":
         return f"{where}: missing; every {title} needs it."
     message = problem["msg"].removeprefix("Value error, ")

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pixsim import variant as variants
-from pixsim.errors import PixsimError, refuse
+from pixsim.errors import PixsimError, did_you_mean, refuse
 from pixsim.geometry import check_transforms
 from pixsim.lamps import find_lamp
 from pixsim.mitsuba_xml import children, nodes_of, parse
@@ -121,7 +121,8 @@ def load_scene(
     """
     path = packaged_scenes().get(str(scene)) or Path(scene)
     if not os.path.lexists(path) or path.is_dir():
-        raise refuse("scene", f"'{scene}'", f"an XML file, or one of {', '.join(packaged_scenes())}")
+        known = packaged_scenes()
+        raise refuse("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     given = {name: str(value) for name, value in parameters.items()}
     told = judge_scene(path, given)

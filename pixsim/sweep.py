@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from pixsim.config import Layer, beside, packaged, read_toml
 from pixsim.display import white_cd_per_m2
 from pixsim.engine import Workers, workers_for
-from pixsim.errors import refuse
+from pixsim.errors import did_you_mean, refuse
 from pixsim.evaluations import (
     Lights,
     Progress,
@@ -44,7 +45,7 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
     known = packaged("studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
-        raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}")
+        raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
     table = read_toml(path)
     for own in (table, table.get("quick", {})):
         if isinstance(own, dict):
@@ -206,6 +207,8 @@ def study(
     if isinstance(plan, Study) and (config or parameters):
         raise refuse("config, parameters", "with a Study", "the name or the file of one", "Put them into the Study.")
     chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters)
+    if quick and not chosen.quick:
+        warnings.warn(f"the study {chosen.name} has no [quick] table: it is done in full", stacklevel=2)
     chosen = chosen.quickened if quick else chosen
     refuse_bad_pitches(chosen)
     stage = progress or (lambda _: lambda *_: None)

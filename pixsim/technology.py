@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from pixsim import bounds
 from pixsim.config import Layer, packaged, read_toml
-from pixsim.errors import PixsimError, refuse
+from pixsim.errors import PixsimError, did_you_mean, refuse
 from pixsim.messages import checked
 from pixsim.parameters import Record
 from pixsim.pixel_record import NO_TECHNOLOGY
@@ -146,7 +146,8 @@ def load_technology(name: str) -> Technology:
     known = packaged("data/technologies")
     path = known.get(name) or Path(name)
     if path.suffix != ".toml" or not name:
-        raise refuse("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), "Or give the path of a technology's TOML file.")
+        mend = f"{did_you_mean(name, known)} Or give the path of a technology's TOML file.".strip()
+        raise refuse("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), mend)
     about = path.stat() if path.is_file() else None
     return _read(path, (about.st_mtime_ns, about.st_size) if about else ())
 

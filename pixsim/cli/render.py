@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -150,4 +151,4 @@ def plan(
     if json:
         show(made.as_dict(), True, "")
     else:
-        print(plan_table(made, None if sys.stdout.isatty() else FILE_WIDTH))
+        print(plan_table(made, None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH))
