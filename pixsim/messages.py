@@ -39,7 +39,8 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     where = _where(title, problem, layers)
     if problem["type"] == "extra_forbidden":
         known = _names(title, path[:-1])
-        mend = did_you_mean(path[-1].replace("-", "_"), known)
+        name = path[-1].replace("-", "_")
+        mend = _its_table(title, path[:-1], name) or did_you_mean(name, known)
         return f"{where}: unknown name; allowed: {', '.join(known)}.{mend and ' '}{mend}"
     if problem["type"] == "missing":
         return f"{where}: missing; every {title} needs it."
@@ -65,6 +66,12 @@ def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
             if layer.table and layer.names(loc[:length]):
                 return f"{layer.source}: {dotted}" if layer.source else dotted
     return dotted
+
+
+def _its_table(title: str, path: list[str], name: str) -> str:
+    """Where a field belongs that stands one table too high: [pixel] was forgotten."""
+    tables = [table for table in _names(title, path) if name in _names(title, [*path, table])]
+    return f"It belongs into [{'.'.join([*path, tables[0]])}]." if len(tables) == 1 else ""
 
 
 def _names(title: str, path: list[str]) -> list[str]:
