@@ -14,12 +14,13 @@ release = version = pixsim.__version__
 html_title = f"pixsim {release}"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "from_docstrings", "from_markdown"]
-exclude_patterns = ["pictures", "**/.*", "*.md.j2"]
+exclude_patterns = ["pictures", "**/.*"]
 default_role = "name_or_code"  # of from_docstrings
 myst_heading_anchors = 4  # as GitHub names them
 
 autodoc_member_order = "bysource"
-autodoc_class_signature = "mixed"
+# Of properties; from_docstrings writes the signatures of functions.
+autodoc_type_aliases = {name: name for name in ("Array", "Floats")}
 viewcode_follow_imported_members = True
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 72

@@ -25,7 +25,7 @@ ENTRY = re.compile(r"(\w+(?:, \w+)*) : (.*)")
 ENUMERATOR = re.compile(r"(\(?\w{1,3}[.)] |[-+•] )")  # what would begin a list
 SHORT = {"npt.ArrayLike": "ArrayLike", "Floats": "Array", "os.PathLike[str]": "PathLike", "np.random.Generator": "Generator"}
 SHORT |= {"NDArray[np.float32]": "Array", "NDArray[np.int32]": "Array", "NDArray[Any]": "Array"}
-
+PAGE_COLUMNS = 78  # of code, at a desk
 # Where short names are looked for.
 ROOMS = (*pixsim._MODULES, "scene", "score", "study_result", "raw", "sfr", "technology", "optimum")
 
@@ -72,7 +72,9 @@ def rst(lines: list[str], thing: Any) -> list[str]:
     for part in paragraphs(lines):
         words = " ".join(line.strip() for line in part)
         if part[0].startswith(">>>"):
-            examples += ["", *part]
+            examples += ["", *(short for line in part for short in narrowed(line))]
+        elif part[0].startswith("["):  # sources
+            prose += ["", *(f"{'| ' if line.startswith('[') else '  '}{escaped(line)}" for line in part)]
         elif pairs := entries(part):
             for names, text in pairs:
                 described |= dict.fromkeys(names.split(", "), text) if fields_of(thing) else {names: text}
@@ -83,10 +85,10 @@ def rst(lines: list[str], thing: Any) -> list[str]:
         elif part[0].startswith(" "):
             prose += ["", "::", "", *(f"   {line}" for line in part)]
         else:
-            prose += ["", *escaped(words).splitlines()]
+            prose += ["", escaped(words)]
     own = fields_of(thing)
     if heir := heir_of(thing):
-        prose += ["", f"Fields, as in `{heir}`: {', '.join(f'`{each}`' for each in own)}."]
+        prose += ["", f"Fields, as in `{heir}`: {', '.join(f'``{each}``' for each in own)}."]
         return [*prose, ""]
     if not own:
         # Not `:param a, b:`, which would take a for the type of b.
@@ -94,6 +96,12 @@ def rst(lines: list[str], thing: Any) -> list[str]:
         told = ([":Parameters:", *lists] if lists else []) + told
     attributes = [line for each in own for line in attribute(each, thing, described.get(each, ""))]
     return [*prose, "", *told, *raised, *examples, "", *attributes, ""]
+
+
+def narrowed(line: str) -> list[str]:
+    """An example's line; one too long for a page has its remark before it."""
+    code, remark, words = line.rpartition("  # ")
+    return [f">>> # {words}", code] if remark and len(line) > PAGE_COLUMNS and code.startswith(">>>") else [line]
 
 
 def fields_of(thing: Any) -> list[str]:

@@ -94,7 +94,7 @@ class StudyResult:
         return Lights(self.study, self.irradiance, self.camera)
 
     def as_dict(self) -> dict[str, Any]:
-        """summary.json."""
+        """As summary.json tells it."""
         budget = {"error_budget": self.budget} if self.budget else {}
         return budget | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),

@@ -11,7 +11,6 @@ import importlib
 import inspect
 import re
 import textwrap
-import time
 from collections.abc import Callable, Iterator
 from functools import cache, cached_property
 from typing import Any
@@ -193,7 +192,6 @@ SHOWN = (
     *("read_frame", "edge_response", "make_plan", "load_technology", "SpectralImage", "make_chart"),
     *("optics.irradiance_factor", "optics.diffraction_otf", "photodiode.collected_charge_e", "pixel.fill_factor_law"),
 )
-EXAMPLES_TAKE_S = 20.0  # found: 3 s
 
 
 def examples() -> Iterator[doctest.DocTest]:
@@ -205,8 +203,7 @@ def examples() -> Iterator[doctest.DocTest]:
 
 
 def test_examples_are_true() -> None:
-    """Their numbers are published ones or closed forms, told beside them."""
-    start = time.monotonic()
+    """Their numbers are published ones or closed forms, told beside them. They take 2 s."""
     runner = doctest.DocTestRunner()
     told: list[str] = []
     shown = set()
@@ -215,4 +212,3 @@ def test_examples_are_true() -> None:
         runner.run(each, out=told.append)
     assert runner.failures == 0, "".join(told)
     assert {f"pixsim.{name}" for name in SHOWN} <= shown
-    assert time.monotonic() - start < EXAMPLES_TAKE_S

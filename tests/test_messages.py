@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import pytest
@@ -44,10 +45,11 @@ def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
 
 
 def test_a_study_without_a_quick_table_says_that_it_is_done_in_full(tmp_path: Path) -> None:
-    small = (
-        'name = "own"\nrepeats = 2\n[pitch]\nvalues_um = [6, 7, 8, 10, 12]\n[scene]\nparameters = { resolution = 64, spp = 4 }\n'
-    )
-    (tmp_path / "own.toml").write_text(small + "[display]\ndots = 64\n", encoding="utf-8")
-    code, _, err = command(f"study {tmp_path / 'own.toml'} --quick --jobs 1 --out {tmp_path / 'out'}")
+    small = 'name = "own"\nrepeats = 2\n[pitch]\nvalues_um = [6, 7, 8, 10, 12]\n[display]\ndots = 64\n'
+    (tmp_path / "own.toml").write_text(small, encoding="utf-8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        film = "-D resolution=64 -D spp=4"
+        code, _, err = command(f"study {tmp_path / 'own.toml'} {film} --quick --jobs 1 --out {tmp_path / 'out'}")
     assert code == 0, err
-    assert "the study own has no [quick] table: it is done in full" in err
+    assert "warning: the study own has no [quick] table: it is done in full" in err

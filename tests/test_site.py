@@ -249,6 +249,7 @@ def test_a_page_as_pdf_has_its_words(site: Path, tmp_path: Path) -> None:
     assert 2 <= len(sheets) <= 8
     for told in ("Optics", "irradiance_factor", "Foote", "Goodman", "E/L in sr", "0.048332", "square_aperture_mtf"):
         assert told in words
+    assert "Skip to content" not in words, "a link for keyboards would lie over the text"
 
 
 @pytest.mark.slow
