@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +61,24 @@ def rewritten(text: str, source: Path, docname: str) -> str:
         name = found.relative_to(ROOT).as_posix()
         return words if name in words else f"{words} (`{name}`)"
 
-    lines, fenced = [], ""
+    return "".join(part if fenced else CODE_OR_LINK.sub(link, part) for part, fenced in parts(text))
+
+
+def parts(text: str) -> Iterator[tuple[str, bool]]:
+    """Paragraphs, within which a link may go over to the next line, and (…, True) the lines of fenced blocks."""
+    paragraph, fence = "", ""
     for line in text.splitlines():
-        fence = FENCE.match(line)
-        if fence and fenced in ("", fence[1]):
-            fenced = "" if fenced else fence[1]
-        lines.append(line if fence or fenced else CODE_OR_LINK.sub(link, line))
-    return "\n".join(lines) + "\n"
+        mark = FENCE.match(line)
+        borders = bool(mark and fence in ("", mark[1]))
+        if fence or borders or not line.strip():
+            yield paragraph, False
+            yield f"{line}\n", bool(fence or borders)
+            paragraph = ""
+        else:
+            paragraph += f"{line}\n"
+        if mark and borders:
+            fence = "" if fence else mark[1]
+    yield paragraph, False
 
 
 def on_read(app: Sphinx, docname: str, content: list[str]) -> None:

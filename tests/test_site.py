@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import re
@@ -76,14 +77,14 @@ def pages(site: Path) -> dict[Path, Page]:
     return {path: Page(path) for path in sorted(site.rglob("*.html"))}
 
 
-def written(site: Path, pages: dict[Path, Page]) -> list[Path]:
+def written(pages: dict[Path, Page]) -> list[Path]:
     """Pages that were written, not made: neither indices nor source code."""
     return [path for path in pages if "_modules" not in path.parts and path.stem not in ("genindex", "py-modindex", "search")]
 
 
-def test_every_link_leads_somewhere(site: Path, pages: dict[Path, Page]) -> None:
-    wrong = []
-    checked = 0
+def dead_links(pages: dict[Path, Page]) -> tuple[list[str], int]:
+    """Links to files or anchors that are not there, and how many were looked at."""
+    wrong, checked = [], 0
     for path, page in pages.items():
         for link in page.links:
             parts = urlsplit(link)
@@ -92,11 +93,22 @@ def test_every_link_leads_somewhere(site: Path, pages: dict[Path, Page]) -> None
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             checked += 1
             if target not in pages and not target.is_file():
-                wrong.append(f"{path.relative_to(site)}: {link}")
+                wrong.append(f"{path.name}: {link}")
             elif parts.fragment and unquote(parts.fragment) not in pages[target].ids:
-                wrong.append(f"{path.relative_to(site)}: {link}, no such anchor")
+                wrong.append(f"{path.name}: {link}, no such anchor")
+    return wrong, checked
+
+
+def test_every_link_leads_somewhere(pages: dict[Path, Page]) -> None:
+    wrong, checked = dead_links(pages)
     assert not wrong
     assert checked > 1000
+
+
+def test_a_dead_link_is_found(tmp_path: Path) -> None:
+    path = tmp_path.resolve() / "a.html"
+    path.write_text('<p id="here"><a href="#here"></a><a href="a.html#gone"></a><a href="b.html"></a>', encoding="utf-8")
+    assert dead_links({path: Page(path)}) == (["a.html: a.html#gone, no such anchor", "a.html: b.html"], 3)
 
 
 def test_links_to_elsewhere_are_well_formed(pages: dict[Path, Page]) -> None:
@@ -188,6 +200,7 @@ def test_markdown_links_become_pages_or_paths(caplog: pytest.LogCaptureFixture, 
         "![growth](../docs/pictures/growth.svg)": "![growth](../pictures/growth.svg)",
         "[![growth](../docs/pictures/growth.svg)](../CHANGELOG.md)": "[![growth](../pictures/growth.svg)](changelog.md)",
         "[far](https://example.org/a.md) [here](#charts)": "[far](https://example.org/a.md) [here](#charts)",
+        "see [two\nlines](../CHANGELOG.md)": "see [two\nlines](changelog.md)",
         "```md\n[not](nothing.md)\n```\n`[nor](this.md)`": "```md\n[not](nothing.md)\n```\n`[nor](this.md)`",
     }.items():
         assert rewritten(text, scenes, "repository/scenes") == f"{expected}\n"
@@ -218,24 +231,39 @@ def chromium(profile: Path, *more: str) -> str:
     return subprocess.run([*command, *more], capture_output=True, encoding="utf-8", check=True, timeout=120).stdout
 
 
+def looked_at(shown: list[Path], width: int, folder: Path) -> list[Any]:
+    """[room, width of what is in it, title, pictures that are missing, elements that stick out] of each page."""
+    frames = "\n".join(f'<iframe width="{width}" height="900" style="border: 0" src="{path.as_uri()}"></iframe>' for path in shown)
+    frame = folder / "frames.html"
+    frame.write_text(FRAMES.format(frames=frames), encoding="utf-8")
+    title = re.search(r"<title>(.*?)</title>", chromium(folder / "profile", "--dump-dom", frame.as_uri()), re.DOTALL)
+    assert title
+    found: list[Any] = json.loads(html.unescape(title[1]))
+    assert len(found) == len(shown)
+    return found
+
+
 @needs_browser
 @pytest.mark.parametrize("width", [400, 1280])
-def test_nothing_sticks_out_of_a_page(width: int, site: Path, pages: dict[Path, Page], tmp_path: Path) -> None:
+def test_nothing_sticks_out_of_a_page(width: int, pages: dict[Path, Page], tmp_path: Path) -> None:
     """A telephone and a desk; wide tables and code scroll within themselves."""
-    shown = written(site, pages)
-    frames = "\n".join(f'<iframe width="{width}" height="900" style="border: 0" src="{path.as_uri()}"></iframe>' for path in shown)
-    frame = tmp_path / "frames.html"
-    frame.write_text(FRAMES.format(frames=frames), encoding="utf-8")
-    title = re.search(r"<title>(.*?)</title>", chromium(tmp_path / "profile", "--dump-dom", frame.as_uri()), re.DOTALL)
-    assert title
-    found = json.loads(title[1].replace("&amp;", "&").replace("&lt;", "<").replace("&gt;", ">"))
-    assert len(found) == len(shown) > 15
-    for path, (room, wide, name, missing, out) in zip(shown, found, strict=True):
+    shown = written(pages)
+    assert len(shown) > 15
+    for path, (room, wide, name, missing, out) in zip(shown, looked_at(shown, width, tmp_path), strict=True):
         assert name, path
         assert width - 20 <= room <= width, "the frame is as wide as it should be, but for a scroll bar"
         assert wide <= room, path
         assert missing == [], path
         assert out == [], path
+
+
+@needs_browser
+def test_what_sticks_out_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "wide.html"
+    page.write_text('<title>w</title><article><p style="width: 600px">w<img src="gone.png"></article>', encoding="utf-8")
+    ((room, wide, _, missing, out),) = looked_at([page], 400, tmp_path)
+    assert room <= 400 < wide
+    assert len(missing) == len(out) == 1
 
 
 @needs_browser
