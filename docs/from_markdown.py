@@ -18,7 +18,11 @@ from sphinx.util import logging
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 # Pages that stand elsewhere in the repository: what docs/ has under these names is a line for readers on GitHub.
-ELSEWHERE = {"repository/scenes": ROOT / "scenes/README.md", "repository/changelog": ROOT / "CHANGELOG.md"}
+ELSEWHERE = {
+    "repository/readme": ROOT / "README.md",
+    "repository/scenes": ROOT / "scenes/README.md",
+    "repository/changelog": ROOT / "CHANGELOG.md",
+}
 COMMAND_LINE = "reference/command_line"
 COMMANDS_HERE = "<!-- commands -->"
 FENCE = re.compile(r"^ *(```|~~~)")
@@ -27,12 +31,10 @@ logger = logging.getLogger(__name__)
 
 
 def page_of(path: Path) -> str | None:
-    """The document that shows a file. README.md is for those who have no site: its place is the first page."""
+    """The document that shows a file."""
     for name, other in ELSEWHERE.items():
         if path == other:
             return name
-    if path == ROOT / "README.md":
-        return "index"
     return path.relative_to(DOCS).with_suffix("").as_posix() if path.is_relative_to(DOCS) and path.suffix == ".md" else None
 
 
@@ -56,7 +58,7 @@ def rewritten(text: str, source: Path, docname: str) -> str:
             return f"![{words}]({os.path.relpath(found, here)})"
         page = page_of(found)
         if page:
-            anchor = f"#{anchor}" if anchor and found != ROOT / "README.md" else ""
+            anchor = f"#{anchor}" if anchor else ""
             return f"[{words}]({os.path.relpath(DOCS / page, here)}.md{anchor})"
         name = found.relative_to(ROOT).as_posix()
         return words if name in words else f"{words} (`{name}`)"

@@ -194,7 +194,7 @@ def test_markdown_links_become_pages_or_paths(caplog: pytest.LogCaptureFixture, 
     scenes = ROOT / "scenes/README.md"
     for text, expected in {
         "see [changes](../CHANGELOG.md#changelog)": "see [changes](changelog.md#changelog)",
-        "see [start](../README.md#one-picture)": "see [start](../index.md)",
+        "see [start](../README.md#in-python)": "see [start](readme.md#in-python)",
         "see [optics](../pixsim/optics.py)": "see optics (`pixsim/optics.py`)",
         "see [`csf.xml`](csf.xml)": "see `csf.xml` (`scenes/csf.xml`)",
         "![growth](../docs/pictures/growth.svg)": "![growth](../pictures/growth.svg)",
