@@ -38,7 +38,7 @@ class Look:
 
 
 LEGEND_LINE = 3.5  # long enough to show the dashes
-# Okabe and Ito (2008), in an order that keeps the first four at least 20 (CIEDE2000) apart for every kind of colour blindness,
+# Okabe and Ito (2008), in an order that keeps the first four at least 19 (CIEDE2000) apart for every kind of colour blindness,
 # and their lightness apart in grey; what comes after them needs its marker.
 LOOKS = (
     Look("#0072B2", "-", "o"),

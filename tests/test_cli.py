@@ -22,6 +22,7 @@ from pixsim.spectral import read_channels
 COMMAND = Path(sys.executable).with_name("pixsim")
 RUN_FILES = {
     "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json", "provenance.json",
+    "report.html",
 }  # fmt: skip
 SMALL = "-D resolution=64 --display.dots 64"
 

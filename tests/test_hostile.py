@@ -589,7 +589,9 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, words, room):
 MARKUP = "</h1><script>alert(1)</script>\"'&<img src=x onerror=alert(1)>"
 
 
-@pytest.mark.parametrize("name", ["report.html.j2", "datasheet.html.j2", "accuracy.html.j2", "sensitivity.html.j2"])
+@pytest.mark.parametrize(
+    "name", ["report.html.j2", "run.html.j2", "macros.html.j2", "datasheet.html.j2", "accuracy.html.j2", "sensitivity.html.j2"]
+)
 def test_no_template_lets_markup_through(name):
     """Strings are escaped but for those that a template marks as safe: none."""
     text = (Path(pixsim.__file__).parent / "data" / name).read_text(encoding="utf-8")

@@ -1,0 +1,102 @@
+"""The page of one picture: it tells what score.json holds, shows the files beside it, and opens alone."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
+from test_cli import command
+
+from pixsim import run_page
+from pixsim.pictures import grey_codes
+from pixsim.run_page import FILES, factor_for, shown_picture
+from pixsim.views import Picture
+
+LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("ran") / "out"
+    code, told, err = command(f"{LINE} {out}")
+    assert code == 0, err
+    assert told.splitlines()[0].endswith(f"report: {out / 'report.html'}")
+    return out
+
+
+def text_of(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_it_tells_what_score_json_holds(ran: Path) -> None:
+    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
+    page = " ".join(text_of(ran).split())
+    assert f"<b>{score['mean_delta_e']:.3f}</b>" in page
+    for name in ("full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e", "p99_delta_e", "max_delta_e"):
+        assert f"<td>{score[name]:.5g}</td>" in page, name
+    assert "256 × 256 pixels of 10.6 µm (0.35um) on 2.714 × 2.714 mm" in page
+    assert "3.86 mm at f/4" in page
+    assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
+    assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
+
+
+def test_its_pictures_are_the_files_beside_it(ran: Path) -> None:
+    embedded = {base64.b64decode(each) for each in re.findall(r'src="data:image/png;base64,([^"]+)"', text_of(ran))}
+    for name in ("ideal.png", "image.png", "delta_e.png"):
+        assert (ran / name).read_bytes() in embedded
+
+
+def test_it_links_to_every_file_and_fetches_none(ran: Path) -> None:
+    page = text_of(ran)
+    links = set(re.findall(r'href="([^"]+)"', page))
+    assert links == {path.name for path in ran.iterdir()} - {"report.html"}
+    assert links == {*FILES, "raw.png"}
+    assert all(each.startswith("data:") for each in re.findall(r'src="([^"]+)"', page))
+    assert "<script" not in page
+    assert str(ran.parent) not in page
+
+
+def test_it_is_the_same_bytes_each_time(ran: Path, tmp_path: Path) -> None:
+    assert command(f"{LINE} {tmp_path}")[0] == 0
+    assert (tmp_path / "report.html").read_bytes() == (ran / "report.html").read_bytes()
+
+
+@pytest.mark.parametrize(("shape", "factor"), [((1024, 1024), 1), ((1025, 8), 2), ((700, 3000), 3)])
+def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], factor: int, tmp_path: Path) -> None:
+    assert factor_for(np.zeros(shape)) == factor
+    rng = np.random.default_rng(2)
+    small = rng.random([n // factor for n in shape])
+    (tmp_path / "own.png").write_bytes(b"the file's own bytes")
+    whole = np.zeros(shape)
+    inner = np.kron(small, np.ones((factor, factor)))
+    whole[: inner.shape[0], : inner.shape[1]] = inner
+    shown = shown_picture(tmp_path / "own.png", whole, "a name")
+    if factor == 1:
+        assert shown.png == b"the file's own bytes"
+    else:
+        assert shown == Picture.of(grey_codes(small), "a name")
+    assert (shown.height, shown.width) == small.shape
+    assert max(small.shape) <= run_page.MOST_DOTS
+
+
+@needs_browser
+def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(ran: Path, tmp_path: Path) -> None:
+    found = assert_fits(ran / "report.html", tmp_path)
+    assert_sliders_move(found, pictures=1)
+    for seen in found:
+        assert len(seen.tiles) == 3
+        assert {tuple(tile) for tile in seen.tiles} == {(112,) * 4}
+
+
+@needs_browser
+def test_it_prints(ran: Path, tmp_path: Path) -> None:
+    headings = re.findall(r"<h2>(.*?)</h2>", text_of(ran))
+    assert len(headings) == 6
+    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
+    told = [f"Mean ΔE {score['mean_delta_e']:.3f}", "score.json", "10.6 µm pixels"]
+    assert_prints(ran / "report.html", tmp_path, range(3, 6), told, headings)

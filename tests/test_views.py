@@ -1,0 +1,181 @@
+"""What people see: details at 1:1, chosen where the errors are, of the same pictures that were scored."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import pixsim
+from pixsim import cache
+from pixsim.contact_sheet import COLUMNS, GAP, MARGIN, TITLE, Tile, contact_sheet_png
+from pixsim.details import DETAIL_DOTS, Window, crops, scale, window_at, windows, worst_window
+from pixsim.errors import PixsimError
+from pixsim.messages import checked
+from pixsim.pictures import delta_e_colours, grey_codes
+from pixsim.study_result import StudyResult
+from pixsim.views import best_place, picture_at, study_views
+
+STUDY = {
+    "name": "views",
+    "repeats": 2,
+    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
+    "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
+    "display": {"dots": 160, "samples_per_deg": 10.0},
+}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+    return pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path_factory.mktemp("views"), jobs=1)
+
+
+def decoded(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)))
+
+
+# --- windows ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(512, 512), (300, 200), (112, 500), (40, 64), (1, 9)])
+def test_details_are_square_and_reach_every_dot(shape: tuple[int, int]) -> None:
+    side = min(DETAIL_DOTS, *shape)
+    picture = np.arange(np.prod(shape)).reshape(shape)
+    seen: set[int] = set()
+    for window in windows(shape):
+        part = window.of(picture)
+        assert part.shape == (side, side)
+        seen |= set(part.ravel().tolist())
+    assert len(seen) == picture.size
+
+
+CORNERS = [((0.0, 0.0), (0, 0)), ((1.0, 1.0), (400, 188)), ((0.5, 0.5), (200, 94)), ((1.0, 0.0), (0, 188))]
+
+
+@pytest.mark.parametrize(("centre", "corner"), CORNERS)
+def test_a_detail_is_where_it_is_asked_for(centre: tuple[float, float], corner: tuple[int, int]) -> None:
+    window = window_at(centre, (512, 300))
+    y, x = np.indices((512, 300))
+    assert (window.of(y)[0, 0], window.of(x)[0, 0]) == corner
+    assert window.of(y).shape == (112, 112)
+
+
+def test_the_same_part_of_pictures_with_more_or_fewer_dots() -> None:
+    window = Window(0.25, 0.5, 0.25, 0.25)
+    for dots in (8, 64, 512):
+        y, x = np.indices((dots, dots)) / dots
+        assert window.of(x).min() == 0.5
+        assert window.of(y).min() == 0.25
+        assert window.of(x).shape == (dots // 4, dots // 4)
+
+
+def test_the_detail_is_where_all_maps_are_bad_not_where_one_is_worst() -> None:
+    noise, blur = np.ones((512, 512)), np.ones((512, 512))
+    noise[:112, :112] = 100.0
+    noise[300:412, 300:412], blur[300:412, 300:412] = 3.0, 4.0
+    across, down = worst_window([noise, blur]).centre
+    assert (across, down) == pytest.approx((356 / 512, 356 / 512), abs=14 / 512)  # to half a step
+    assert worst_window([noise]).centre == pytest.approx((56 / 512, 56 / 512))
+    # Another number of dots is another display, not another place.
+    assert worst_window([noise, blur[::2, ::2]]).centre == (across, down)
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["kept", "not kept", "of another shape"])
+def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the last bit, with the frame from the cache and without it."""
+    curve = result.curves[0]
+    if how == "not kept":
+        monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
+    elif how == "of another shape":
+        monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
+    else:
+        monkeypatch.setattr(pixsim.views, "bench_at", None)  # the dear way is not taken
+    for place in (0, 3):
+        picture = picture_at(result, curve, place)
+        expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
+        np.testing.assert_array_equal(picture, expected)
+
+
+@pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
+def test_the_views_of_a_study(raster: str, tmp_path: Path) -> None:
+    study = pixsim.Study.model_validate(STUDY | {"display": STUDY["display"] | {"raster": raster}, "detail": [0.9, 0.9]})
+    result = pixsim.study(study, tmp_path, jobs=1)
+    curve = result.curves[0]
+    at = best_place(curve)
+    scores = [result.scores(curve.technology, pitch_um, 1)[0] for pitch_um in curve.pitch_um.tolist()]
+    views = study_views(result, curve, scores[at])
+    finest = max((score.ideal for score in scores), key=lambda each: each.size)
+    window = window_at((0.9, 0.9), finest.shape)
+    assert views.place == window.centre
+    pictures = [finest, *(score.image for score in scores)]
+    for tile, picture in zip(views.tiles, pictures, strict=True):
+        np.testing.assert_array_equal(decoded(tile.png), grey_codes(window.of(picture)))
+    for tile, pitch_um, delta_e in zip(views.tiles[1:], curve.pitch_um, curve.delta_e, strict=True):
+        assert tile.name == f"{pitch_um:.2f} µm"
+        assert tile.note == f"mean ΔE {delta_e.mean():.3f}"
+    assert [tile.best for tile in views.tiles] == [index == at + 1 and curve.optimum.inside for index in range(7)]
+    np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(finest))
+    assert [output.name.partition(",")[0] for output in views.outputs][0::2] == ["smallest", "largest"]
+    for output, place in zip(views.outputs, sorted({0, at, 5}), strict=True):
+        np.testing.assert_array_equal(decoded(output.png), grey_codes(scores[place].image))
+
+
+def test_crops_are_the_same_part_of_ideal_output_and_map(result: StudyResult) -> None:
+    (score,) = result.scores("0.35um", 8.5, 1)
+    window = window_at((0.3, 0.8), score.ideal.shape)
+    ideal, output, map_ = crops(score, window, "sensor")
+    np.testing.assert_array_equal(decoded(ideal.png), grey_codes(window.of(score.ideal)))
+    np.testing.assert_array_equal(decoded(output.png), grey_codes(window.of(score.image)))
+    np.testing.assert_array_equal(decoded(map_.png), delta_e_colours(window.of(score.delta_e)))
+    assert f"mean here {window.of(score.delta_e).mean():.2f}" in map_.note
+
+
+def test_the_bar_of_colours_is_the_maps_scale() -> None:
+    bar = decoded(scale().png)
+    expected = delta_e_colours((np.arange(bar.shape[1]) / bar.shape[1] * 10)[None])[0]
+    np.testing.assert_array_equal(bar[0], expected)
+
+
+# --- the sheet as a file ----------------------------------------------------------------------------------------------
+
+
+def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
+    rng = np.random.default_rng(1)
+    tiles = [Tile(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
+    sheet = decoded(contact_sheet_png("a title", tiles))
+    for number, tile in enumerate(tiles):
+        x = MARGIN + number % COLUMNS * (112 + GAP)
+        y = MARGIN + TITLE + number // COLUMNS * (112 + 2 * 19 + GAP)
+        np.testing.assert_array_equal(sheet[y : y + 112, x : x + 112], np.repeat(tile.codes[:, :, None], 3, axis=2))
+        framed = (sheet[y : y + 112, x - 2] == (0, 114, 178)).all()
+        assert framed == tile.best
+    assert contact_sheet_png("a title", tiles) == contact_sheet_png("a title", tiles)
+
+
+# --- the study's own place --------------------------------------------------------------------------------------------
+
+
+def test_the_place_of_the_detail_does_not_change_a_row(result: StudyResult, tmp_path: Path) -> None:
+    study = pixsim.Study.model_validate(STUDY | {"detail": [0.1, 0.2]})
+    again = pixsim.study(study, tmp_path, jobs=1)
+    np.testing.assert_array_equal(again.curves[0].delta_e, result.curves[0].delta_e)
+    assert replace(again, study=result.study).as_dict() == result.as_dict()
+    text = (tmp_path / "results.csv").read_text(encoding="utf-8")
+    (tmp_path / "results.csv").unlink()
+    pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path, jobs=1)
+    assert (tmp_path / "results.csv").read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize("detail", [[0.5], [0.5, 1.1], [-0.1, 0.5], [0.5, 0.5, 0.5], "middle", [float("nan"), 0.5]])
+def test_a_place_outside_the_picture_is_refused(detail: object) -> None:
+    from pixsim.config import Layer
+
+    with pytest.raises(PixsimError, match="detail"):
+        checked(pixsim.Study, [Layer(STUDY | {"detail": detail}, "a test")])
