@@ -30,6 +30,7 @@ Picture = NDArray[np.float32] | Array
 # A kernel of so many samples runs about 1.5 s on two cores; between kernels Ctrl-C is heard and progress is told.
 SAMPLES_PER_KERNEL = 1 << 25
 SCALAR_STRIPS = 16
+SAMPLES_PER_STRIP = 1 << 16  # of scalar variants: below them Mitsuba's own start of a render costs more than they
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; longer averages are ours, in float64
 ALLOWED_SPP = (1, 1 << 20)
 ALLOWED_RESOLUTION = (1, 16384)
@@ -186,7 +187,8 @@ class Renderer:
     def _strips(self, mi: Any, job: _Pass, progress: Progress | None) -> Iterator[tuple[slice, Array]]:
         """Radiance through each response, (rows, W, channels) float64, strip after strip; averages of renders."""
         height, width = self.size
-        strips = SCALAR_STRIPS if self.scalar else -(-height * width * job.spp // SAMPLES_PER_KERNEL)
+        samples = height * width * job.spp
+        strips = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP)) if self.scalar else -(-samples // SAMPLES_PER_KERNEL)
         rows = np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
         count = job.renders * (len(rows) - 1)
         sampler = {"sampler": {"type": self.plan.sampler, "sample_count": job.spp}}
