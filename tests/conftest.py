@@ -11,4 +11,6 @@ from pixsim import cache
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
+        # More than a hundred processes are started: each would compile all of pixsim for itself.
+        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
