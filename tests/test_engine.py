@@ -275,7 +275,8 @@ def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(slower, 
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 
     command = [COMMAND, "study", slower[0], "--out", tmp_path / "out", "--jobs", "1"]
-    process = until_rows(command, tmp_path / "out", preexec_fn=limit)
+    own = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python leaves cut bytecode behind, which no later process can import
+    process = until_rows(command, tmp_path / "out", preexec_fn=limit, env=own)
     told, complaints = process.communicate(timeout=120)
     assert (process.returncode, told) == (2, "")
     assert "Traceback" not in complaints

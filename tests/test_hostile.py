@@ -575,7 +575,8 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, words, room):
     np.save(tmp_path / "edge.npy", 1 / (1 + np.exp(-x)))
     if words[0] in ("chart", "template"):
         (tmp_path / "out").mkdir()
-    how = {"cwd": tmp_path, "preexec_fn": limit, "timeout": 60, "capture_output": True, "text": True}
+    own = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python leaves cut bytecode behind, which no later process can import
+    how = {"cwd": tmp_path, "preexec_fn": limit, "timeout": 60, "capture_output": True, "text": True, "env": own}
     ended = subprocess.run([*COMMAND, *words], **how, check=False)
     assert (ended.returncode, ended.stdout) == (2, ""), ended.stderr
     assert "Traceback" not in ended.stderr
