@@ -2,12 +2,14 @@
 
 import json
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from test_cli import command
 
+from pixsim import datasheet
 from pixsim.bounds import SMALLEST_FRACTION
 from pixsim.datasheet import DataSheet, make_datasheet
 from pixsim.datasheet_entries import Entry, entries
@@ -340,7 +342,9 @@ def test_the_peak_of_the_variance_is_below_the_well_by_the_spread_of_the_gain() 
 # --- the command ---
 
 
-def test_the_command_writes_the_same_sheet_from_options_and_from_a_file(tmp_path: Path) -> None:
+def test_the_command_writes_the_same_sheet_from_options_and_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = partial(datasheet.make_datasheet, shape=(100, 100), stack_frames=16)  # a quarter of the pixels, of the stacks' frames
+    monkeypatch.setattr(datasheet, "make_datasheet", few)
     file, folders = tmp_path / "sensor.toml", [tmp_path / "a", tmp_path / "b"]
     file.write_text("[pixel]\ntechnology = '0.35um'\npitch_um = 6.5\n", encoding="utf-8")
     code, out, err = command(f"datasheet 0.35um --pixel.pitch-um 15 --seed 3 --json --out {folders[0]}")
@@ -358,6 +362,14 @@ def test_the_command_writes_the_same_sheet_from_options_and_from_a_file(tmp_path
     assert len(names) == 3 + 2 * 8
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name
+
+
+def test_a_folder_that_cannot_be_is_refused_before_the_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(datasheet, "make_datasheet", lambda *_, **__: pytest.fail("measured"))
+    (tmp_path / "file").touch()
+    code, out, err = command(f"datasheet 0.35um --out {tmp_path / 'file'}")
+    assert (code, out) == (2, "")
+    assert "Choose another with --out" in err
 
 
 @pytest.mark.parametrize(

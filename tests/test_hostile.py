@@ -16,6 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import pixsim
-from pixsim import cache, cli, figures
+from pixsim import cache, cli, datasheet, figures
 from pixsim.cli.base import settings_of
 from pixsim.errors import PixsimError, refuse
 from pixsim.evaluations import COLUMNS, TEXTS
@@ -39,6 +40,17 @@ from pixsim.sweep import load_study
 from pixsim.technology import load_technology
 
 COMMAND = [sys.executable, "-m", "pixsim"]
+FEW = {"shape": (60, 60), "stack_frames": 8}  # of a data sheet's experiment, where only what is written of it counts
+COMMAND_OF_FEW = [
+    sys.executable,
+    "-c",
+    f"""
+import functools
+from pixsim import cli, datasheet
+datasheet.make_datasheet = functools.partial(datasheet.make_datasheet, **{FEW})
+cli.main()
+""",
+]
 LONGEST_S = 10
 MOST_MIB = 1024
 SMALL = ["-D", "resolution=32", "-D", "spp=4", "--display.dots", "32"]
@@ -577,7 +589,8 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, words, room):
         (tmp_path / "out").mkdir()
     own = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python leaves cut bytecode behind, which no later process can import
     how = {"cwd": tmp_path, "preexec_fn": limit, "timeout": 60, "capture_output": True, "text": True, "env": own}
-    ended = subprocess.run([*COMMAND, *words], **how, check=False)
+    command = COMMAND_OF_FEW if words[0] == "datasheet" else COMMAND
+    ended = subprocess.run([*command, *words], **how, check=False)
     assert (ended.returncode, ended.stdout) == (2, ""), ended.stderr
     assert "Traceback" not in ended.stderr
     left = [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "edge.npy"]
@@ -634,7 +647,8 @@ def test_a_report_escapes_what_files_say(tmp_path, capsys):
         ET.fromstring(path.read_text(encoding="utf-8"))
 
 
-def test_a_data_sheet_escapes_what_files_say(tmp_path, capsys):
+def test_a_data_sheet_escapes_what_files_say(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, **FEW))
     own = (Path(pixsim.__file__).parent / "data/technologies/0.35um.toml").read_text()
     name = next(line for line in own.splitlines() if line.startswith("name"))
     (tmp_path / "$<b>.toml").write_text(own.replace(name, f"name = '''{MARKUP}$\\frac[bold]'''"))

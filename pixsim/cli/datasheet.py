@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,6 +13,7 @@ from pixsim.cli.base import DEFAULT_OUT, Config, Json, Out, app, settings_of, sh
 from pixsim.cli.tables import NO_EXPOSURE, NO_PIXEL, ExposureTable, PixelTable
 from pixsim.config import read_toml
 from pixsim.errors import PixsimError
+from pixsim.files import output_folder
 
 
 @app.command
@@ -51,7 +53,7 @@ def datasheet(
     files, table = pixel_of_argument(pixel_file, config, pixel)
     settings = settings_of(files, {"pixel": table, "exposure": exposure}, None, {"seed": seed})
     how: dict[str, Any] = {"wavelength_nm": wavelength_nm, "seed": settings.seed}
-    with stages() as stage:
+    with output_folder(out) if out else nullcontext(), stages() as stage:  # refused before the measurement, not after it
         sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, **how)
         stage("report")
         report = write_datasheet(sheet, out or DEFAULT_OUT / sheet_name(sheet))
