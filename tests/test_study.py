@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 import shlex
 import signal
 import subprocess
@@ -285,9 +286,9 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path, evaluations: list[Frame])
     toml, out = tmp_path / "slow.toml", tmp_path / "out"
     toml.write_text(SLOW_TOML, encoding="utf-8")
     results = out / "results.csv"
-    process = subprocess.Popen(
-        [COMMAND, "study", toml, "--out", out, "--jobs", "1"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    words = [COMMAND, "study", toml, "--out", out, "--jobs", "1"]
+    after_us = {"preexec_fn": lambda: os.nice(10)}  # on a busy machine the study must not end before we look
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **after_us)
     deadline = time.monotonic() + 60
     while not (results.is_file() and results.read_bytes().count(b"\n") > 1):
         assert process.poll() is None, process.communicate()
