@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pixsim.raw import read_frame as read_frame
     from pixsim.raw import write_frame as write_frame
     from pixsim.renderer import render as render
+    from pixsim.report import write_report as write_report
     from pixsim.scene import load_scene as load_scene
     from pixsim.scielab import delta_e_map as delta_e_map
     from pixsim.score import evaluate as evaluate
@@ -72,6 +73,7 @@ _HOME = {
     "delta_e_map": "scielab",
     "evaluate": "score",
     "study": "sweep",
+    "write_report": "report",
 }
 _MODULES = ("optics", "photodiode", "pixel", "sensor", "display", "scielab", "charts", "parameters", "spectral")
 

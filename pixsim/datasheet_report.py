@@ -13,7 +13,7 @@ from pixsim.datasheet_plots import datasheet_plates
 from pixsim.files import output_folder, versions, write_json
 from pixsim.pages import write_page
 from pixsim.report import write_plates
-from pixsim.views import file_label
+from pixsim.study_result import file_label
 
 TERMINAL_WIDTH = 132
 ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but for dark currents in the deep cold

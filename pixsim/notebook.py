@@ -61,7 +61,7 @@ def study_html(result: StudyResult) -> str:
         low, high = best.within_1_percent_um
         rows.append(
             (
-                curve.technology,
+                curve.label,
                 size,
                 f"{best.ci95_um:.2f}",
                 f"{best.fit_um:.2f}",

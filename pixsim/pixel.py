@@ -223,7 +223,7 @@ class PixelPhysics:
 
 
 def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float) -> float:
-    """Photodiode area over that of the pixel that was measured; 1 where its pitch is not told.
+    """Photodiode area over that of the pixel that was measured, a ratio; 1 where its pitch is not told.
 
     PixsimError where that pixel has no photodiode, and where too little or too much charge would be left of its well.
     """

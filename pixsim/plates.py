@@ -81,7 +81,7 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     colour = look.colour
     mean, ci95 = mean_and_ci95(curve.delta_e)
     best = curve.optimum
-    name = literal(curve.technology)
+    name = literal(curve.label)
     label = f"{name}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
     axes.fill_between(curve.pitch_um, mean - ci95, mean + ci95, color=colour, alpha=0.15, lw=0)
@@ -152,7 +152,7 @@ def other_statistics(curve: Curve) -> Plate:
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = (
-        f"The same pictures judged by other statistics of ΔE ({curve.technology}), each divided by its smallest value. The "
+        f"The same pictures judged by other statistics of ΔE ({curve.label}), each divided by its smallest value. The "
         "pitch in the legend is the best of those tried. The maximum belongs to single dots of the darkest bars, where S-CIELAB, "
         "which blurs colour more widely than luminance, is at its most sensitive."
     )
@@ -176,7 +176,7 @@ def pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Arr
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
     draw_iso(iso, result, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
     caption = (
-        f"What {pitch_um:.2f} µm pixels show ({curve.technology}): the ideal image, the picture of one sensor, its ΔE map "
+        f"What {pitch_um:.2f} µm pixels show ({curve.label}): the ideal image, the picture of one sensor, its ΔE map "
         f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
     )
     return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
@@ -278,7 +278,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     other.spines["right"].set_visible(True)
     axes.legend(handles=[*detail, *light], frameon=False, loc="upper center", handlelength=LEGEND_LINE)
     caption = (
-        f"Both sides of the trade-off ({curve.technology}): the frequency at which the system MTF is one half, and the least "
+        f"Both sides of the trade-off ({curve.label}): the frequency at which the system MTF is one half, and the least "
         "exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High detail and little light are good."
     )
     table = {"pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "mpe30_lx_s": mpe30}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,11 +10,12 @@ from typing import Any
 
 from pixsim.details import scale
 from pixsim.engine import Workers, results_of
-from pixsim.files import replacing, versions, write_json
+from pixsim.files import output_folder, replacing, versions, write_json
 from pixsim.pages import described, text_uri, write_page
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import map_plates, scene_plates
 from pixsim.parameters import Record
+from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.plates import (
     SENSORS_SHOWN,
     Drawn,
@@ -26,7 +28,7 @@ from pixsim.plates import (
 )
 from pixsim.study_result import Curve, StudyResult
 from pixsim.technology import load_technology
-from pixsim.views import Views, best_place, file_label, study_views
+from pixsim.views import Views, best_place, study_views
 
 # Of the paper, for the curves that any study has.
 FIGURE_NUMBERS = {
@@ -78,7 +80,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
         curve = by_name[section.technology]
         scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
         maps = [score.delta_e for score in scores]
-        plates = [pictures(result, curve, scores[0], maps, f"pictures_{file_label(curve.technology)}")]
+        plates = [pictures(result, curve, scores[0], maps, f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
         plates = [other_statistics(first), light_against_detail(result, first)]
@@ -101,19 +103,38 @@ def curve_plates(result: StudyResult, first: Curve) -> list[Plate]:
     return [replace(plate, caption=FIGURE_NUMBERS[plate.name] + plate.caption) for plate in plates]
 
 
-def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers | None = None) -> Path:
-    """Write summary.json, figures/ (*.svg, *.csv, contact sheets), provenance.json and report.html; returns the report's path.
+def write_report(
+    result: StudyResult,
+    folder: str | os.PathLike[str],
+    seconds: dict[str, float] | None = None,
+    workers: Workers | None = None,
+) -> Path:
+    """Write report.html and what it shows: figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
 
     Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
     depend on the workers that draw the figures.
+
+    Parameters
+    ----------
+    result : of `study`
+    folder : made if need be
+    seconds : stage -> s that it took, to be told
+    workers : processes that draw; None draws here
+
+    Returns the path of report.html. Raises PixsimError for a folder that cannot be written to.
     """
+    with output_folder(folder) as made:
+        return _write(result, made, seconds or {}, workers or Workers())
+
+
+def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
     longest_first = reversed(sections_of(result))
 
     def itself() -> StudyResult:
         return result
 
     calls = [(section, itself) for section in longest_first]
-    made = sorted(results_of(draw_section, calls, workers or Workers()), key=lambda each: each.section.number)
+    made = sorted(results_of(draw_section, calls, workers), key=lambda each: each.section.number)
     rows = [row for each in made for row in each.rows]
     views = [each.views for each in made if each.views]
     shown = {
@@ -121,7 +142,7 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], w
         for heading, kinds in HEADINGS.items()
     }
     for each in views:
-        with replacing(folder / "figures" / f"contact_sheet_{file_label(each.technology)}.png") as partial:
+        with replacing(folder / "figures" / f"contact_sheet_{each.file_label}.png") as partial:
             partial.write_bytes(each.sheet)
     paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}
     write_json(folder / "summary.json", result.as_dict() | paper_table)
@@ -137,7 +158,7 @@ def write_report(result: StudyResult, folder: Path, seconds: dict[str, float], w
         "budget": result.budget,
         "header": result.irradiance.header,
         "settings": settings(result),
-        "technologies": [load_technology(name) for name in result.study.technologies],
+        "technologies": [load_technology(name) for name in result.study.technologies if name != NO_TECHNOLOGY],
         "provenance": provenance,
     }
     return write_page(folder / "report.html", "report.html.j2", page)

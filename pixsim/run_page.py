@@ -12,6 +12,7 @@ from pixsim.parameters import Camera, Display, Exposure
 from pixsim.pictures import extent, grey_codes
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
+from pixsim.study_result import label_of
 from pixsim.wording import budget_lines, score_line
 
 MOST_DOTS = 1024  # along a side of the pictures in the page: larger ones would make it tens of megabytes
@@ -65,6 +66,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "line": score_line(summary),
         "summary": summary,
         "physics": physics,
+        "label": label_of(physics.technology.name),
         "pixels": (columns, rows),
         "die_mm": (width_mm, height_mm),
         "camera": camera,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,16 @@ from pixsim.technology import load_technology
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def label_of(technology: str) -> str:
+    """A technology's name for readers."""
+    return "data sheet" if technology == NO_TECHNOLOGY else technology
+
+
+def file_label(technology: str) -> str:
+    """A technology's name for file names: 0.35um, or the stem of a user's TOML."""
+    return Path(technology).stem if technology.endswith(".toml") else label_of(technology).replace(" ", "_")
 
 
 @dataclass(frozen=True)
@@ -44,7 +55,12 @@ class Curve:
     @property
     def label(self) -> str:
         """The technology's name for readers."""
-        return "the data sheet" if self.technology == NO_TECHNOLOGY else self.technology
+        return label_of(self.technology)
+
+    @property
+    def file_label(self) -> str:
+        """The technology's name for file names."""
+        return file_label(self.technology)
 
     @property
     def delta_e(self) -> Array:

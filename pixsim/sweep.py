@@ -186,7 +186,8 @@ def study(
     ----------
     plan : a Study, the name of a packaged one, or a TOML file
     out : folder, made if need be
-    config, parameters : over a named study, as `load_study` takes them
+    config : TOML files of a sensor, its camera, exposure and display, over a named study; later ones win
+    parameters : of the scene, over those of a named study, each in its unit
     quick : with the study's `quick` table
     jobs : processes; None takes one a core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers take the place of

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -31,7 +30,8 @@ class Views:
     sheet : the tiles as one labelled PNG
     """
 
-    technology: str
+    label: str
+    file_label: str
     place: tuple[float, float]
     tiles: tuple[Picture, ...]
     crops: tuple[tuple[Picture, ...], ...]
@@ -43,11 +43,6 @@ class Views:
 def best_place(curve: Curve) -> int:
     """Index of the evaluated pitch nearest the optimum."""
     return int(np.argmin(np.abs(np.log(curve.pitch_um / curve.optimum.pitch_um))))
-
-
-def file_label(technology: str) -> str:
-    """A technology's name for file names: 0.35um, or the stem of a user's TOML."""
-    return Path(technology).stem if technology.endswith(".toml") else technology
 
 
 def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
@@ -69,7 +64,8 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
         tiles.append(Tile(grey_codes(window.of(image)), *words(curve, place), place == at and curve.optimum.inside))
     named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
     return Views(
-        technology=curve.technology,
+        label=curve.label,
+        file_label=curve.file_label,
         place=window.centre,
         tiles=tuple(Picture.of(tile.codes, tile.name, tile.note, tile.best) for tile in tiles),
         crops=tuple(crops(scores[place], window, f"the {called(curve, place)}") for place in ends),
@@ -77,7 +73,7 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
         outputs=tuple(
             Picture.of(grey_codes(scores[place].image), named[place], words(curve, place)[1], place == at) for place in ends
         ),
-        sheet=contact_sheet_png(f"{file_label(curve.technology)}: the same detail from every pixel size, 1:1", tiles),
+        sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1", tiles),
     )
 
 

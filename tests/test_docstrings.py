@@ -24,7 +24,7 @@ from pixsim.record import Record
 UNITS = (
     *("nm", "um", "mm", "m", "s", "k", "v", "ff", "e", "dn", "px", "deg", "um2", "e2", "dn2", "lx", "lx_s", "db", "delta_e"),
     *("e_per_s", "e_per_s_um2", "na_per_cm2", "dn_per_e", "cd_per_m2", "w_per_m2_nm", "lp_per_mm", "cy_per_mm", "cy_per_px"),
-    *("samples_per_deg", "per_joule", "xyz", "lab", "fraction", "features", "factor", "law", "otf", "mtf"),
+    *("seconds", "samples_per_deg", "per_joule", "xyz", "lab", "fraction", "features", "factor", "law", "otf", "mtf"),
 )
 DIMENSIONLESS = {"f_number", "fill_factor", "quantum_efficiency", "gamma", "magnification", "contrast"}
 # Words that tell a unit, or that there is none.

@@ -100,7 +100,7 @@ def test_a_minimum_at_the_end_is_not_sold_as_the_best(made: tuple[StudyResult, P
     at_the_end = replace(curve, optimum=replace(curve.optimum, inside=False, pitch_um=15.0))
     write_report(replace(result, curves=(at_the_end,)), tmp_path, {})
     words = " ".join("".join(Elements(text_of(tmp_path)).words).split())
-    assert "No best pixel size in 0.35um between 5.30 and 15.00 µm" in words
+    assert "No best pixel size, 0.35um, between 5.30 and 15.00 µm" in words
     assert "Best pixel size" not in words
 
 

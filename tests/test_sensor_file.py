@@ -122,7 +122,7 @@ def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
     path = written(tmp_path / "sensor.toml", SHEET + small)
     code, out, err = command(f"study {own} --config {path} --jobs 1 --out {tmp_path / 'out'}")
     assert code == 0, err
-    assert out.startswith("the data sheet: ")
+    assert out.startswith("data sheet: ")
     rows = (tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 1 + 5 * 2
 
