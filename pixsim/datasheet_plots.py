@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BLUE, ORANGE = COLOURS[:2]
+DARK, LIGHT = LOOKS[2:4]  # far apart in grey, for lines that lie over each other
 MARKED = 12  # markers along a line of many points, which tell it in grey
 BINS = 101
 
@@ -108,7 +109,7 @@ def snr_plate(sheet: DataSheet) -> Plate:
         photons[seen], (signal / total)[seen], "s", ms=3.5, color=ORANGE, label="measured, total noise (with fixed pattern)"
     )
     axes.axvline(t.threshold_p.value, color="0.5", lw=1, ls="--", label="μ_p.min, where the SNR is 1")
-    axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="μ_p.sat")
+    axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls="-.", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
     finish(
         axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "SNR, mean over standard deviation", "lower right"
@@ -230,7 +231,7 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
     figure = new_figure(8.6, 3.6)
     table: dict[str, list[float]] = {}
     for axes, (name, map_, _) in zip(figure.subplots(1, 2), stacks, strict=True):
-        for label, axis, look in (("horizontal", 1, LOOKS[0]), ("vertical", 0, LOOKS[1])):
+        for label, axis, look in (("horizontal", 1, DARK), ("vertical", 0, LIGHT)):
             frequency, power = spectrogram(map_, axis)
             style = look.line | {"ls": "-", "markevery": max(1, power.size // MARKED)}
             axes.plot(frequency[1:], np.sqrt(power[1:]), lw=0.9, ms=4, label=f"{name}, {label}", **style)
@@ -251,7 +252,7 @@ def profile_plate(sheet: DataSheet) -> Plate:
     figure = new_figure(8.6, 3.6)
     table: dict[str, list[float]] = {}
     for axes, (name, label, map_) in zip(figure.subplots(1, 2), deviations(sheet), strict=True):
-        for words, axis, look in (("columns", 0, LOOKS[0]), ("rows", 1, LOOKS[1])):
+        for words, axis, look in (("columns", 0, DARK), ("rows", 1, LIGHT)):
             mean = map_.mean(axis=axis)
             style = look.line | {"ls": "-", "markevery": max(1, mean.size // MARKED)}
             axes.plot(np.arange(mean.size), mean, lw=0.9, ms=4, label=f"{name}, means of {words}", zorder=2 + axis, **style)

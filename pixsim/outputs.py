@@ -17,7 +17,7 @@ import numpy as np
 from pixsim.display import white_header
 from pixsim.errors import refuse
 from pixsim.files import output_folder, versions, write_json
-from pixsim.parameters import Camera, Run
+from pixsim.parameters import Camera, Display, Exposure, Run
 from pixsim.pictures import save_delta_e_png, save_png
 from pixsim.raw import BITS_OF_PICTURES, write_frame
 from pixsim.run_page import write_run_page
@@ -83,17 +83,19 @@ def run_and_write(
         more |= sensors_mean(bench, score, settings.seed, more)
         lap("sense and score")
         progress("write")
-        summary = describe(score, irradiance) | {
-            "camera": camera.model_dump(),
-            "exposure": settings.exposure.model_dump(),
-            "display": settings.display.model_dump(),
-            "seed": settings.seed,
-            **more,
-        }
+        summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
         write_all(folder, irradiance, score, summary, raw_suffixes)
         lap("write")
         write_json(folder / "provenance.json", {"versions": versions(), "seconds": seconds})
     return summary
+
+
+def summary_of(
+    score: Score, irradiance: SpectralImage, camera: Camera, exposure: Exposure, display: Display, seed: int
+) -> dict[str, Any]:
+    """score.json: what was found, and all that it was found with."""
+    records = {"camera": camera, "exposure": exposure, "display": display}
+    return describe(score, irradiance) | {name: each.model_dump() for name, each in records.items()} | {"seed": seed}
 
 
 def sensors_mean(bench: Bench, score: Score, seed: int, more: dict[str, Any]) -> dict[str, Any]:

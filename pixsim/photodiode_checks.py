@@ -175,11 +175,11 @@ def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
 def draw_corner(axes: Axes, soft: Response, pixel: Pixel) -> None:
     """Limits of the enlarged corner, and the straight line that a soft saturation leaves."""
     well_ke, top = soft.full_well_e / 1e3, 2.0**pixel.bits - 1
-    axes.plot([0, well_ke, 2 * well_ke], [pixel.black_level_dn, top, top], ":", lw=1, color="0.4")
+    axes.plot([0, well_ke, 2 * well_ke], [pixel.black_level_dn, top, top], lw=0.7, color="0.6")
     axes.set_xlim(0.93 * well_ke, 1.05 * well_ke)
     axes.set_ylim(0.93 * top, 1.01 * top)
     axes.tick_params(labelsize=7)
-    axes.set_title("the diode's corner; dotted: straight", fontsize=7)
+    axes.set_title("the diode's corner; thin: straight", fontsize=7)
 
 
 def response_caption(found: list[Response], pixel: Pixel) -> str:

@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import BROWSER, assert_fits, assert_prints
 from edits import VARIANT, edited, load
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from test_cli import command
+from test_figures import grey_look
 
 import pixsim
 from pixsim import cache, stability
@@ -24,6 +26,7 @@ from pixsim.accuracy import survey as surveys
 from pixsim.accuracy.budget import SOURCES
 from pixsim.accuracy.ladders import Clock, Rung
 from pixsim.accuracy.page import write_accuracy
+from pixsim.accuracy.plots import plates_of
 from pixsim.accuracy.probe import Setup, pitch_range_um, pitches_around_optimum_um, probe
 from pixsim.accuracy.reference import analytic_reference
 from pixsim.accuracy.result import METRICS
@@ -133,6 +136,14 @@ def check(found: Accuracy, folder: Path) -> dict:
 def test_a_survey_of_a_chart_with_a_formula(tmp_path):
     found = surveyed("csf")
     summary = check(found, tmp_path / "out")
+    if BROWSER:
+        page, headings = tmp_path / "out/report.html", ["What it costs to be less wrong", "Every rung"]
+        assert_fits(page, tmp_path)
+        assert_prints(page, tmp_path, range(4, 10), ["As shipped", "formula of the csf chart"], headings, pictures=0)
+    for plate in plates_of(found):
+        for legend in [axes.get_legend() for axes in plate.figure.axes if axes.get_legend()] + plate.figure.legends:
+            looks = [grey_look(each) for each in legend.get_lines()]
+            assert len(set(looks)) == len(looks), plate.name
     assert set(found.names) == LADDERS
     assert summary["analytic"] is True
     assert "formula of the csf chart" in summary["reference"]

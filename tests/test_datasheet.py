@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import assert_fits, assert_prints, needs_browser
 from test_cli import command
+from test_figures import grey_look
 
 from pixsim import datasheet
 from pixsim.bounds import SMALLEST_FRACTION
@@ -22,7 +24,8 @@ from pixsim.datasheet_experiment import (
     peak_wavelength_nm,
     pixel_efficiency,
 )
-from pixsim.datasheet_plots import spectrogram
+from pixsim.datasheet_plots import datasheet_plates, spectrogram
+from pixsim.datasheet_report import sheet_name, write_datasheet
 from pixsim.errors import PixsimError
 from pixsim.expected_frames import clipped_moments, expected_moments, variance_peak_e
 from pixsim.frame_statistics import Series, Stack, pair, stack
@@ -391,3 +394,20 @@ def test_what_cannot_be_measured_is_told_in_one_message(
     assert (code, out) == (2, "")
     assert told in err
     assert not list(tmp_path.iterdir())
+
+
+@needs_browser
+def test_a_browser_shows_and_prints_it(sheet: DataSheet, tmp_path: Path) -> None:
+    page = write_datasheet(sheet, tmp_path / "out")
+    assert_fits(page, tmp_path)
+    told = ["Data sheet", sheet_name(sheet).split("-")[1], "μ_p.sat", "Data (CSV)"]
+    assert_prints(page, tmp_path, range(4, 9), told, ["Measured and true", "Figures", "How it was made"], pictures=0)
+
+
+def test_lines_of_its_figures_are_told_apart_in_grey(sheet: DataSheet) -> None:
+    for plate in datasheet_plates(sheet):
+        for axes in plate.figure.axes:
+            assert axes.get_xlabel()
+            assert axes.get_ylabel()
+            looks = [grey_look(each) for each in axes.get_legend().get_lines()] if axes.get_legend() else []
+            assert len(set(looks)) == len(looks), plate.name

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import BROWSER, assert_fits, assert_prints
 
 import pixsim
 from pixsim import cli
@@ -169,6 +170,11 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
     assert prnu.startswith(f"PRNU: {best.pitch_um:.2f} to {best.pitch_um:.2f} µm")
     out = Path("command")
     assert report == f"report: {out / 'report.html'}"
+    if BROWSER:
+        page, here = out.resolve() / "report.html", Path("browser").resolve()
+        here.mkdir()
+        assert_fits(page, here)
+        assert_prints(page, here, range(1, 4), ["one assumption moved", "f/2.8"], ["Every case"], pictures=0)
     assert {path.name for path in out.iterdir()} == {"cases", "figures", "summary.json", "provenance.json", "report.html"}
     assert {path.name for path in (out / "figures").iterdir()} == {"tornado.svg", "tornado.csv"}
     assert cases(out) == cases(folder), "the rows depend on the number of workers"

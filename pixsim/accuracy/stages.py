@@ -11,14 +11,14 @@ from pathlib import Path
 
 from pixsim import display as displays
 from pixsim.accuracy.probe import Setup, unheard
-from pixsim.outputs import write_all
+from pixsim.outputs import summary_of, write_all
 from pixsim.parameters import Camera, Display, Run
 from pixsim.pixel import derive
 from pixsim.plan import Plan
 from pixsim.renderer import Renderer
 from pixsim.scene import Scene, load_scene
 from pixsim.scielab import delta_e
-from pixsim.score import Score, describe, seen_lab, stream
+from pixsim.score import Score, seen_lab, stream
 from pixsim.sensor import capture_rate, diffracted_rate, draw_sensor, integrate_pixels
 from pixsim.sensor_plan import make_plan
 from pixsim.spectral import SpectralImage
@@ -85,4 +85,5 @@ def score_in_stages(image: SpectralImage, setup: Setup, laps: Laps) -> None:
         map_ = delta_e(seen_lab(ideal, setup.display), seen_lab(picture, setup.display), setup.display.delta_e)
     score = Score(map_, ideal, picture, frame, physics)
     with tempfile.TemporaryDirectory() as folder, laps("report"):
-        write_all(Path(folder), image, score, describe(score, image))
+        told = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed)
+        write_all(Path(folder), image, score, told)
