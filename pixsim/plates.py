@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pixsim.score import Score
     from pixsim.study_result import Curve, StudyResult
 
+ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
 Column = Sequence[float | str]
 COARSE = 64  # samples a side of the tables of pictures
 SENSORS_SHOWN = 8  # in mean maps
@@ -94,6 +95,19 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
         axes.axvline(edge_um, lw=0.7, **look.stroke)
 
 
+def tell_the_story(axes: Axes, curve: Curve) -> None:
+    """What a stranger asks of a single curve: where the best is, and what is wrong on either side."""
+    best = curve.optimum
+    if best.inside:
+        at = (best.pitch_um, best.mean_delta_e)
+        told = f"best: {best.pitch_um:.2f} µm"
+        axes.annotate(told, at, (0, -14), textcoords="offset points", ha="center", va="top", bbox=ON_WHITE)
+    for across, side, words in ((0.02, "left", "← more noise"), (0.98, "right", "more blur →")):
+        axes.text(across, 0.03, words, transform=axes.transAxes, color="0.3", ha=side, bbox=ON_WHITE)
+    if np.ptp(curve.fill_factor) > 0:
+        fill_factor_axis(axes, curve)
+
+
 def fill_factor_axis(axes: Axes, curve: Curve) -> None:
     """The fill factor of each pitch on top."""
     top = axes.secondary_xaxis("top")
@@ -111,9 +125,9 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
     axes.set_ylabel("mean ΔE, S-CIELAB")
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.25)
-    axes.legend(frameon=False, fontsize=8, loc="lower right")
-    if len(curves) == 1 and np.ptp(curves[0].fill_factor) > 0:
-        fill_factor_axis(axes, curves[0])
+    axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
+    if len(curves) == 1:
+        tell_the_story(axes, curves[0])
     caption = (
         f"Mean S-CIELAB error of the picture against pixel size. Points: mean of {result.study.repeats} sensors with its 95 % "
         "interval; line: the local fit; triangle: the optimum; band: sizes within 1 % of the best."

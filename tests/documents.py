@@ -4,7 +4,6 @@ Comments before a block, which no reader sees, tell what it is:
 
     <!-- file: my_sensor.toml -->    the block is written as that file
     <!-- output -->                  what the commands of the block before print; a line of … stands for any lines
-    <!-- slow -->                    runs in the slow test only
     <!-- elsewhere: WHERE -->        is run there, word for word
     <!-- picture: FILE -->           the picture that follows is that file, made by the blocks before
 
@@ -34,6 +33,7 @@ NUMBER_WITHIN = 0.02
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
 ANY_LINES = "…"
 SVG_NUMBER = re.compile(r"(-?\d+\.\d+)")
+SVG_NAMES = re.compile(r'<metadata>.*?</metadata>|(?:id="|url\(#|href="#)[^")]*', re.DOTALL)  # a date, and ids by chance
 SVG_WITHIN = 3.0  # points, a fiftieth of a small figure's side
 CODES_WITHIN = 2.0  # of 255, on average: noise of other processors, not another picture
 
@@ -54,7 +54,7 @@ def blocks_of(text: str) -> Iterator[Block]:
     opened: tuple[int, str, str] | None = None
     inside: list[str] = []
     for number, line in enumerate(text.splitlines(), 1):
-        fence = re.match(r"^( *)(```+)(\w*)\s*$", line)
+        fence = re.match(r"^( *)(```+)([^\s`]*)\s*$", line)
         if opened:
             if fence and not fence[3] and fence[2] == opened[1]:
                 yield Block(opened[0], opened[2], "\n".join(inside) + "\n", told)
@@ -76,18 +76,16 @@ def blocks_of(text: str) -> Iterator[Block]:
 class Page:
     """A page that is run in a folder."""
 
-    def __init__(self, path: Path, folder: Path, slow: bool = True) -> None:
-        self.path, self.folder, self.slow = path, folder, slow
+    def __init__(self, path: Path, folder: Path) -> None:
+        self.path, self.folder = path, folder
         self.names: dict[str, object] = {"__name__": "__main__"}
         self.printed = ""
         self.made: list[tuple[Path, Path]] = []  # (picture of the page, file that it is)
 
     def run(self) -> None:
         """Every block in order. AssertionError that names the line of one that fails, or prints something else."""
-        skipped = False
         for block in blocks_of(self.path.read_text(encoding="utf-8")):
-            if "elsewhere" in block.told or ("slow" in block.told and not self.slow):
-                skipped = True
+            if "elsewhere" in block.told:
                 continue
             where = f"{self.path.name}, line {block.line}"
             if "file" in block.told:
@@ -95,17 +93,14 @@ class Page:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_text(block.text, encoding="utf-8")
             elif block.language == "sh":
-                self.printed, skipped = self._shell(block.text, where), False
+                self.printed = self._shell(block.text, where)
             elif block.language == "python":
-                self.printed, skipped = self._python(block.text, where), False
+                self.printed = self._python(block.text, where)
             elif block.language == "picture":
                 made = self.folder / block.told["picture"]
-                if "slow" in block.told and not self.slow:
-                    continue
-                assert made.is_file() or skipped, f"{where}: {block.told['picture']} was not made"
-                if made.is_file():
-                    self.made.append((self.path.parent / block.text, made))
-            elif "output" in block.told and not skipped:
+                assert made.is_file(), f"{where}: {block.told['picture']} was not made"
+                self.made.append((self.path.parent / block.text, made))
+            elif "output" in block.told:
                 found = difference(block.text, self.printed)
                 assert not found, f"{where}: {found}\n--- printed:\n{self.printed}"
 
@@ -164,7 +159,7 @@ def last_digit(number: str) -> float:
 def alike_pictures(shown: Path, made: Path) -> bool:
     """Same drawing with numbers nearly the same (SVG), or nearly the same picture: other processors, other last digits."""
     if shown.suffix == ".svg":
-        one, other = (SVG_NUMBER.split(path.read_text(encoding="utf-8")) for path in (shown, made))
+        one, other = (SVG_NUMBER.split(SVG_NAMES.sub("", path.read_text(encoding="utf-8"))) for path in (shown, made))
         if one[::2] != other[::2]:
             return False
         return bool(np.allclose(np.array(one[1::2], float), np.array(other[1::2], float), rtol=0, atol=SVG_WITHIN))
