@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
 Column = Sequence[float | str]
+MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
 COARSE = 64  # samples a side of the tables of pictures
 SENSORS_SHOWN = 8  # in mean maps
 
@@ -109,10 +110,15 @@ def tell_the_story(axes: Axes, curve: Curve) -> None:
 
 
 def fill_factor_axis(axes: Axes, curve: Curve) -> None:
-    """The fill factor of each pitch on top."""
+    """The fill factor of each pitch on top, as many marks as there is room for."""
     top = axes.secondary_xaxis("top")
-    wanted = [each for each in (0.05, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7) if each <= curve.fill_factor.max()]
-    top.set_xticks(np.interp(wanted, curve.fill_factor, curve.pitch_um), [f"{100 * each:.0f}" for each in wanted], fontsize=8)
+    marks: dict[float, str] = {}
+    for each in (0.05, *np.arange(0.1, 1.0, 0.1)):
+        at_um = float(np.interp(each, curve.fill_factor, curve.pitch_um))
+        apart_um = at_um - max(marks, default=-np.inf)
+        if curve.fill_factor.min() <= each <= curve.fill_factor.max() and apart_um > MARK_SPACING * np.ptp(curve.pitch_um):
+            marks[at_um] = f"{100 * each:.0f}"
+    top.set_xticks(list(marks), list(marks.values()), fontsize=8)
     top.set_xlabel("fill factor (%)")
 
 

@@ -146,14 +146,16 @@ def print_page(page: Path, folder: Path) -> Any:
     return PdfReader(target)
 
 
-def assert_prints(page: Path, folder: Path, pages: range, told: list[str], headings: list[str], pictures: int = 1) -> None:
+def assert_prints(
+    page: Path, folder: Path, pages: range, told: list[str], headings: list[str], pictured: list[str] | None = None
+) -> None:
     """As many pages as expected, words in them, no picture over an edge, and no heading alone at the foot of a page.
 
-    pictures : at least so many bitmaps; figures of lines are printed as lines
+    pictured : headings that have a bitmap under them on their page; figures of lines are printed as lines
     """
     reader = print_page(page, folder)
     assert len(reader.pages) in pages
-    drawn, text = 0, ""
+    shown, text = set[str](), ""
     for number, sheet in enumerate(reader.pages, 1):
         width, height = (float(each) for each in sheet.mediabox[2:])
         lines: dict[float, str] = {}
@@ -173,12 +175,15 @@ def assert_prints(page: Path, folder: Path, pages: range, told: list[str], headi
         for left, low, right, high in boxes:
             assert -1 <= left <= right <= width + 1, f"page {number}"
             assert -1 <= low <= high <= height + 1, f"page {number}"
-        drawn += len(boxes)
+        for each in pictured or []:
+            places = [place for place, line in lines.items() if squeezed(line) == squeezed(each)]
+            if places and any(low < places[0] for _, low, _, _ in boxes):
+                shown.add(each)
         text += squeezed("".join(lines.values()))
         for place, line in lines.items():
             if squeezed(line) in {squeezed(each) for each in headings}:
                 assert place > FOOT_PT, f"page {number}: {line!r} stands alone at its foot"
-    assert drawn >= pictures
+    assert shown == set(pictured or [])
     for each in [*told, *headings]:
         assert squeezed(each) in text, each
 

@@ -140,4 +140,4 @@ def test_it_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
     assert len(headings) > 8
     told = [TITLE, f"{best.pitch_um:.2f} ± {best.ci95_um:.2f} µm", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
-    assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings)
+    assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings, [each for each in headings if ": " in each])

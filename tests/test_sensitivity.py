@@ -174,7 +174,7 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
         page, here = out.resolve() / "report.html", Path("browser").resolve()
         here.mkdir()
         assert_fits(page, here)
-        assert_prints(page, here, range(1, 4), ["one assumption moved", "f/2.8"], ["Every case"], pictures=0)
+        assert_prints(page, here, range(1, 4), ["one assumption moved", "f/2.8"], ["Every case"])
     assert {path.name for path in out.iterdir()} == {"cases", "figures", "summary.json", "provenance.json", "report.html"}
     assert {path.name for path in (out / "figures").iterdir()} == {"tornado.svg", "tornado.csv"}
     assert cases(out) == cases(folder), "the rows depend on the number of workers"
