@@ -6,7 +6,6 @@ import html
 import json
 import os
 import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from browser import browse, needs_browser, print_page
 from public_names import CLASSES, PUBLIC, fields
 
 import pixsim
@@ -29,8 +29,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 if not (DOCS / "conf.py").is_file():
     pytest.skip("the tests are installed without the pages' sources", allow_module_level=True)
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-needs_browser = pytest.mark.skipif(BROWSER is None, reason="neither chromium nor google-chrome is on PATH")
+TOGETHER = ["--allow-file-access-from-files"]  # pages on disk may read one another
 MARKDOWN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "scenes/README.md", *sorted(DOCS.rglob("*.md"))]
 
 
@@ -222,21 +221,12 @@ onload = () => {{
 </script>"""
 
 
-def chromium(profile: Path, *more: str) -> str:
-    """Headless and kept off the network; pages on disk may read one another."""
-    assert BROWSER
-    quiet = [f"--disable-{name}" for name in ("gpu", "quic", "background-networking", "component-update", "sync", "extensions")]
-    command = [BROWSER, "--headless", "--no-sandbox", "--no-first-run", "--allow-file-access-from-files", *quiet]
-    command += ["--window-size=1600,1200", f"--user-data-dir={profile}"]
-    return subprocess.run([*command, *more], capture_output=True, encoding="utf-8", check=True, timeout=120).stdout
-
-
 def looked_at(shown: list[Path], width: int, folder: Path) -> list[Any]:
     """[room, width of what is in it, title, pictures that are missing, elements that stick out] of each page."""
     frames = "\n".join(f'<iframe width="{width}" height="900" style="border: 0" src="{path.as_uri()}"></iframe>' for path in shown)
     frame = folder / "frames.html"
     frame.write_text(FRAMES.format(frames=frames), encoding="utf-8")
-    title = re.search(r"<title>(.*?)</title>", chromium(folder / "profile", "--dump-dom", frame.as_uri()), re.DOTALL)
+    title = re.search(r"<title>(.*?)</title>", browse([*TOGETHER, "--dump-dom", frame.as_uri()], folder).stdout, re.DOTALL)
     assert title
     found: list[Any] = json.loads(html.unescape(title[1]))
     assert len(found) == len(shown)
@@ -268,11 +258,9 @@ def test_what_sticks_out_is_found(tmp_path: Path) -> None:
 
 @needs_browser
 def test_a_page_as_pdf_has_its_words(site: Path, tmp_path: Path) -> None:
-    pypdf = pytest.importorskip("pypdf", reason="pypdf is not installed")
-    out = tmp_path / "optics.pdf"
+    pytest.importorskip("pypdf", reason="pypdf is not installed")
     page = site / "reference/kernels/optics.html"
-    chromium(tmp_path / "profile", f"--print-to-pdf={out}", "--no-pdf-header-footer", page.as_uri())
-    sheets = pypdf.PdfReader(out).pages
+    sheets = print_page(page, tmp_path).pages
     words = re.sub(r"\s+", " ", " ".join(sheet.extract_text() for sheet in sheets))
     assert 2 <= len(sheets) <= 8
     for told in ("Optics", "irradiance_factor", "Foote", "Goodman", "E/L in sr", "0.048332", "square_aperture_mtf"):
