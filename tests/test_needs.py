@@ -72,9 +72,9 @@ def measured_error(name: str, spp: int) -> float:
 @pytest.mark.parametrize("name", ["csf", "slanted_edge"])
 def test_the_error_foretold_is_that_of_the_render(name, spp):
     chart, found = render_plan(name, resolution=SIZE).chart, measured_error(name, spp)
-    foretold = [sampling_error(chart, spp, seed) for seed in range(16)]
+    foretold = [sampling_error(chart, spp, seed) for seed in range(16 if name == "csf" else 48)]
     # Most of the error is in few cells, of which 1024 are tried: one seed scatters by 12 % (the finest lines) to 40 % (the
-    # edge, which 8 of the tried cells meet), 16 by 10 %; three of that.
+    # edge, which 8 of the tried cells meet), all by 3 to 6 %, and the render's by 4 %; 10 % are the model's.
     assert np.sqrt(np.mean(np.square(foretold))) == pytest.approx(found, rel=0.35)
     if name == "csf":
         assert 0.5 < foretold[0] / found < 2
