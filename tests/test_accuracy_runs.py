@@ -165,7 +165,7 @@ def test_a_survey_of_other_charts(name, tmp_path):
 
 
 def test_a_survey_of_a_scene_without_a_formula(tmp_path):
-    found = surveyed("macbeth", replace(SMALL, seconds=0.1, ladders_s=0.1), scene={"resolution": 32, "spp": 4})
+    found = surveyed("macbeth", replace(SMALL, seconds=0.1, ladders_s=0.1), scene={"resolution": 16, "spp": 4})
     summary = check(found, tmp_path / "out")
     assert summary["analytic"] is False
     assert "times the work, other seeds" in summary["reference"]
@@ -193,7 +193,7 @@ SETTINGS = {
 @pytest.mark.parametrize("case", SETTINGS)
 @pytest.mark.usefixtures("letters_where_they_fall")
 def test_surveys_of_other_sensors_and_viewers(case, tmp_path):
-    found = surveyed("csf", replace(SMALL, seconds=0.1, ladders_s=0.1), **SETTINGS[case])
+    found = surveyed("csf", replace(SMALL, seconds=0.1, ladders_s=0.1), scene={"resolution": 32, "spp": 4}, **SETTINGS[case])
     check(found, tmp_path / "out")
     if case == "one to one":
         assert [each.left_out for each in found.rungs if each.ladder == "raster"] == ["the dots are the pixels"]
