@@ -1,4 +1,4 @@
-"""README's table of judges: which outside standard, which gate, what was measured, whether it is met.
+"""The table of docs/judges.md: which outside standard, which gate, what was measured, whether it is met.
 
 python tests/judges/table.py [--full] [--short]
 

@@ -58,7 +58,7 @@ def test_every_judge_here_is_found():
 
 
 def test_the_short_table_tells_the_worst_of_each_quantity():
-    """A range that leaves out its ends, or a failure that is averaged away, would make README's table worthless."""
+    """A range that leaves out its ends, or a failure that is averaged away, would make the table of docs/judges.md worthless."""
 
     def own(judge, measured, met=True):
         return {"judge": judge, "standard": "ISO 15739", "gate": "within 0.5 %", "measured": measured, "met": met}

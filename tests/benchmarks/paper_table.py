@@ -1,6 +1,6 @@
-"""README's table "the paper says, pixsim finds", from the summary.json of `pixsim study chen2000`.
+"""The table of docs/studies.md "the paper says, pixsim finds", from the summary.json of `pixsim study chen2000`.
 
-python tests/benchmarks/readme_table.py pixsim-out/chen2000/summary.json
+python tests/benchmarks/paper_table.py pixsim-out/chen2000/summary.json
 """
 
 from __future__ import annotations
