@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pixsim.accuracy.settle import Settled
 
 Stage = Callable[[str], Callable[..., None]]
+OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # files that a run may write or not
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
 
@@ -42,11 +43,13 @@ def run_and_write(
     variant: str | None,
     units: str | None = None,
     raw_suffixes: Sequence[str] = (),
+    irradiance_too: bool = True,
     progress: Stage,
 ) -> dict[str, Any]:
     """Render a scene (or read a spectral picture), sense, score and write; returns what stands in score.json.
 
     raw_suffixes : of formats in which the frame is written beside raw.exr
+    irradiance_too : whether irradiance.exr, the largest file, is written
 
     Raises PixsimError for unusable input; the folder then holds what it held before.
     """
@@ -84,7 +87,11 @@ def run_and_write(
         lap("sense and score")
         progress("write")
         summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
-        write_all(folder, irradiance, score, summary, raw_suffixes)
+        written = write_all(folder, irradiance, score, summary, raw_suffixes, irradiance_too)
+        # Of an earlier run, whose pictures are gone.
+        for stale in (folder / name for name in OPTIONAL if name not in written):
+            if stale.is_file() and not (Path(source).exists() and stale.samefile(source)):
+                stale.unlink()
         lap("write")
         write_json(folder / "provenance.json", {"versions": versions(), "seconds": seconds})
     return summary
@@ -164,12 +171,18 @@ def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage,
 
 
 def write_all(
-    folder: Path, irradiance: SpectralImage, score: Score, summary: dict[str, Any], raw_suffixes: Sequence[str] = ()
-) -> None:
-    """Write into a folder beside the target's files, then move them over: an interruption leaves no half file."""
+    folder: Path,
+    irradiance: SpectralImage,
+    score: Score,
+    summary: dict[str, Any],
+    raw_suffixes: Sequence[str] = (),
+    irradiance_too: bool = True,
+) -> set[str]:
+    """Write into a folder beside the target's files, then move them over: an interruption leaves no half file. Returns names."""
     partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
     try:
-        write_exr(partial / "irradiance.exr", irradiance)
+        if irradiance_too:
+            write_exr(partial / "irradiance.exr", irradiance)
         for suffix in dict.fromkeys((".exr", *raw_suffixes)):
             write_frame(partial / f"raw{suffix}", score.frame)
         write_channels(partial / "delta_e.exr", {"delta_e": score.delta_e}, {})
@@ -177,8 +190,10 @@ def write_all(
         save_png(partial / "image.png", score.image)
         save_delta_e_png(partial / "delta_e.png", score.delta_e, irradiance)
         write_json(partial / "score.json", summary)
-        write_run_page(partial, score, irradiance, summary, raw_suffixes)
-        for path in sorted(partial.iterdir()):
+        write_run_page(partial, score, irradiance, summary)
+        made = sorted(partial.iterdir())
+        for path in made:
             path.replace(folder / path.name)
+        return {path.name for path in made}
     finally:
         shutil.rmtree(partial, ignore_errors=True)

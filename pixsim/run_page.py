@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ FILES = {
     "delta_e.png": "S-CIELAB map, with axes",
     "provenance.json": "versions and times",
 }
+AFTERWARDS = ("score.json", "provenance.json")
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
@@ -42,11 +42,8 @@ MEANINGS = {
 }
 
 
-def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summary: dict[str, Any], raw: Sequence[str]) -> None:
-    """Write report.html beside the run's other files, whose pictures it holds.
-
-    raw : suffixes of the formats in which the frame was written
-    """
+def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summary: dict[str, Any]) -> None:
+    """Write report.html beside the run's other files, which it names, and whose pictures it holds."""
     window = worst_window([score.delta_e])
     width_mm, height_mm = extent(irradiance)[1:3]
     physics, header = score.physics, irradiance.header
@@ -82,9 +79,15 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "budget": budget_lines(summary),
         "settings": [(title, described(record)) for title, record in records.items()],
         "header": header,
-        "files": FILES | {f"raw{suffix}": "the same, for other programs" for suffix in raw},
+        "files": files_in(folder),
     }
     write_page(folder / "report.html", "run.html.j2", page)
+
+
+def files_in(folder: Path) -> dict[str, str]:
+    """What lies there and what it is, and what comes after the page."""
+    more = {path.name: "the same as raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES}
+    return {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS} | more
 
 
 def factor_for(picture: Array) -> int:

@@ -163,3 +163,18 @@ def test_what_does_not_go_together_is_refused(ran, line, wanted, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     assert_refused(*command("run " + line.format(exr=ran[0] / "irradiance.exr") + " --out out"), wanted)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_holds_one_run(ran, tmp_path):
+    """What an earlier run wrote and this one leaves out is not of these pictures; the light that they are of stays."""
+    folder, _ = ran
+    light = tmp_path / "irradiance.exr"
+    light.write_bytes((folder / "irradiance.exr").read_bytes())
+    here = f"--no-irradiance {OPTIONS} --json --out {tmp_path}"
+    scored(f"run {light} {here} --raw tiff")
+    assert {"irradiance.exr", "raw.tiff", "report.html"} <= {path.name for path in tmp_path.iterdir()}
+    assert "irradiance.exr" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+    scored(f"run {folder / 'irradiance.exr'} {here}")
+    assert not {"irradiance.exr", "raw.tiff"} & {path.name for path in tmp_path.iterdir()}
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert {name for name in ("raw.tiff", "raw.exr", "score.json") if f'href="{name}"' in page} == {"raw.exr", "score.json"}

@@ -63,6 +63,7 @@ def run(
         list[Literal["tiff", "png", "npz"]] | None,
         Parameter(help="Write the raw frame in this format too, beside raw.exr.", consume_multiple=False),
     ] = None,
+    no_irradiance: Annotated[bool, Parameter(help="Leave out irradiance.exr, the largest file.")] = False,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -103,6 +104,7 @@ def run(
             variant=variant,
             units=units,
             raw_suffixes=[f".{each}" for each in raw or []],
+            irradiance_too=not no_irradiance,
             progress=stage,
         )
     noise = result.get("render_noise")
