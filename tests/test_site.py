@@ -256,14 +256,20 @@ def test_what_sticks_out_is_found(tmp_path: Path) -> None:
     assert len(missing) == len(out) == 1
 
 
+PRINTED = {
+    "reference/kernels/optics": ("Optics", "irradiance_factor", "Foote", "Goodman", "E/L in sr", "0.048332", "square_aperture_mtf"),
+    "how_small": ("How small should my pixel be?", "full_well_e = 10500", "Why: light against detail", "The decision"),
+}
+
+
 @needs_browser
-def test_a_page_as_pdf_has_its_words(site: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", PRINTED)
+def test_a_page_as_pdf_has_its_words(name: str, site: Path, tmp_path: Path) -> None:
     pytest.importorskip("pypdf", reason="pypdf is not installed")
-    page = site / "reference/kernels/optics.html"
-    sheets = print_page(page, tmp_path).pages
+    sheets = print_page(site / f"{name}.html", tmp_path).pages
     words = re.sub(r"\s+", " ", " ".join(sheet.extract_text() for sheet in sheets))
     assert 2 <= len(sheets) <= 8
-    for told in ("Optics", "irradiance_factor", "Foote", "Goodman", "E/L in sr", "0.048332", "square_aperture_mtf"):
+    for told in PRINTED[name]:
         assert told in words
     assert "Skip to content" not in words, "a link for keyboards would lie over the text"
 
