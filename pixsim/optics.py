@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -151,8 +150,7 @@ def diffract_sum(
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
     highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
     lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a table that ends below it would only hold steps too small to divide by
-    end = float(max(highest, lowest))
-    step = end / (OTF_TABLE_SIZE - 1)
+    table, step = np.linspace(0.0, max(highest, lowest), OTF_TABLE_SIZE, retstep=True)
     total: Array | None = None
     spare: Array | None = None
     for picture, weight in pictures:
@@ -160,22 +158,13 @@ def diffract_sum(
             plane = empty_planes(*shape) if spare is None else spare
             plane[...] = picture
             spectrum = dct(plane, workers)
-            _filter(spectrum, fy / step, fx / step, _otf_table(end, tuple(wavelength_nm), tuple(weight), f_number))
+            _filter(spectrum, fy / step, fx / step, white_otf(table, wavelength_nm, weight, f_number))
             if total is None:
                 total = spectrum
             else:
                 total += spectrum
                 spare = spectrum
     return np.zeros(shape) if total is None else inverse_dct(total, workers)
-
-
-@lru_cache(maxsize=16)  # 4 MiB: pixels of one process under one lamp ask for the same
-def _otf_table(end_cy_per_mm: float, wavelength_nm: tuple[float, ...], weight: tuple[float, ...], f_number: float) -> Array:
-    """`white_otf` at `OTF_TABLE_SIZE` frequencies from 0 to the end."""
-    table = np.linspace(0.0, end_cy_per_mm, OTF_TABLE_SIZE)
-    otf = white_otf(table, np.array(wavelength_nm), np.array(weight), f_number)
-    otf.flags.writeable = False
-    return otf
 
 
 def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None:
