@@ -35,12 +35,8 @@ def run(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert alike_pictures(shown, made), f"{shown} is not what is made now: run python tests/documents.py {path}"
 
 
-def test_readme_does_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run(README, tmp_path, monkeypatch)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("path", PAGES[1:], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_a_page_does_what_it_says(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three minutes in all; `.ci/run` takes them."""
     run(path, tmp_path, monkeypatch)
@@ -57,6 +53,7 @@ def test_no_block_is_left_out(path: Path) -> None:
             assert {"file", "output"} & block.told.keys(), f"{where}: neither run nor compared"
 
 
+@pytest.mark.slow
 def test_readme_begins_with_the_commands_that_ci_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The study of its first line prints what README says, and draws its first picture."""
     elsewhere = [
