@@ -107,9 +107,10 @@ def draw_picture(axes: Axes, luminance: Array, irradiance: SpectralImage) -> Non
     label_axes(axes, irradiance)
 
 
-def draw_delta_e(figure: Figure, axes: Axes, delta_e: Array, irradiance: SpectralImage) -> None:
+def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, irradiance: SpectralImage) -> None:
+    """A ΔE map on the fixed scale, which stands in axes of its own."""
     image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, extent=extent(irradiance))
-    figure.colorbar(image, ax=axes, label="ΔE", extend="max", shrink=0.85)
+    axes.figure.colorbar(image, cax=bar, label="ΔE", extend="max")
     label_axes(axes, irradiance)
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from pixsim.files import data_uri, replacing
 from pixsim.record import Record
 
-# What may stand in a data URI inside double quotes as it is.
-PLAIN = " !$()*+,-./:;=?@[]^_{|}~"
+# What may not stand in a data URI as it is, or grows when a template escapes it; the percent sign first.
+ENCODED = {each: f"%{ord(each):02X}" for each in "%\r\n\t\"#&'<>\\`"}
 
 
 def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
@@ -29,7 +28,9 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
 
 def text_uri(kind: str, text: str) -> str:
     """A text file in a page that opens offline, in fewer bytes than `data_uri` takes."""
-    return f"data:{kind}," + quote(text, safe=PLAIN)
+    for each, code in ENCODED.items():
+        text = text.replace(each, code)
+    return f"data:{kind};charset=utf-8,{text}"
 
 
 def described(record: Record) -> list[tuple[str, Any, str, bool]]:

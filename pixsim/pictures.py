@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 DELTA_E_SHOWN = 10.0  # top of the fixed colour scale, so that two maps can be compared
 VIEWING_GAMMA = 2.2
 MOST_TICKS = 7
+COLOUR_LEVEL = 3  # of zlib: a third of the time that its default takes, for a tenth more bytes
 CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
 # Of a map with axes, in px.
 MAP, LEFT, TOP, BELOW, BESIDE = 560, 110, 70, 90, 160
@@ -147,7 +149,9 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
 
     told, content = PngImagePlugin.PngInfo(), io.BytesIO()
     told.add_text("Software", "pixsim")
-    Image.fromarray(codes).save(content, "png", pnginfo=told)
+    # Noise repeats nothing: runs of one code are all there is to find, in a sixth of the time and even in fewer bytes.
+    how = {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
+    Image.fromarray(codes).save(content, "png", pnginfo=told, **how)
     return content.getvalue()
 
 

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
 Column = Sequence[float | str]
+# Of four pictures and a bar of colours with room for its numbers.
+MARGINS = {"left": 0.075, "right": 0.985, "bottom": 0.06, "top": 0.965, "wspace": 0.05, "hspace": 0.22}
+WIDTHS = (1, 0.05, 0.28, 1)
 MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
 COARSE = 64  # samples a side of the tables of pictures
 SENSORS_SHOWN = 8  # in mean maps
@@ -184,13 +187,15 @@ def pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Arr
     mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
     smooth = gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
     figure = new_figure(8.6, 7.6)
-    (ideal, image), (map_, iso) = figure.subplots(2, 2)
+    figure.set_layout_engine(None)  # the labels' sizes are known, and finding room for them takes a fifth of the drawing
+    grid = figure.add_gridspec(2, len(WIDTHS), width_ratios=WIDTHS, **MARGINS)
+    ideal, image, map_, iso = (figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (0, 3))
     ideal.set_title("ideal image")
     draw_picture(ideal, score.ideal, result.irradiance)
     image.set_title(f"image from {pitch_um:.2f} µm pixels")
     draw_picture(image, score.image, result.irradiance)
     map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
-    draw_delta_e(figure, map_, score.delta_e, result.irradiance)
+    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, result.irradiance)
     iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]

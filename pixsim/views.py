@@ -9,7 +9,7 @@ import numpy as np
 from pixsim import cache
 from pixsim import display as displays
 from pixsim.contact_sheet import Tile, contact_sheet_png
-from pixsim.details import Picture, crops, window_at, worst_window
+from pixsim.details import Picture, Window, crops, window_at, worst_window
 from pixsim.evaluations import Content, bench_at, block_key, stream_key
 from pixsim.parameters import pixel_of
 from pixsim.pictures import grey_codes
@@ -54,14 +54,14 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     ends = sorted({0, at, last})
     scores = {place: best if place == at else result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in ends}
     ideal = max((score.ideal for score in scores.values()), key=lambda each: each.size)
+    shape = ideal.shape[0], ideal.shape[1]
     where = result.study.detail
-    window = (
-        window_at(where, (ideal.shape[0], ideal.shape[1])) if where else worst_window([scores[0].delta_e, scores[last].delta_e])
-    )
+    window = window_at(where, shape) if where else worst_window([scores[0].delta_e, scores[last].delta_e])
     tiles = [Tile(grey_codes(window.of(ideal)), "ideal image", "")]
+    content = Content(result.study, result.camera, result.irradiance)
     for place in range(last + 1):
-        image = scores[place].image if place in scores else picture_at(result, curve, place)
-        tiles.append(Tile(grey_codes(window.of(image)), *words(curve, place), place == at and curve.optimum.inside))
+        part = window.of(scores[place].image) if place in scores else detail_at(result, content, curve, place, window)
+        tiles.append(Tile(grey_codes(part), *words(curve, place), place == at and curve.optimum.inside))
     named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
     return Views(
         label=curve.label,
@@ -70,9 +70,7 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
         tiles=tuple(Picture.of(tile.codes, tile.name, tile.note, tile.best) for tile in tiles),
         crops=tuple(crops(scores[place], window, f"the {called(curve, place)}") for place in ends),
         ideal=Picture.of(grey_codes(ideal), "ideal image"),
-        outputs=tuple(
-            Picture.of(grey_codes(scores[place].image), named[place], words(curve, place)[1], place == at) for place in ends
-        ),
+        outputs=tuple(Picture.of(grey_codes(scores[place].image), named[place], words(curve, place)[1]) for place in ends),
         sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1", tiles),
     )
 
@@ -93,14 +91,14 @@ def pixels_of(size_um: tuple[float, float], pitch_um: float) -> tuple[int, ...]:
     return tuple(pixels_along(um, pitch_um) for um in size_um)
 
 
-def picture_at(result: StudyResult, curve: Curve, place: int) -> Array:
-    """The first sensor's picture of a pitch, shown luminance (H, W): that of `result.scores`, without its ΔE.
+def detail_at(result: StudyResult, content: Content, curve: Curve, place: int, window: Window) -> Array:
+    """A part of the first sensor's picture of a pitch, shown luminance: that of `result.scores`, without its ΔE.
 
     What the cache holds is only shown, in a fifth of the time that the light on the pixels takes.
     """
     study, pitch_um = result.study, float(curve.pitch_um[place])
     light = result.lights.of(curve.technology)
-    key = block_key(Content(study, result.camera, result.irradiance).frames(curve.technology, pitch_um), 0)
+    key = block_key(content.frames(curve.technology, pitch_um), 0)
     kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
     if not isinstance(light, Projection) or kept is None or kept.shape != pixels_of(light.size_um, pitch_um):
         bench = bench_at(study, light, result.camera, curve.technology, pitch_um)
@@ -119,4 +117,4 @@ def picture_at(result: StudyResult, curve: Curve, place: int) -> Array:
             pitch_um=pitch_um,
             bits=physics.pixel.bits,
         )
-    return displays.shown_luminance(displays.frame_luminance(frame, size_um, white_e, study.display), study.display)
+    return displays.shown_luminance(window.of(displays.frame_luminance(frame, size_um, white_e, study.display)), study.display)

@@ -120,7 +120,7 @@ def test_figures_are_the_same_bytes_each_time_and_undated(made: tuple[StudyResul
 def test_each_technology_has_its_own_pictures(made: tuple[StudyResult, Path]) -> None:
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg", "pictures_<b>&process.svg"} <= figures(made[1]).keys()
     assert len(set(figures(made[1]).values())) == len(figures(made[1]))
-    assert text_of(made[1]).count('src="data:image/svg+xml,') == len(figures(made[1]))
+    assert text_of(made[1]).count('src="data:image/svg+xml;') == len(figures(made[1]))
 
 
 @needs_browser

@@ -15,10 +15,11 @@ from pixsim import cache
 from pixsim.contact_sheet import COLUMNS, GAP, MARGIN, TITLE, Tile, contact_sheet_png
 from pixsim.details import DETAIL_DOTS, Window, crops, scale, window_at, windows, worst_window
 from pixsim.errors import PixsimError
+from pixsim.evaluations import Content
 from pixsim.messages import checked
 from pixsim.pictures import delta_e_colours, grey_codes
 from pixsim.study_result import StudyResult
-from pixsim.views import best_place, picture_at, study_views
+from pixsim.views import best_place, detail_at, study_views
 
 STUDY = {
     "name": "views",
@@ -27,6 +28,8 @@ STUDY = {
     "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
     "display": {"dots": 160, "samples_per_deg": 10.0},
 }
+
+WHOLE = Window(0.0, 0.0, 1.0, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +93,7 @@ def test_the_detail_is_where_all_maps_are_bad_not_where_one_is_worst() -> None:
 @pytest.mark.parametrize("how", ["kept", "not kept", "of another shape"])
 def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, with the frame from the cache and without it."""
-    curve = result.curves[0]
+    curve, content = result.curves[0], Content(result.study, result.camera, result.irradiance)
     if how == "not kept":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
     elif how == "of another shape":
@@ -98,7 +101,7 @@ def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how:
     else:
         monkeypatch.setattr(pixsim.views, "bench_at", None)  # the dear way is not taken
     for place in (0, 3):
-        picture = picture_at(result, curve, place)
+        picture = detail_at(result, content, curve, place, WHOLE)
         expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
         np.testing.assert_array_equal(picture, expected)
 
@@ -153,8 +156,8 @@ def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
     for number, tile in enumerate(tiles):
         x = MARGIN + number % COLUMNS * (112 + GAP)
         y = MARGIN + TITLE + number // COLUMNS * (112 + 2 * 19 + GAP)
-        np.testing.assert_array_equal(sheet[y : y + 112, x : x + 112], np.repeat(tile.codes[:, :, None], 3, axis=2))
-        framed = (sheet[y : y + 112, x - 2] == (0, 114, 178)).all()
+        np.testing.assert_array_equal(sheet[y : y + 112, x : x + 112], tile.codes)
+        framed = (sheet[y : y + 112, x - 2] == 0).all()
         assert framed == tile.best
     assert contact_sheet_png("a title", tiles) == contact_sheet_png("a title", tiles)
 

@@ -34,8 +34,8 @@ def study(
 
     Example: pixsim study chen2000 --quick
 
-    Writes results.csv, summary.json, figures/*.svg, provenance.json, report.html; an interrupted study goes on where it
-    stopped when the same command is given again.
+    Writes results.csv, summary.json, figures (with a contact sheet), provenance.json, report.html; an interrupted
+    study goes on where it stopped when the same command is given again.
 
     Parameters
     ----------
