@@ -62,7 +62,7 @@ def test_the_same_bytes_with_an_empty_a_warm_and_no_cache(tmp_path, rendered, mo
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
     monkeypatch.setenv(LIMIT_VARIABLE, "0")
     assert run(tmp_path / "out") == cold
-    assert len(cold) == 7
+    assert len(cold) == 8
 
 
 def test_the_same_bytes_after_damage(tmp_path, folder, rendered):
