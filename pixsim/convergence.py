@@ -108,8 +108,10 @@ def render_until(
         job.kept.keep_runs_in_time(limits, runs)
     if ended != "target":
         why = f"its limit of {max_seconds:g} s" if ended == "max_seconds" else f"its limit of {runs} renders"
+        early = ended == "max_seconds" and now - start < max_seconds
+        when = f" after {now - start:.0f} s (another step would pass it)" if early else ""
         warnings.warn(
-            f"{why} ended the render with a noise of {fraction:.2g} of the sensor's; asked for {render_noise:g}. "
+            f"{why} ended the render{when} with a noise of {fraction:.2g} of the sensor's; asked for {render_noise:g}. "
             "Raise --max-seconds, or allow more with --render-noise",
             stacklevel=2,
         )

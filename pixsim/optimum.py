@@ -18,6 +18,7 @@ WINDOW_LEVEL = 1.10
 OTHER_DEGREES = (2, 3, 4)
 OTHER_WINDOW_LEVELS = (1.06, 1.10, 1.15)
 FEWEST_POINTS = 6
+FEWEST_LEFT = 5  # a cubic through fewer tells nothing
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,8 @@ class Optimum:
 
     pitch_um : with the least mean ΔE
     mean_delta_e : there
-    ci95_um : half width of the 95 % interval that the seeds allow (jackknife over repeats, Student's t)
-    fit_um : half of the range of minima that other degrees and windows of the fit give
+    ci95_um : half width of the 95 % interval that the sensors allow (jackknife over repeats, Student's t)
+    fit_um : half of the range of minima that other degrees and windows of the fit give, or one pitch less
     inside : whether the fit has a minimum within its window; False where the error is least at an end of the pitches
     within_1_percent_um, within_2_percent_um : pitches whose fitted mean ΔE is so close to the best
     """
@@ -71,8 +72,17 @@ def fitted_curve(pitch_um: Array, delta_e: Array, degree: int = DEGREE) -> tuple
 
 
 def fit_spread_um(pitch_um: Array, mean: Array) -> float:
-    """Half of the range of the minima over `OTHER_DEGREES` and `OTHER_WINDOW_LEVELS`."""
+    """Half of the range of the minima over `OTHER_DEGREES` and `OTHER_WINDOW_LEVELS`, and without each point in turn.
+
+    Where the minimum is flat, which pitches happened to be tried decides as much as how they are fitted.
+    """
     minima = []
+    here = window(mean)
+    pitch, values = pitch_um[here], mean[here]
+    if pitch.size > FEWEST_LEFT:
+        for point in range(pitch.size):
+            grid, curve = fitted_curve(np.delete(pitch, point), np.delete(values, point))
+            minima.append(float(grid[np.argmin(curve)]))
     for level in OTHER_WINDOW_LEVELS:
         here = window(mean, level)
         for degree in OTHER_DEGREES:

@@ -218,6 +218,8 @@ class Study(Effort):
     def _data_sheets_are_scaled(self) -> Self:
         """A well that is the same at every pitch would make small pixels far too good."""
         if NO_TECHNOLOGY in self.technologies:
+            if len(self.technologies) > 1:
+                raise ValueError(f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone, or none of it")
             if missing := [name for name in ("data_sheet_pitch_um", *DATA_SHEET) if getattr(self.pixel, name) is None]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
             if self.pitch.min_um is None and self.pitch.values_um is None:

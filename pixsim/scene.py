@@ -120,6 +120,9 @@ def load_scene(
     3.86
     """
     path = packaged_scenes().get(str(scene)) or Path(scene)
+    if path.suffix == ".toml":
+        mend = f"The file of a sensor goes with a scene: pixsim run csf --config {path}"
+        raise refuse("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", mend)
     if not os.path.lexists(path) or path.is_dir():
         known = packaged_scenes()
         raise refuse("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
@@ -127,7 +130,8 @@ def load_scene(
     given = {name: str(value) for name, value in parameters.items()}
     told = judge_scene(path, given)
     names = frozenset(told.names)
-    _check_names(given, names | {LUMINANCE})
+    settable = {name for name, needed in ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE)) if needed in names | told.defaults.keys()}
+    _check_names(given, names | settable)
     own_white = told.defaults.get(WHITE)
     if white is not None and own_white is None:
         raise refuse(

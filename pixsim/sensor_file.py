@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pixsim.config import Layer, beside, read_toml
+from pixsim.config import Layer, beside, merged, read_toml
 from pixsim.errors import refuse
+from pixsim.messages import checked
+from pixsim.parameters import Run
 from pixsim.pixel_record import DATA_SHEET, NO_TECHNOLOGY
 
+OF_AN_AREA = ("full_well_e", "dark_current_e_per_s")  # what a data sheet tells of its own pitch only
 PITCHES_TRIED = 4.0  # times smaller and larger than the pixel of a data sheet
 
 
@@ -35,32 +38,43 @@ def is_data_sheet(files: list[Layer], options: dict[str, Any]) -> bool:
     source = ", ".join(layer.source for layer in files if "pixel" in layer.table)
     if missing := [name for name in ("pitch_um", *DATA_SHEET) if name not in told]:
         got = f"a sensor without a technology, and without {', '.join(missing)}"
-        mend = 'Add them, or the technology that they are derived from, as technology = "0.35um".'
+        mend = 'Add them, or the technology that they are derived from, as technology = "4t-bsi".'
         raise refuse(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", mend)
     return True
 
 
-def study_layers(study: Layer, paths: Sequence[Path]) -> list[Layer]:
-    """A study's table under the files of a sensor.
+def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
+    """A study's table under the files of a sensor, and options over both.
 
     A data sheet becomes the study's only sensor, measured at its pitch and tried from a quarter of that to four times, unless
-    the study says from where to where; a technology becomes the study's only one, whatever pitch the file has.
+    the study says from where to where; a technology becomes the study's only one, whatever pitch the file has. What the study
+    says for --quick, and where its values come from, goes where a file or an option says something else.
+
+    Raises PixsimError for files that no single run could use.
     """
     files = [settings_layer(path) for path in paths]
-    tables = [dict(layer.table) for layer in files]
-    pixels = [table["pixel"] for table in tables if isinstance(table.get("pixel"), dict)]
-    told = {name: value for pixel in pixels for name, value in pixel.items()}
     below: dict[str, Any] = {}
-    above: dict[str, Any] = {}
-    if is_data_sheet(files, {}):
-        pitch_um = told["pitch_um"]
-        above = {"technologies": [NO_TECHNOLOGY], "pixel": {"data_sheet_pitch_um": pitch_um}}
-        if isinstance(pitch_um, int | float):
-            below = {"pitch": {"min_um": pitch_um / PITCHES_TRIED, "max_um": pitch_um * PITCHES_TRIED}}
-    elif "technology" in told:
-        above = {"technologies": [told["technology"]]}
-    over = [Layer(_of_a_study(table), layer.source) for table, layer in zip(tables, files, strict=True)]
-    return [Layer(below), study, *over, Layer(above, files[-1].source if files else "")]
+    over: list[Layer] = []
+    if files:
+        settings: Run = checked(Run, files)  # a sensor's file in its own words first
+        told = {name for layer in files for name in layer.table.get("pixel", {})}
+        own: dict[str, Any] = {}
+        if is_data_sheet(files, {}):
+            own = {"technologies": [NO_TECHNOLOGY], "paper": False}
+            ends_um = settings.pixel.pitch_um / PITCHES_TRIED, settings.pixel.pitch_um * PITCHES_TRIED
+            below = {"pitch": dict(zip(("min_um", "max_um"), ends_um, strict=True))}
+        elif "technology" in told:
+            own = {"technologies": [settings.pixel.technology], "paper": False}
+        if "pitch_um" in told and told & set(OF_AN_AREA) and "data_sheet_pitch_um" not in told:
+            own["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
+        over = [*(Layer(_of_a_study(layer.table), layer.source) for layer in files), Layer(own, files[-1].source)]
+    over.append(Layer(options or {}))
+    said = merged(over)
+    table = dict(study.table)
+    for name, kept in (("quick", _without), ("sources", _sources_without)):
+        if isinstance(table.get(name), dict):
+            table[name] = kept(table[name], said)
+    return [Layer(below), Layer(table, study.source), *over]
 
 
 def _of_a_study(table: dict[str, Any]) -> dict[str, Any]:
@@ -69,3 +83,19 @@ def _of_a_study(table: dict[str, Any]) -> dict[str, Any]:
     if isinstance(pixel, dict):
         table = table | {"pixel": {name: each for name, each in pixel.items() if name not in ("pitch_um", "technology")}}
     return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
+
+
+def _without(table: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
+    """What a table says that is not said elsewhere."""
+    left: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, dict) and isinstance(said.get(name), dict):
+            left[name] = _without(value, said[name])
+        elif name not in said:
+            left[name] = value
+    return left
+
+
+def _sources_without(sources: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
+    """Where values come from, but for those that are said elsewhere."""
+    return {name: source for name, source in sources.items() if not Layer(said).names(name.split("."))}

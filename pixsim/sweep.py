@@ -47,6 +47,9 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
     if path.suffix != ".toml" and not path.is_file():
         raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
     table = read_toml(path)
+    if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
+        mend = f"Give it to a study: pixsim study pixel-size --config {path}"
+        raise refuse("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", mend)
     for own in (table, table.get("quick", {})):
         if isinstance(own, dict):
             _name_files(own, path)
@@ -64,19 +67,20 @@ def _name_files(table: dict[str, Any], path: Path) -> None:
 
 def load_study(
     name: str | os.PathLike[str],
-    config: Sequence[str | os.PathLike[str]] = (),
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
 ) -> Study:
     """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it.
 
     Parameters
     ----------
-    config : TOML files of a sensor, its camera, exposure and display, as `pixsim run` takes them; later files win. The well and
-        the dark current of a data sheet go with the photodiode's area.
+    config : a TOML file, or several, of a sensor, its camera, exposure and display, as `pixsim run` takes them; later files
+        win. The well and the dark current of a data sheet go with the photodiode's area.
     parameters : of the scene, over those of the study
     """
+    paths = [config] if isinstance(config, str | os.PathLike) else config
     own = {"scene": {"parameters": dict(parameters)}} if parameters else {}
-    return checked_study([*study_layers(read_study(name), [Path(each) for each in config]), Layer(own)])
+    return checked_study(study_layers(read_study(name), [Path(each) for each in paths], own))
 
 
 def checked_study(layers: Sequence[Layer]) -> Study:
@@ -172,7 +176,7 @@ def study(
     plan: Study | str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
-    config: Sequence[str | os.PathLike[str]] = (),
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     quick: bool = False,
     jobs: int | None = None,
@@ -186,7 +190,7 @@ def study(
     ----------
     plan : a Study, the name of a packaged one, or a TOML file
     out : folder, made if need be
-    config : TOML files of a sensor, its camera, exposure and display, over a named study; later ones win
+    config : a TOML file, or several, of a sensor, its camera, exposure and display, over a named study; later ones win
     parameters : of the scene, over those of a named study, each in its unit
     quick : with the study's `quick` table
     jobs : processes; None takes one a core. The results do not depend on it.

@@ -28,7 +28,7 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
     lines += [f"warning: {note}" for note in plan.warnings]
     lines.append(
-        f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} of {plan.full_spp} samples; "
+        f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples (the scene says {plan.full_spp}); "
         f"mean electrons right to {plan.bound_e:.1e}{'' if plan.bounded else ' and what is not known'}, "
         f"asked for {plan.tolerance_e:g}"
     )

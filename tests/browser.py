@@ -139,8 +139,7 @@ def assert_sliders_move(found: list[Seen], pictures: int) -> None:
 
 def print_page(page: Path, folder: Path) -> Any:
     """The page printed to PDF, as pypdf reads it."""
-    from pypdf import PdfReader
-
+    PdfReader = pytest.importorskip("pypdf", reason="pypdf is not installed").PdfReader
     target = folder / "page.pdf"
     browse(["--no-pdf-header-footer", f"--print-to-pdf={target}", page.as_uri()], folder)
     return PdfReader(target)

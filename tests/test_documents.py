@@ -16,7 +16,7 @@ from pixsim.pixel import PixelPhysics
 from pixsim.score import Bench, Score
 from pixsim.sensor import Frame
 from pixsim.study_result import Curve
-from pixsim.technology import Technology
+from pixsim.technology import Junction, Technology
 
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
@@ -74,18 +74,25 @@ def test_readme_begins_with_the_commands_that_ci_runs(tmp_path: Path, monkeypatc
 
 # --- The paper's words and ours ---------------------------------------------------------------------------------------
 
-HOMES = {
-    "Pixel": Pixel, "PixelPhysics": PixelPhysics, "Bench": Bench, "Frame": Frame, "Exposure": Exposure, "Technology": Technology,
-    "Camera": Camera, "Display": Display, "Score": Score, "Study": Study, "Curve": Curve, "optics": pixsim.optics,
-}  # fmt: skip
+HOMES: dict[str, object] = {
+    each.__name__: each for each in (Pixel, PixelPhysics, Bench, Frame, Exposure, Technology, Junction, Camera, Display)
+}
+HOMES |= {each.__name__: each for each in (Score, Study, Curve)} | {"optics": pixsim.optics}
 OWN = {"optimum": Optimum}
 WORDS = re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| `?(\w+)`? \|$", text_of(README), re.MULTILINE)
+
+
+UNIT_OF = {"_um": "µm", "_mm": "mm", "_s": "s", "_e": "electrons", "_db": "dB", "_cd_per_m2": "cd/m²", "_ff": "fF", "_v": "V"}
+UNIT_OF |= {"_e_per_s": "electrons/s", "delta_e": "ΔE", "_per_deg": "dots/degree"}
 
 
 @pytest.mark.parametrize(("words", "ours", "unit", "home"), [row for row in WORDS if row[3] in HOMES], ids=lambda word: word[:20])
 def test_names_of_the_glossary_exist(words: str, ours: str, unit: str, home: str) -> None:
     names = re.findall(r"`([\w.]+)`", ours)
     assert names
+    for name in names:
+        endings = [each for each in UNIT_OF if name.endswith(each)]
+        assert not endings or UNIT_OF[max(endings, key=len)] in unit, f"{name} is in {UNIT_OF[max(endings, key=len)]}"
     for name in names:
         first, _, second = name.partition(".")
         assert has(HOMES[home], first), f"{home} has no {first}"
@@ -125,7 +132,9 @@ def test_blocks_and_what_is_told_of_them() -> None:
         ("a 1\nb 2", "a 1", False),
         ("", "a 1", False),
         ("± 0.04 µm", "± 0.05 µm", True),
-        ("± 0.04 µm", "± 0.06 µm", False),
+        ("± 0.04 µm", "± 0.10 µm", True),
+        ("± 0.04 µm", "± 0.16 µm", False),
+        ("640 × 640", "641 × 640", False),
         ("x 1.0e-04", "x 1.2e-04", False),
     ],
 )
@@ -134,7 +143,19 @@ def test_what_is_printed_is_compared(said: str, printed: str, same: bool) -> Non
 
 
 @pytest.mark.parametrize(
-    "text", ["```sh\nexit 3\n```\n", "```python\nassert 1 == 2\n```\n", "```sh\necho 1\n```\n\n<!-- output -->\n```text\n2\n```\n"]
+    "text",
+    [
+        "```sh\nexit 3\n```\n",
+        "```python\nassert 1 == 2\n```\n",
+        "```sh\necho 1\n```\n\n<!-- output -->\n```text\n2\n```\n",
+        "```python\nprint(1)\n```\n",
+        "```python\nprint(1)\n```\n\n```python\nx = 2\n```\n",
+        "<!-- output -->\n```sh\necho 1\n```\n",
+        "<!-- picture: a.svg -->\nwords\n",
+        "~~~sh\nexit 3\n~~~\n",
+        "> ```sh\n> exit 3\n> ```\n",
+        "```sh\ntrue\n",
+    ],
 )
 def test_a_page_that_does_not_do_what_it_says_fails(text: str, tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text(text, encoding="utf-8")

@@ -213,6 +213,7 @@ def test_oversampling_tells_photodiode_and_lens():
 
 def test_the_command_prints_the_table(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
     code, out, err = command("plan csf --variant scalar_spectral -D resolution=64")
     assert (code, err) == (0, "")
     for subject, each in zip(SUBJECTS, make_plan(load("csf", resolution=64)).decisions, strict=True):

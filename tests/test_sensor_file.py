@@ -143,3 +143,80 @@ def test_a_scene_parameter_of_a_study_from_the_command_line(tmp_path: Path) -> N
     assert code == 0, err
     assert json.loads(out)["irradiance"]["luminance_cd_per_m2"] == 50
     assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
+
+
+# --- What says more, and what less -------------------------------------------------------------------------------------
+
+
+def test_quick_gives_way_to_files_and_options(tmp_path: Path) -> None:
+    """[quick] of `modern` names a technology: with a data sheet over it the study would be neither."""
+    paths = [written(tmp_path / "sensor.toml", SHEET)]
+    study = checked_study(study_layers(read_study("modern"), paths)).quickened
+    assert (study.technologies, study.pitch.count) == (("none",), 10)
+    own = written(
+        tmp_path / "own.toml",
+        'name = "own"\n[quick]\nrepeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n',
+    )
+    option = {"scene": {"parameters": {"resolution": 96}}}
+    study = checked_study(study_layers(read_study(own), paths, option)).quickened
+    assert study.scene.parameters == {"resolution": 96, "spp": 4}
+    assert (study.camera.f_number, study.repeats) == (2.8, 2)
+
+
+def test_later_files_win(tmp_path: Path) -> None:
+    first = written(tmp_path / "a.toml", SHEET)
+    second = written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")
+    study = checked_study(study_layers(read_study("pixel-size"), [first, second]))
+    assert (study.pixel.read_noise_e, study.pixel.full_well_e) == (7, 12000)
+    assert checked_study(study_layers(read_study("pixel-size"), [second, first])).pixel.read_noise_e == 2.5
+
+
+def test_what_a_file_measured_goes_with_the_area_whatever_its_technology(tmp_path: Path) -> None:
+    text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
+    study = study_of(text, tmp_path)
+    assert study.pixel.data_sheet_pitch_um == 6.5
+    area_um2 = fill_factor_law([6.5, 13.0], pixsim.load_technology("0.35um")) * np.array([6.5, 13.0]) ** 2
+    well_e = pixsim.derive(pixel_of(study, "0.35um", 13.0)).full_well_e
+    assert well_e == pytest.approx(40000 * area_um2[1] / area_um2[0], rel=1e-12)
+    assert study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path).pixel.data_sheet_pitch_um is None
+
+
+def test_a_file_s_own_pitch_of_measurement_is_kept(tmp_path: Path) -> None:
+    text = SHEET.replace("pitch_um = 4.0", "pitch_um = 4.0\ndata_sheet_pitch_um = 2.0")
+    study = study_of(text, tmp_path)
+    run = pixsim.derive(pixsim.Pixel.model_validate(study.pixel.model_dump() | {"technology": "none", "pitch_um": 4.0}))
+    assert study.pixel.data_sheet_pitch_um == 2.0
+    assert pixsim.derive(pixel_of(study, "none", 4.0)).full_well_e == run.full_well_e == pytest.approx(4 * 12000)
+    assert study.pitch.max_um == 16.0
+
+
+def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
+    study = study_of(SHEET, tmp_path, "chen2000")
+    assert not study.paper
+    assert "camera.die_mm" not in study.sources
+    assert study.sources["display.dots"].startswith("assumed")
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("study {path}", ["the file of a sensor", "pixsim study pixel-size --config"]),
+        ("run {path}", ["a TOML file", "pixsim run csf --config"]),
+        ("study chen2000-sensitivity --config {path}", ["--config, -D", "varies another study"]),
+        ("study pixel-size --config {path} --render-noise 0", ["render_noise", "1e-06"]),
+    ],
+)
+def test_likely_slips_are_told_how_to_mend_them(line: str, words: list[str], tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", SHEET)
+    assert_refused(*command(line.format(path=path) + f" --out {tmp_path / 'out'}"), words)
+
+
+def test_a_data_sheet_stands_alone() -> None:
+    table = {"name": "a", "technologies": ["none", "0.35um"], "pitch": {"min_um": 2}}
+    with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
+        pixsim.Study.model_validate(table)
+
+
+def test_a_single_file_needs_no_list(tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", SHEET)
+    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path])

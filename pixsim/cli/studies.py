@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from pixsim.cli.base import DEFAULT_OUT, Config, Define, Json, Out, Variant, app, definitions, described, show, stages
-from pixsim.config import Layer
+from pixsim.errors import refuse
 from pixsim.messages import checked
 from pixsim.sensor_file import study_layers
 from pixsim.wording import budget_lines, found_line, sensitivity_lines
@@ -26,6 +26,8 @@ def study(
         str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786), whose workers take the place of --jobs.")
     ] = None,
     tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
+    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
+    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
     variant: Variant = None,
     out: Out = None,
     json: Json = False,
@@ -45,10 +47,14 @@ def study(
     from pixsim import sweep
 
     table = sweep.read_study(study)
-    options: dict[str, Any] = {} if tolerance_delta_e is None else {"tolerance_delta_e": tolerance_delta_e}
+    effort = {"tolerance_delta_e": tolerance_delta_e, "render_noise": render_noise, "max_seconds": max_seconds}
+    options: dict[str, Any] = {name: value for name, value in effort.items() if value is not None}
     if define:
         options["scene"] = {"parameters": definitions(define)}
-    layers = [*study_layers(table, config or []), Layer(options)]
+    if "vary" in table.table and (config or define):
+        mend = "Copy the study that it varies, set them there, and name the copy as its base."
+        raise refuse("--config, -D", f"with {study}, which varies another study", "studies of pixel sizes", mend)
+    layers = study_layers(table, config or [], options)
     seconds: dict[str, float] = {}
     how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
     with stages(seconds) as stage:
