@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.labels import one_line
 from pixsim.pictures import font, png_bytes
 
 COLUMNS = 6
 MARGIN, GAP, FRAME = 16, 14, 3  # px
 TITLE, LINE, LABEL_WIDTH = 34, 19, 112
+LONGEST_TITLE = 120  # characters
 BLACK, WHITE = 0, 255
 
 
@@ -30,6 +32,7 @@ def contact_sheet_png(title: str, tiles: Sequence[Tile]) -> bytes:
     """Tiles of at most one size in rows of six, each dot of a picture one of the sheet."""
     from PIL import Image, ImageDraw
 
+    title = one_line(title, LONGEST_TITLE)
     side_y, side_x = (max(tile.codes.shape[axis] for tile in tiles) for axis in (0, 1))
     pitch_x, pitch_y = max(side_x, LABEL_WIDTH) + GAP, side_y + 2 * LINE + GAP
     columns = min(COLUMNS, len(tiles))

@@ -13,6 +13,7 @@ from pixsim.score import Score
 from pixsim.spectral import Array
 
 DETAIL_DOTS = 112  # three of them stand abreast on a telephone
+MOST_DOTS = 1024  # along a side of a whole picture in a page: larger ones would make it tens of megabytes
 STEPS = 4  # tried places a detail's width
 SCALE_DOTS = 200, 12  # of the bar of colours
 
@@ -28,8 +29,9 @@ class Window:
 
     def of(self, picture: Array) -> Array:
         """That part of a picture of any number of dots, at least one of them."""
-        spans = zip((self.top, self.left), (self.height, self.width), picture.shape, strict=True)
-        rows, columns = (slice(round(start * n), round(start * n) + max(1, round(size * n))) for start, size, n in spans)
+        places = zip((self.top, self.left), (self.height, self.width), picture.shape, strict=True)
+        spans = ((min(round(start * n), n - 1), size, n) for start, size, n in places)
+        rows, columns = (slice(first, first + max(1, round(size * n))) for first, size, n in spans)
         return picture[rows, columns]
 
     @property
@@ -78,6 +80,20 @@ class Picture:
     @classmethod
     def of(cls, codes: NDArray[np.uint8], name: str, note: str = "", best: bool = False) -> Picture:
         return cls(name, note, png_bytes(codes), codes.shape[1], codes.shape[0], best)
+
+
+def factor_for(picture: Array) -> int:
+    """How many dots a side come to one where a whole picture stands in a page."""
+    return -(-max(picture.shape) // MOST_DOTS)
+
+
+def reduced(luminance: Array) -> Array:
+    """A whole picture for a page, at most `MOST_DOTS` a side: means of squares of dots (what is left over is cut off)."""
+    down, across = (min(factor_for(luminance), size) for size in luminance.shape)
+    if down == across == 1:
+        return luminance
+    rows, columns = luminance.shape[0] // down, luminance.shape[1] // across
+    return np.asarray(luminance[: rows * down, : columns * across].reshape(rows, down, columns, across).mean(axis=(1, 3)))
 
 
 def crops(score: Score, window: Window, name: str) -> tuple[Picture, ...]:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pixsim.curve_plates import delta_e_against_pitch
 from pixsim.figures import new_figure, svg_text
 from pixsim.files import data_uri, replacing
 from pixsim.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
-from pixsim.plates import delta_e_against_pitch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""The figures of a study, each with the table that it was drawn from."""
+"""A figure with the table that it was drawn from, and the figures of a study's pictures and maps."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pixsim.figures import (
-    COLOURS,
     ISO_SMOOTHING_DOTS,
     LEGEND_LINE,
     LOOKS,
@@ -22,14 +20,9 @@ from pixsim.figures import (
     draw_picture,
     extent,
     label_axes,
-    literal,
     new_figure,
     svg_text,
 )
-from pixsim.merit import mpe30_lx_s, mtf50_cy_per_mm
-from pixsim.optimum import fitted_curve, mean_and_ci95, window
-from pixsim.parameters import pixel_of
-from pixsim.pixel import derive
 from pixsim.spectral import Array
 
 if TYPE_CHECKING:
@@ -39,12 +32,10 @@ if TYPE_CHECKING:
     from pixsim.score import Score
     from pixsim.study_result import Curve, StudyResult
 
-ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
 Column = Sequence[float | str]
 # Of four pictures and a bar of colours with room for its numbers.
 MARGINS = {"left": 0.075, "right": 0.985, "bottom": 0.06, "top": 0.965, "wspace": 0.05, "hspace": 0.22}
 WIDTHS = (1, 0.05, 0.28, 1)
-MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
 COARSE = 64  # samples a side of the tables of pictures
 SENSORS_SHOWN = 8  # in mean maps
 
@@ -79,107 +70,6 @@ class Drawn:
     @classmethod
     def of(cls, plate: Plate) -> Drawn:
         return cls(plate.name, plate.caption, svg_text(plate.figure), plate.csv)
-
-
-def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
-    """Mean ΔE of each pitch with its 95 % interval, the local fit and the optimum."""
-    colour = look.colour
-    mean, ci95 = mean_and_ci95(curve.delta_e)
-    best = curve.optimum
-    name = literal(curve.label)
-    label = f"{name}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else name
-    axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
-    axes.fill_between(curve.pitch_um, mean - ci95, mean + ci95, color=colour, alpha=0.15, lw=0)
-    here = window(mean)
-    axes.plot(*fitted_curve(curve.pitch_um[here], mean[here]), lw=1.5, **look.stroke)
-    if best.inside:
-        axes.plot(best.pitch_um, best.mean_delta_e, "v", ms=9, mfc="white", mec=colour, mew=1.5)
-    axes.axvspan(*best.within_1_percent_um, color=colour, alpha=0.12, lw=0)
-    for edge_um in best.within_1_percent_um:
-        axes.axvline(edge_um, lw=0.7, **look.stroke)
-
-
-def tell_the_story(axes: Axes, curve: Curve) -> None:
-    """What a stranger asks of a single curve: where the best is, and what is wrong on either side."""
-    best = curve.optimum
-    if best.inside:
-        at = (best.pitch_um, best.mean_delta_e)
-        told = f"best: {best.pitch_um:.2f} µm"
-        axes.annotate(told, at, (0, -14), textcoords="offset points", ha="center", va="top", bbox=ON_WHITE)
-    for across, side, words in ((0.02, "left", "← more noise"), (0.98, "right", "more blur →")):
-        axes.text(across, 0.03, words, transform=axes.transAxes, color="0.3", ha=side, bbox=ON_WHITE)
-    if np.ptp(curve.fill_factor) > 0:
-        fill_factor_axis(axes, curve)
-
-
-def fill_factor_axis(axes: Axes, curve: Curve) -> None:
-    """The fill factor of each pitch on top, as many marks as there is room for."""
-    top = axes.secondary_xaxis("top")
-    marks: dict[float, str] = {}
-    for each in (0.05, *np.arange(0.1, 1.0, 0.1)):
-        at_um = float(np.interp(each, curve.fill_factor, curve.pitch_um))
-        apart_um = at_um - max(marks, default=-np.inf)
-        if curve.fill_factor.min() <= each <= curve.fill_factor.max() and apart_um > MARK_SPACING * np.ptp(curve.pitch_um):
-            marks[at_um] = f"{100 * each:.0f}"
-    top.set_xticks(list(marks), list(marks.values()), fontsize=8)
-    top.set_xlabel("fill factor (%)")
-
-
-def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
-    figure = new_figure(6.4, 4.0)
-    axes = figure.subplots()
-    for curve, look in zip(curves, cycle(LOOKS), strict=False):
-        draw_curve(axes, curve, look)
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("mean ΔE, S-CIELAB")
-    axes.set_ylim(bottom=0)
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
-    if len(curves) == 1:
-        tell_the_story(axes, curves[0])
-    caption = (
-        f"Mean S-CIELAB error of the picture against pixel size. Points: mean of {result.study.repeats} sensors with its 95 % "
-        "interval; line: the local fit; triangle: the optimum; band: sizes within 1 % of the best."
-    )
-    return Plate(name, caption, figure, curve_table(curves))
-
-
-def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
-    table: dict[str, list[float | str]] = {
-        name: [] for name in ("technology", "pitch_um", "fill_factor", "mean_delta_e", "ci95_delta_e", *OTHER_STATISTICS)
-    }
-    for curve in curves:
-        mean, ci95 = mean_and_ci95(curve.delta_e)
-        table["technology"] += [curve.technology] * mean.size
-        columns = {"pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor, "mean_delta_e": mean, "ci95_delta_e": ci95}
-        columns |= {name: curve.statistics[name].mean(axis=1) for name in OTHER_STATISTICS}
-        for name, values in columns.items():
-            table[name] += values.tolist()
-    return dict(table)
-
-
-OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
-
-
-def other_statistics(curve: Curve) -> Plate:
-    """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
-    figure = new_figure(6.4, 3.6)
-    axes = figure.subplots()
-    for name, look in zip(("mean_delta_e", *OTHER_STATISTICS), LOOKS, strict=False):
-        values = curve.statistics[name].mean(axis=1)
-        label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
-        axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("ΔE over its least value of all pixel sizes")
-    axes.set_ylim(0.9, 3.0)
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    caption = (
-        f"The same pictures judged by other statistics of ΔE ({curve.label}), each divided by its smallest value. The "
-        "pitch in the legend is the best of those tried. The maximum belongs to single dots of the darkest bars, where S-CIELAB, "
-        "which blurs colour more widely than luminance, is at its most sensitive."
-    )
-    return Plate("other_statistics", caption, figure, curve_table([curve]))
 
 
 def pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
@@ -251,60 +141,3 @@ def draw_iso(
     for spine in axes.spines.values():
         spine.set(visible=True, color="0.8")
     return points
-
-
-def optimum_against_technology(result: StudyResult) -> Plate:
-    """Optima with both error bars, beside what 'proportional to technology' would give."""
-    curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
-    feature_um = np.array([curve.feature_size_um for curve in curves])
-    size_um = np.array([curve.optimum.pitch_um for curve in curves])
-    ci95_um = np.array([curve.optimum.ci95_um for curve in curves])
-    fit_um = np.array([curve.optimum.fit_um for curve in curves])
-    figure = new_figure(5.4, 4.0)
-    axes = figure.subplots()
-    axes.errorbar(feature_um, size_um, ci95_um + fit_um, fmt="none", ecolor=COLOURS[1], lw=1, capsize=5, label="seeds and fit")
-    axes.errorbar(feature_um, size_um, ci95_um, fmt="o", color=COLOURS[0], lw=2, capsize=3, label="optimum, 95 % (seeds)")
-    proportional = size_um[-1] / feature_um[-1] * feature_um
-    axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
-    axes.set_xlabel("feature size (µm)")
-    axes.set_ylabel("optimal pixel size (µm)")
-    axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False)
-    table = {
-        "technology": [curve.technology for curve in curves],
-        "feature_size_um": feature_um.tolist(),
-        "optimum_um": size_um.tolist(),
-        "ci95_um": ci95_um.tolist(),
-        "fit_um": fit_um.tolist(),
-        "optimum_features": (size_um / feature_um).tolist(),
-        "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
-        "proportional_um": proportional.tolist(),
-    }
-    caption = "Optimal pixel size against technology, and the line that the largest process scaled in proportion would follow."
-    return Plate("optimum_against_technology", caption, figure, table)
-
-
-def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
-    """MTF50 and MPE30 of each pitch: the two sides of the trade-off."""
-    pixels = [derive(pixel_of(result.study, curve.technology, pitch)) for pitch in curve.pitch_um.tolist()]
-    mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
-    mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
-    figure = new_figure(6.0, 3.8)
-    axes = figure.subplots()
-    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50, on the left")
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    axes.set_ylim(bottom=0)
-    other = axes.twinx()
-    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure, on the right")
-    other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
-    other.spines["right"].set_visible(True)
-    axes.legend(handles=[*detail, *light], frameon=False, loc="upper center", handlelength=LEGEND_LINE)
-    caption = (
-        f"Both sides of the trade-off ({curve.label}): the frequency at which the system MTF is one half, and the least "
-        "exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High detail and little light are good."
-    )
-    table = {"pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "mpe30_lx_s": mpe30}
-    return Plate("light_against_detail", caption, figure, table)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pixsim.curve_plates import delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics
 from pixsim.details import scale
 from pixsim.engine import Workers, results_of
 from pixsim.files import output_folder, replacing, versions, write_json
@@ -16,16 +17,7 @@ from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import map_plates, scene_plates
 from pixsim.parameters import Record
 from pixsim.pixel_record import NO_TECHNOLOGY
-from pixsim.plates import (
-    SENSORS_SHOWN,
-    Drawn,
-    Plate,
-    delta_e_against_pitch,
-    light_against_detail,
-    optimum_against_technology,
-    other_statistics,
-    pictures,
-)
+from pixsim.plates import SENSORS_SHOWN, Drawn, Plate, pictures
 from pixsim.study_result import Curve, StudyResult
 from pixsim.technology import load_technology
 from pixsim.views import Views, best_place, study_views

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pixsim.details import Picture, crops, scale, worst_window
+from pixsim.details import Picture, crops, factor_for, reduced, scale, worst_window
 from pixsim.pages import described, write_page
 from pixsim.parameters import Camera, Display, Exposure
 from pixsim.pictures import extent, grey_codes
@@ -14,7 +14,6 @@ from pixsim.spectral import Array, SpectralImage
 from pixsim.study_result import label_of
 from pixsim.wording import budget_lines, score_line
 
-MOST_DOTS = 1024  # along a side of the pictures in the page: larger ones would make it tens of megabytes
 # What lies beside the page.
 FILES = {
     "score.json": "all numbers and settings, for programs",
@@ -90,16 +89,8 @@ def files_in(folder: Path) -> dict[str, str]:
     return {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS} | more
 
 
-def factor_for(picture: Array) -> int:
-    """How many dots a side come to one in the page."""
-    return -(-max(picture.shape) // MOST_DOTS)
-
-
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
-    """A whole picture, of at most `MOST_DOTS` a side: its file, or means of squares of dots (what is left over is cut off)."""
-    n = factor_for(luminance)
-    if n == 1:
+    """A whole picture: its file, or, where it is large, the `reduced` one."""
+    if factor_for(luminance) == 1:
         return Picture(name, "", path.read_bytes(), luminance.shape[1], luminance.shape[0])
-    rows, columns = (size // n for size in luminance.shape)
-    means = luminance[: rows * n, : columns * n].reshape(rows, n, columns, n).mean(axis=(1, 3))
-    return Picture.of(grey_codes(means), name)
+    return Picture.of(grey_codes(reduced(luminance)), name)

@@ -9,7 +9,7 @@ import numpy as np
 from pixsim import cache
 from pixsim import display as displays
 from pixsim.contact_sheet import Tile, contact_sheet_png
-from pixsim.details import Picture, Window, crops, window_at, worst_window
+from pixsim.details import Picture, Window, crops, factor_for, reduced, window_at, worst_window
 from pixsim.evaluations import Content, bench_at, block_key, stream_key
 from pixsim.parameters import pixel_of
 from pixsim.pictures import grey_codes
@@ -27,6 +27,7 @@ class Views:
     tiles : the ideal image's detail, then that of every pitch
     crops : for some pitches, the detail of the ideal image, of the output, and of its ΔE map
     ideal, outputs : whole pictures
+    factor : how many dots of the ideal image a side are one of the whole picture
     sheet : the tiles as one labelled PNG
     """
 
@@ -36,6 +37,7 @@ class Views:
     tiles: tuple[Picture, ...]
     crops: tuple[tuple[Picture, ...], ...]
     ideal: Picture
+    factor: int
     outputs: tuple[Picture, ...]
     sheet: bytes = field(default=b"", repr=False)
 
@@ -69,8 +71,9 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
         place=window.centre,
         tiles=tuple(Picture.of(tile.codes, tile.name, tile.note, tile.best) for tile in tiles),
         crops=tuple(crops(scores[place], window, f"the {called(curve, place)}") for place in ends),
-        ideal=Picture.of(grey_codes(ideal), "ideal image"),
-        outputs=tuple(Picture.of(grey_codes(scores[place].image), named[place], words(curve, place)[1]) for place in ends),
+        ideal=Picture.of(grey_codes(reduced(ideal)), "ideal image"),
+        factor=factor_for(ideal),
+        outputs=tuple(Picture.of(grey_codes(reduced(scores[place].image)), named[place], words(curve, place)[1]) for place in ends),
         sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1", tiles),
     )
 

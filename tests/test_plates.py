@@ -17,13 +17,14 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 import pixsim
 from pixsim.charts import DIE_MM
+from pixsim.curve_plates import delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics
 from pixsim.evaluations import pixel_of
 from pixsim.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
 from pixsim.merit import dr_and_snr_db, growth_exponent, mpe30_lx_s, mtf50_cy_per_mm, system_mtf
 from pixsim.optimum import Optimum
 from pixsim.paper import Evidence
 from pixsim.paper_figures import figure_2a, figure_2b, map_plates, scene_plates
-from pixsim.plates import Plate, delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics, pictures
+from pixsim.plates import Plate, pictures
 from pixsim.spectral import SpectralImage
 from pixsim.sweep import StudyResult
 

@@ -12,9 +12,9 @@ import pytest
 from browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 from test_cli import command
 
-from pixsim import run_page
+from pixsim.details import MOST_DOTS, factor_for, reduced
 from pixsim.pictures import grey_codes
-from pixsim.run_page import FILES, factor_for, shown_picture
+from pixsim.run_page import FILES, shown_picture
 from pixsim.views import Picture
 
 LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
@@ -66,6 +66,16 @@ def test_it_is_the_same_bytes_each_time(ran: Path, tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_bytes() == (ran / "report.html").read_bytes()
 
 
+@pytest.mark.parametrize(("shape", "small"), [((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))])
+def test_a_long_thin_picture_is_shown_whole_along_its_short_side(shape: tuple[int, int], small: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    whole = rng.random(shape)
+    shown = reduced(whole)
+    assert shown.shape == small
+    down, across = (n // m for n, m in zip(shape, small, strict=True))
+    assert shown[-1, -1] == pytest.approx(whole[-down:, -across:].mean())
+
+
 @pytest.mark.parametrize(("shape", "factor"), [((1024, 1024), 1), ((1025, 8), 2), ((700, 3000), 3)])
 def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], factor: int, tmp_path: Path) -> None:
     assert factor_for(np.zeros(shape)) == factor
@@ -81,7 +91,7 @@ def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], facto
     else:
         assert shown == Picture.of(grey_codes(small), "a name")
     assert (shown.height, shown.width) == small.shape
-    assert max(small.shape) <= run_page.MOST_DOTS
+    assert max(small.shape) <= MOST_DOTS
 
 
 @needs_browser

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import pixsim
-from pixsim import cache
+from pixsim import cache, details
 from pixsim.contact_sheet import COLUMNS, GAP, MARGIN, TITLE, Tile, contact_sheet_png
 from pixsim.details import DETAIL_DOTS, Window, crops, scale, window_at, windows, worst_window
 from pixsim.errors import PixsimError
@@ -76,6 +76,19 @@ def test_the_same_part_of_pictures_with_more_or_fewer_dots() -> None:
         assert window.of(x).shape == (dots // 4, dots // 4)
 
 
+@pytest.mark.parametrize("coarse", [(1, 1), (2, 2), (5, 3)])
+def test_every_detail_of_a_much_coarser_picture_has_a_dot(coarse: tuple[int, int]) -> None:
+    """With a dot for each pixel, the largest pixels' picture can be smaller than a detail's share of the finest."""
+    seen: set[int] = set()
+    picture = np.arange(coarse[0] * coarse[1]).reshape(coarse)
+    for window in [*windows((512, 300)), *(window_at(at, (512, 512)) for at in ((0.0, 1.0), (1.0, 1.0), (0.5, 0.99)))]:
+        part = window.of(picture)
+        assert part.size > 0
+        seen |= set(part.ravel().tolist())
+    assert len(seen) == picture.size
+    assert worst_window([np.ones((512, 300)), np.zeros(coarse)]) in windows((512, 300))
+
+
 def test_the_detail_is_where_all_maps_are_bad_not_where_one_is_worst() -> None:
     noise, blur = np.ones((512, 512)), np.ones((512, 512))
     noise[:112, :112] = 100.0
@@ -104,6 +117,29 @@ def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how:
         picture = detail_at(result, content, curve, place, WHOLE)
         expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
         np.testing.assert_array_equal(picture, expected)
+
+
+def test_a_study_with_a_dot_a_pixel_has_views_of_pixels_as_large_as_a_detail(tmp_path: Path) -> None:
+    """Their pictures have one dot to 17: no window of the finest picture is empty in any."""
+    more = {"display": {"raster": "one_to_one", "samples_per_deg": 10.0}, "pitch": {"values_um": [20, 40, 400, 900, 2000]}}
+    result = pixsim.study(pixsim.Study.model_validate(STUDY | more | {"name": "coarse"}), tmp_path, jobs=1)
+    curve = result.curves[0]
+    (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
+    views = study_views(result, curve, best)
+    assert len(views.tiles) == 6
+    assert all(min(each.width, each.height) >= 1 for each in views.tiles)
+
+
+def test_whole_pictures_of_a_study_are_bounded_and_details_are_not(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(details, "MOST_DOTS", 60)
+    curve = result.curves[0]
+    (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
+    views = study_views(result, curve, best)
+    assert views.factor == 3
+    means = best.ideal[:159, :159].reshape(53, 3, 53, 3).mean(axis=(1, 3))
+    np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(means))
+    assert {(each.width, each.height) for each in views.outputs} == {(53, 53)}
+    assert {(each.width, each.height) for each in views.tiles} == {(112, 112)}
 
 
 @pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
@@ -160,6 +196,14 @@ def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
         framed = (sheet[y : y + 112, x - 2] == 0).all()
         assert framed == tile.best
     assert contact_sheet_png("a title", tiles) == contact_sheet_png("a title", tiles)
+
+
+@pytest.mark.parametrize("title", ["two\nlines\tand \x1b[31m", "n" * 5000, "\u202e", ""])
+def test_no_title_breaks_a_sheet_or_widens_it_beyond_bounds(title: str) -> None:
+    tiles = [Tile(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
+    sheet = decoded(contact_sheet_png(title, tiles))
+    assert sheet.shape[0] == decoded(contact_sheet_png("plain", tiles)).shape[0]
+    assert sheet.shape[1] < 2500
 
 
 # --- the study's own place --------------------------------------------------------------------------------------------
