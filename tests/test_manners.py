@@ -93,7 +93,7 @@ def test_what_a_data_sheet_lacks_is_named(lost: str, sheet: Path, capsys: pytest
     code, out, err = in_process("run", "csf", "--config", sheet, capsys=capsys)
     assert (code, out) == (2, "")
     assert f"{sheet}: pixel: got a sensor without a technology, and without {lost};" in err
-    assert 'technology = "0.35um"' in err
+    assert 'technology = "4t-bsi"' in err
 
 
 def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> None:
