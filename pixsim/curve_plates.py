@@ -94,7 +94,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     }
     for curve in curves:
         mean, ci95 = mean_and_ci95(curve.delta_e)
-        table["technology"] += [curve.technology] * mean.size
+        table["technology"] += [curve.label] * mean.size
         columns = {"pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor, "mean_delta_e": mean, "ci95_delta_e": ci95}
         columns |= {name: curve.statistics[name].mean(axis=1) for name in OTHER_STATISTICS}
         for name, values in columns.items():
@@ -143,7 +143,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
     table = {
-        "technology": [curve.technology for curve in curves],
+        "technology": [curve.label for curve in curves],
         "feature_size_um": feature_um.tolist(),
         "optimum_um": size_um.tolist(),
         "ci95_um": ci95_um.tolist(),

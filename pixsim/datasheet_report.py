@@ -11,9 +11,9 @@ from pixsim.datasheet import DataSheet
 from pixsim.datasheet_entries import Entry, entries, summary
 from pixsim.datasheet_plots import datasheet_plates
 from pixsim.files import output_folder, versions, write_json
+from pixsim.labels import file_label, label_of
 from pixsim.pages import write_page
 from pixsim.report import write_plates
-from pixsim.study_result import file_label
 
 TERMINAL_WIDTH = 132
 ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but for dark currents in the deep cold
@@ -21,7 +21,7 @@ ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but
 
 def sheet_name(sheet: DataSheet) -> str:
     pixel = sheet.experiment.physics.pixel
-    return f"datasheet-{file_label(pixel.technology)}-{pixel.pitch_um:g}um"
+    return f"datasheet-{file_label(label_of(pixel.technology))}-{pixel.pitch_um:g}um"
 
 
 def number(value: float, digits: int = 5) -> str:
@@ -41,7 +41,7 @@ def described(sheet: DataSheet) -> str:
     e, p = sheet.experiment, sheet.experiment.physics
     rows, columns = e.sensor.shape
     return (
-        f"{p.technology.name}, {p.pitch_um:g} µm pixels, {p.pixel.bits} bits, black level {p.pixel.black_level_dn:g} DN, "
+        f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels, {p.pixel.bits} bits, black level {p.pixel.black_level_dn:g} DN, "
         f"{p.pixel.temperature_k:g} K; {columns} × {rows} pixels, {e.wavelength_nm:g} nm, {1e3 * e.integration_s:.4g} ms"
     )
 

@@ -88,7 +88,8 @@ def curve_plates(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
-        if len({curve.feature_size_um for curve in result.curves}) > 1:
+        processes = all(curve.technology != NO_TECHNOLOGY for curve in result.curves)
+        if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
         return plates

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.details import Picture, crops, factor_for, reduced, scale, worst_window
+from pixsim.labels import label_of
 from pixsim.pages import described, write_page
 from pixsim.parameters import Camera, Display, Exposure
 from pixsim.pictures import extent, grey_codes
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
-from pixsim.study_result import label_of
 from pixsim.wording import budget_lines, score_line
 
 # What lies beside the page.
@@ -58,7 +58,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "display": Display.model_validate(summary["display"]),
     }
     page = {
-        "scene": Path(str(header.get("scene", "a picture made elsewhere"))).stem,
+        "scene": Path(str(header.get("scene", header.get("source", "a picture made elsewhere")))).stem,
         "line": score_line(summary),
         "summary": summary,
         "physics": physics,

@@ -24,7 +24,7 @@ def tornado(result: SensitivityResult) -> Plate:
         draw_bar(right, row, base.mean_delta_e, [(case.label, case.first.optimum.mean_delta_e, True) for case in cases])
     for axes, at, label in ((left, base.pitch_um, "optimal pixel size (µm)"), (right, base.mean_delta_e, "best mean ΔE")):
         axes.axvline(at, color="0.2", lw=1)
-        axes.set_xlabel(f"{label}, {literal(result.base_case.first.technology)}")
+        axes.set_xlabel(f"{label}, {literal(result.base_case.first.label)}")
         axes.grid(axis="x", alpha=0.25)
         axes.use_sticky_edges = False
         axes.margins(x=0.15, y=0.03)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_at, block_key, scores_of
+from pixsim.labels import file_label, label_of, labels_of
 from pixsim.ledger import Row
 from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
 from pixsim.parameters import Camera, Study
@@ -23,16 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def label_of(technology: str) -> str:
-    """A technology's name for readers."""
-    return "data sheet" if technology == NO_TECHNOLOGY else technology
-
-
-def file_label(technology: str) -> str:
-    """A technology's name for file names: 0.35um, or the stem of a user's TOML."""
-    return Path(technology).stem if technology.endswith(".toml") else label_of(technology).replace(" ", "_")
-
-
 @dataclass(frozen=True)
 class Curve:
     """Mean ΔE against pitch for one technology.
@@ -43,6 +33,7 @@ class Curve:
     fill_factor : (pitches,) photodiode area over pixel area
     statistics : `mean_delta_e` and the others, (pitches, repeats) each
     optimum : the pitch with the least mean ΔE
+    label : the technology's name for readers; in a study no other curve has it
     """
 
     technology: str
@@ -51,16 +42,21 @@ class Curve:
     fill_factor: Array = field(repr=False)
     statistics: dict[str, Array] = field(repr=False)
     optimum: Optimum
+    label: str = ""
 
-    @property
-    def label(self) -> str:
-        """The technology's name for readers."""
-        return label_of(self.technology)
+    def __post_init__(self) -> None:
+        if not self.label:
+            object.__setattr__(self, "label", label_of(self.technology))
 
     @property
     def file_label(self) -> str:
         """The technology's name for file names."""
-        return file_label(self.technology)
+        return file_label(self.label)
+
+    @property
+    def optimum_features(self) -> float | None:
+        """The optimum in feature sizes; None for a data sheet, which has no process."""
+        return None if self.technology == NO_TECHNOLOGY else self.optimum.pitch_um / self.feature_size_um
 
     @property
     def delta_e(self) -> Array:
@@ -79,7 +75,7 @@ class Curve:
             "technology": self.technology,
             "optimum": self.optimum.as_dict(),
             "optimum_fill_factor": self.optimum_fill_factor,
-            "optimum_features": self.optimum.pitch_um / self.feature_size_um,
+            "optimum_features": self.optimum_features,
             "pitch_um": self.pitch_um.tolist(),
             "fill_factor": self.fill_factor.tolist(),
             "mean_delta_e": mean.tolist(),
@@ -103,6 +99,11 @@ class StudyResult:
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
     budget: dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        labels = labels_of([curve.technology for curve in self.curves])
+        labelled = tuple(replace(curve, label=label) for curve, label in zip(self.curves, labels, strict=True))
+        object.__setattr__(self, "curves", labelled)
 
     @cached_property
     def lights(self) -> Lights:
@@ -148,11 +149,16 @@ class StudyResult:
         return study_html(self)
 
     def __repr__(self) -> str:
-        found = "; ".join(
-            f"{c.technology}: {c.optimum.pitch_um:.2f} ± {c.optimum.ci95_um:.2f} µm, ΔE {c.optimum.mean_delta_e:.3f}"
-            for c in self.curves
-        )
-        return f"<StudyResult {self.study.name}: {found}>"
+        return f"<StudyResult {self.study.name}: {'; '.join(map(found_words, self.curves))}>"
+
+
+def found_words(curve: Curve) -> str:
+    """A curve in a few words, for `repr`."""
+    best = curve.optimum
+    if not best.inside:
+        ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+        return f"{curve.label}: no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
+    return f"{curve.label}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm, ΔE {best.mean_delta_e:.3f}"
 
 
 def curve_of(technology: str, rows: list[Row]) -> Curve:

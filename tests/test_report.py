@@ -12,7 +12,7 @@ import pytest
 from browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 
 import pixsim
-from pixsim.report import write_report
+from pixsim.report import curve_plates, write_report
 from pixsim.sweep import StudyResult
 
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"
@@ -121,6 +121,40 @@ def test_each_technology_has_its_own_pictures(made: tuple[StudyResult, Path]) ->
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg", "pictures_<b>&process.svg"} <= figures(made[1]).keys()
     assert len(set(figures(made[1]).values())) == len(figures(made[1]))
     assert text_of(made[1]).count('src="data:image/svg+xml;') == len(figures(made[1]))
+
+
+def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
+    made: tuple[StudyResult, Path], tmp_path: Path
+) -> None:
+    process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+    paths = [tmp_path / folder / "mine.toml" for folder in ("first", "second")]
+    for path in paths:
+        path.parent.mkdir()
+        text = process.read_text(encoding="utf-8")
+        path.write_text(text.replace('name = "0.35um"', f'name = "{path.parent.name}"'), encoding="utf-8")
+    study = pixsim.Study.model_validate(STUDY | {"technologies": [str(path) for path in paths]})
+    result = pixsim.study(study, tmp_path / "out", jobs=1)
+    assert [curve.technology for curve in result.curves] == [str(path) for path in paths]
+    assert repr(result).count(str(tmp_path)) == 0
+    page = write_report(result, tmp_path / "out").read_text(encoding="utf-8")
+    names = {path.name for path in (tmp_path / "out/figures").iterdir()}
+    for label in ("mine", "mine-2"):
+        assert {f"contact_sheet_{label}.png", f"pictures_{label}.svg"} <= names
+        assert f"Best pixel size, {label}:" in " ".join(page.split())
+    assert str(tmp_path) not in page
+
+
+def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, Path]) -> None:
+    curve = made[0].curves[0]
+    best = curve.optimum
+    assert f"0.35um: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" in repr(made[0])
+    sheet = replace(curve, technology="none", optimum=replace(best, inside=False, pitch_um=15.0))
+    result = replace(made[0], curves=(sheet,))
+    assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
+    assert result.as_dict()["curves"][0]["optimum_features"] is None
+    assert made[0].as_dict()["curves"][0]["optimum_features"] == pytest.approx(best.pitch_um / 0.35)
+    names = [plate.name for plate in curve_plates(replace(made[0], curves=(curve, sheet)), curve)]
+    assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
 
 
 @needs_browser
