@@ -14,7 +14,7 @@ from pixsim.pictures import font, png_bytes
 COLUMNS = 6
 MARGIN, GAP, FRAME = 16, 14, 3  # px
 TITLE, LINE, LABEL_WIDTH = 34, 19, 112
-LONGEST_TITLE = 120  # characters
+LONGEST_TITLE = 140  # characters
 BLACK, WHITE = 0, 255
 
 

@@ -12,6 +12,7 @@ from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figur
 from pixsim.merit import mpe30_lx_s, mtf50_cy_per_mm
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
 from pixsim.parameters import pixel_of
+from pixsim.pictures import is_csf
 from pixsim.pixel import derive
 from pixsim.plates import Column, Plate
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from pixsim.study_result import Curve, StudyResult
 
 ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
+ROOM_ABOVE = 1.12  # over the highest point, for the legend
+ROOM_BELOW = 0.25  # of the height of an axis, for the words under an optimum and those at the foot
 MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
 OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 
@@ -31,7 +34,8 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     mean, ci95 = mean_and_ci95(curve.delta_e)
     best = curve.optimum
     name = literal(curve.label)
-    label = f"{name}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" if best.inside else name
+    low, high = best.within_1_percent_um
+    label = f"{name}: {best.pitch_um:.2f} µm ({low:.2f} to {high:.2f} µm within 1 %)" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
     axes.fill_between(curve.pitch_um, mean - ci95, mean + ci95, color=colour, alpha=0.15, lw=0)
     here = window(mean)
@@ -49,22 +53,26 @@ def tell_the_story(axes: Axes, curve: Curve) -> None:
     if best.inside:
         at = (best.pitch_um, best.mean_delta_e)
         told = f"best: {best.pitch_um:.2f} µm"
-        axes.annotate(told, at, (0, -14), textcoords="offset points", ha="center", va="top", bbox=ON_WHITE)
-    for across, side, words in ((0.02, "left", "← more noise"), (0.98, "right", "more blur →")):
-        axes.text(across, 0.03, words, transform=axes.transAxes, color="0.3", ha=side, bbox=ON_WHITE)
+        below = best.mean_delta_e > ROOM_BELOW * axes.get_ylim()[1]  # else the words would lie on the axis and its numbers
+        offset, side = ((0, -14), "top") if below else ((0, 14), "bottom")
+        axes.annotate(told, at, offset, textcoords="offset points", ha="center", va=side, bbox=ON_WHITE)
+        for across, side, words in ((0.02, "left", "← more noise"), (0.98, "right", "more blur →")):
+            axes.text(across, 0.03, words, transform=axes.transAxes, color="0.3", ha=side, bbox=ON_WHITE)
     if np.ptp(curve.fill_factor) > 0:
         fill_factor_axis(axes, curve)
 
 
 def fill_factor_axis(axes: Axes, curve: Curve) -> None:
     """The fill factor of each pitch on top, as many marks as there is room for."""
-    top = axes.secondary_xaxis("top")
     marks: dict[float, str] = {}
     for each in (0.05, *np.arange(0.1, 1.0, 0.1)):
         at_um = float(np.interp(each, curve.fill_factor, curve.pitch_um))
         apart_um = at_um - max(marks, default=-np.inf)
         if curve.fill_factor.min() <= each <= curve.fill_factor.max() and apart_um > MARK_SPACING * np.ptp(curve.pitch_um):
             marks[at_um] = f"{100 * each:.0f}"
+    if not marks:
+        return
+    top = axes.secondary_xaxis("top")
     top.set_xticks(list(marks), list(marks.values()), fontsize=8)
     top.set_xlabel("fill factor (%)")
 
@@ -76,7 +84,7 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
         draw_curve(axes, curve, look)
     axes.set_xlabel("pixel size (µm)")
     axes.set_ylabel("mean ΔE, S-CIELAB")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, axes.get_ylim()[1] * (ROOM_ABOVE if len(curves) == 1 else 1))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
     if len(curves) == 1:
@@ -102,7 +110,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     return dict(table)
 
 
-def other_statistics(curve: Curve) -> Plate:
+def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
@@ -117,9 +125,13 @@ def other_statistics(curve: Curve) -> Plate:
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = (
         f"The same pictures judged by other statistics of ΔE ({curve.label}), each divided by its smallest value. The "
-        "pitch in the legend is the best of those tried. The maximum belongs to single dots of the darkest bars, where S-CIELAB, "
-        "which blurs colour more widely than luminance, is at its most sensitive."
+        "pitch in the legend is the best of those tried."
     )
+    if is_csf(result.irradiance):
+        caption += (
+            " The maximum belongs to single dots of the darkest bars, where S-CIELAB, which blurs colour more widely than "
+            "luminance, is at its most sensitive."
+        )
     return Plate("other_statistics", caption, figure, curve_table([curve]))
 
 
@@ -132,8 +144,8 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     fit_um = np.array([curve.optimum.fit_um for curve in curves])
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
-    axes.errorbar(feature_um, size_um, ci95_um + fit_um, fmt="none", ecolor=COLOURS[1], lw=1, capsize=5, label="seeds and fit")
-    axes.errorbar(feature_um, size_um, ci95_um, fmt="o", color=COLOURS[0], lw=2, capsize=3, label="optimum, 95 % (seeds)")
+    axes.errorbar(feature_um, size_um, ci95_um + fit_um, fmt="none", ecolor=COLOURS[1], lw=1, capsize=5, label="sensors and fit")
+    axes.errorbar(feature_um, size_um, ci95_um, fmt="o", color=COLOURS[0], lw=2, capsize=3, label="optimum, 95 % (sensors)")
     proportional = size_um[-1] / feature_um[-1] * feature_um
     axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
     axes.set_xlabel("feature size (µm)")

@@ -12,7 +12,7 @@ from pixsim.datasheet_entries import Entry, entries, summary
 from pixsim.datasheet_plots import datasheet_plates
 from pixsim.files import output_folder, versions, write_json
 from pixsim.labels import file_label, label_of
-from pixsim.pages import write_page
+from pixsim.pages import shown_value, write_page
 from pixsim.report import write_plates
 
 TERMINAL_WIDTH = 132
@@ -68,7 +68,7 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
 
 def write_datasheet(sheet: DataSheet, out: Path) -> Path:
     """Write everything into a folder; returns the report's path."""
-    plates = datasheet_plates(sheet)
+    plates, pixel = datasheet_plates(sheet), sheet.experiment.physics.pixel
     with output_folder(out) as folder:
         shown = write_plates(folder, plates)
         write_table(folder / "datasheet.csv", [each.as_dict() for each in entries(sheet)])
@@ -79,7 +79,7 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
             "entries": entries(sheet),
             "number": number,
             "off": off,
-            "pixel": sheet.experiment.physics.pixel.model_dump(exclude_none=True),
+            "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
             "plates": shown,
             "versions": versions(),
         }

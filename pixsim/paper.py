@@ -184,7 +184,7 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     yield Finding(
         "Optimal pixel size at 0.35 µm",
         f"about {OPTIMUM_UM:g} µm",
-        f"{best.pitch_um:.2f} µm ± {best.ci95_um:.2f} (seeds) ± {best.fit_um:.2f} (fit)",
+        f"{best.pitch_um:.2f} µm ± {best.ci95_um:.2f} (sensors) ± {best.fit_um:.2f} (fit)",
         best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM,
         ASSUMED,
     )

@@ -6,13 +6,15 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+import numpy as np
+
+from pixsim.assumed import FILLED, Light, Row, only_sheets, record_rows, scene_rows
 from pixsim.curve_plates import delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics
 from pixsim.details import scale
 from pixsim.engine import Workers, results_of
 from pixsim.files import output_folder, replacing, versions, write_json
-from pixsim.pages import described, text_uri, write_page
+from pixsim.pages import text_uri, write_page
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import map_plates, scene_plates
 from pixsim.parameters import Record
@@ -75,7 +77,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
         plates = [pictures(result, curve, scores[0], maps, f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
-        plates = [other_statistics(first), light_against_detail(result, first)]
+        plates = [other_statistics(result, first), light_against_detail(result, first)]
     elif section.kind == "paper's scene":
         plates = scene_plates(result)
     else:
@@ -141,16 +143,24 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     write_json(folder / "summary.json", result.as_dict() | paper_table)
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
+
+    def light_of(curves: Sequence[Curve]) -> Light:
+        times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in curves])
+        return Light.of(result.irradiance, result.study.display, times_s)
+
+    light = light_of(result.curves)
     page = {
         "study": result.study,
-        "curves": [(curve, curve.as_dict()) for curve in result.curves],
+        "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
         "plates": shown,
         "views": views,
         "scale_bar": scale(),
         "findings": rows,
         "budget": result.budget,
         "header": result.irradiance.header,
-        "settings": settings(result),
+        "settings": settings(result, light),
+        "filled": FILLED,
+        "sheets": NO_TECHNOLOGY in result.study.technologies,
         "technologies": [load_technology(name) for name in result.study.technologies if name != NO_TECHNOLOGY],
         "provenance": provenance,
     }
@@ -175,19 +185,12 @@ def write_drawn(folder: Path, drawn: Sequence[Drawn]) -> list[tuple[Drawn, str, 
     return shown
 
 
-def settings(result: StudyResult) -> list[tuple[str, list[tuple[str, Any, str, str]]]]:
+def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
     """The parameters with their meaning and source, as the report's tables show them; unset ones come from the technology."""
     study = result.study
     records: dict[str, Record] = {
         "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
     }  # fmt: skip
-    return [
-        (
-            name,
-            [
-                (key, value, meaning, study.sources.get(f"{name}.{key}", "default" if usual else "set"))
-                for key, value, meaning, usual in described(record)
-            ],
-        )
-        for name, record in records.items()
-    ]
+    sheets = only_sheets(study.technologies)
+    tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
+    return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from pixsim.assumed import FILLED, Light, only_sheets, record_rows, scene_rows
 from pixsim.details import Picture, crops, factor_for, reduced, scale, worst_window
 from pixsim.labels import label_of
-from pixsim.pages import described, write_page
+from pixsim.pages import write_page
 from pixsim.parameters import Camera, Display, Exposure
 from pixsim.pictures import extent, grey_codes
 from pixsim.score import Score
@@ -51,11 +52,17 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     image = shown_picture(folder / "image.png", score.image, name)
     rows, columns = score.frame.dn.shape
     camera = Camera.model_validate(summary["camera"])
+    display = Display.model_validate(summary["display"])
+    light = Light.of(irradiance, display, [summary["integration_s"]])
+    sheet = only_sheets([physics.technology.name])
+    told = score.statistics()
+    if sheet and told["fill_factor"] > FILLED:
+        del told["fill_factor"]  # none was told
     records = {
         "camera": camera,
         "pixel": physics.pixel,
         "exposure": Exposure.model_validate(summary["exposure"]),
-        "display": Display.model_validate(summary["display"]),
+        "display": display,
     }
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture made elsewhere")))).stem,
@@ -69,14 +76,20 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "well": float(score.frame.mean_e.max()) / physics.full_well_e,
         "ideal": ideal,
         "image": image,
+        "samples_per_deg": display.samples_per_deg,
         "reduced": factor_for(score.ideal),
         "crops": crops(score, window, "the sensor's picture"),
         "place_mm": (window.centre[0] * width_mm, window.centre[1] * height_mm),
         "scale_bar": scale(),
         "map": (folder / "delta_e.png").read_bytes(),
-        "statistics": [(MEANINGS[key], value) for key, value in score.statistics().items()],
+        "statistics": [(MEANINGS[key], value) for key, value in told.items()],
         "budget": budget_lines(summary),
-        "settings": [(title, described(record)) for title, record in records.items()],
+        "light": light,
+        "settings": [
+            ("scene", scene_rows(irradiance, header.get("parameters", {}), light)),
+            *((title, record_rows(title, record, sheet)) for title, record in records.items()),
+        ],
+        "sheet": sheet,
         "header": header,
         "files": files_in(folder),
     }

@@ -43,8 +43,13 @@ class Views:
 
 
 def best_place(curve: Curve) -> int:
-    """Index of the evaluated pitch nearest the optimum."""
-    return int(np.argmin(np.abs(np.log(curve.pitch_um / curve.optimum.pitch_um))))
+    """Index of the evaluated pitch with the least mean ΔE."""
+    return int(np.argmin(curve.delta_e.mean(axis=1)))
+
+
+def is_best(curve: Curve, place: int) -> bool:
+    """Whether a pitch is shown as the best of those evaluated; one at an end of the range is not, without an optimum inside."""
+    return place == best_place(curve) and (curve.optimum.inside or 0 < place < curve.pitch_um.size - 1)
 
 
 def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
@@ -63,18 +68,18 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     content = Content(result.study, result.camera, result.irradiance)
     for place in range(last + 1):
         part = window.of(scores[place].image) if place in scores else detail_at(result, content, curve, place, window)
-        tiles.append(Tile(grey_codes(part), *words(curve, place), place == at and curve.optimum.inside))
+        tiles.append(Tile(grey_codes(part), *words(curve, place), is_best(curve, place)))
     named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         place=window.centre,
         tiles=tuple(Picture.of(tile.codes, tile.name, tile.note, tile.best) for tile in tiles),
-        crops=tuple(crops(scores[place], window, f"the {called(curve, place)}") for place in ends),
+        crops=tuple(crops(scores[place], window, called(curve, place)) for place in ends),
         ideal=Picture.of(grey_codes(reduced(ideal)), "ideal image"),
         factor=factor_for(ideal),
         outputs=tuple(Picture.of(grey_codes(reduced(scores[place].image)), named[place], words(curve, place)[1]) for place in ends),
-        sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1", tiles),
+        sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1; framed: the best of these", tiles),
     )
 
 
@@ -85,9 +90,8 @@ def words(curve: Curve, place: int) -> tuple[str, str]:
 
 def called(curve: Curve, place: int) -> str:
     """A pitch by its part in the story."""
-    if curve.optimum.inside and place == best_place(curve):
-        return "best"
-    return "smallest" if place == 0 else "largest"
+    parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, "best of these": is_best(curve, place)}
+    return ", ".join(part for part, is_so in parts.items() if is_so)
 
 
 def pixels_of(size_um: tuple[float, float], pitch_um: float) -> tuple[int, ...]:

@@ -345,7 +345,7 @@ def test_approximately_is_within_0_4_um(um: float, agrees: bool) -> None:
 
 def test_the_numbers_found_are_those_of_the_evidence() -> None:
     rows = table(evidence())
-    assert rows[OPTIMUM].found.startswith("6.50 µm ± 0.00 (seeds) ± 0.00 (fit)")
+    assert rows[OPTIMUM].found.startswith("6.50 µm ± 0.00 (sensors) ± 0.00 (fit)")
     assert rows[ITS_FILL_FACTOR].found == "31%"  # the law's 31.0 %
     assert rows[SHRINKS].found == "8.60, 6.50, 5.00, 3.90 at 0.5, 0.35, 0.25, 0.18 µm"
     assert rows[SLOWER].found == "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm"

@@ -77,7 +77,7 @@ def every_plate(evidence: Evidence) -> dict[str, Plate]:
         light_against_detail(result, evidence.curves["0.35um"]),
         delta_e_against_pitch(result, [curve]),
         delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
-        other_statistics(curve),
+        other_statistics(result, curve),
         pictures(result, curve, scores[0], [score.delta_e for score in scores], "pictures_0.35um"),
         optimum_against_technology(scaled(result)),
     ]
@@ -236,7 +236,7 @@ def test_the_line_is_proportional_to_technology_through_the_largest(plates: dict
     np.testing.assert_allclose(column(plate, "proportional_um"), feature_um * 8.8 / 0.5, rtol=1e-12)
     np.testing.assert_allclose(column(plate, "optimum_features"), column(plate, "optimum_um") / feature_um, rtol=1e-12)
     assert is_drawn(plate, feature_um, column(plate, "proportional_um"))
-    # Both bars are drawn: seeds alone, and seeds and fit.
+    # Both bars are drawn: sensors alone, and sensors and fit.
     reach = [np.ptp([y for _, y in bar]) for group in plate.figure.axes[0].collections for bar in group.get_segments()]
     sizes = np.array([OPTIMA_UM[each] for each in feature_um])
     np.testing.assert_allclose(sorted(reach), sorted([*(2 * 0.02 * sizes), *(2 * 0.07 * sizes)]), rtol=1e-9)

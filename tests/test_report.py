@@ -8,10 +8,12 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 
 import pixsim
+from pixsim.assumed import Light
 from pixsim.report import curve_plates, write_report
 from pixsim.sweep import StudyResult
 
@@ -86,9 +88,10 @@ def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]
     for curve in json.loads((made[1] / "summary.json").read_text(encoding="utf-8"))["curves"]:
         best = curve["optimum"]
         assert best["inside"]
-        assert f"{best['pitch_um']:.2f} ± {best['ci95_um']:.2f} µm" in words
         low, high = best["within_1_percent_um"]
-        assert f"{low:.2f} to {high:.2f} µm" in words
+        assert f"{best['pitch_um']:.2f} µm; as good, within 1 %: {low:.2f} to {high:.2f} µm." in words
+        assert f"right to ± {best['ci95_um']:.2f} µm (sensors, 95 %) ± {best['fit_um']:.2f} µm (fit)" in words
+        assert f"Mean ΔE of the fit there: {best['mean_delta_e']:.3f}" in words
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
             assert f"{pitch_um:.3f}" in words
             assert f"{delta_e:.4f}" in words
@@ -157,6 +160,89 @@ def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, P
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
 
 
+def words_of(folder: Path) -> str:
+    return " ".join("".join(Elements(text_of(folder)).words).split())
+
+
+def test_the_page_tells_how_bright_the_scene_was(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result = made[0]
+    times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in result.curves])
+    assert (times_s == 0.1).all(), "so dim that all frames take the longest that is allowed"
+    assert "Light: display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(made[1])
+    table = text_of(made[1]).partition("<caption>scene</caption>")[2].partition("</table>")[0]
+    cells = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
+    told = {cell[0]: cell[1:] for cell in cells}
+    assert told["file"][0] == "csf.xml"
+    assert told["resolution"][0] == "96"
+    assert told["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
+    assert told["integration_s"][0] == "100 ms"
+    brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
+    write_report(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
+    assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)
+    assert "display.white_cd_per_m2</td>" in text_of(tmp_path)
+
+
+def test_light_is_told_from_the_shortest_to_the_longest_frame(made: tuple[StudyResult, Path]) -> None:
+    irradiance, display = made[0].irradiance, made[0].study.display
+    assert str(Light.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
+    assert str(Light.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
+
+
+@pytest.mark.parametrize(("fraction", "noisy"), [(0.19, False), (0.2, False), (0.31, True)])
+def test_a_render_noisier_than_asked_is_told(
+    made: tuple[StudyResult, Path], fraction: float, noisy: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = made[0]
+    monkeypatch.setitem(result.irradiance.header, "render_noise", {"fraction": fraction, "target": 0.2})
+    write_report(result, tmp_path)
+    told = f"The light itself is noisy: the render ended with {fraction:.2g} of the sensor's noise, where 0.2 was asked for."
+    assert (told in words_of(tmp_path)) == noisy
+
+
+def test_the_viewing_distance_is_that_of_a_screen_of_96_dots_per_inch(made: tuple[StudyResult, Path]) -> None:
+    """The study's display has 10 dots a degree: 10 × 25.4/96 mm are seen under one degree from their length over its tangent."""
+    distance_mm = 10 * 25.4 / 96 / np.tan(np.radians(1))
+    (told_mm,) = re.findall(r"\((\d+) mm away", text_of(made[1]))
+    assert float(told_mm) == pytest.approx(distance_mm, abs=0.6)
+
+
+def test_descriptions_are_written_for_readers(made: tuple[StudyResult, Path]) -> None:
+    page = re.sub(r'"data:[^"]*"', "", text_of(made[1]))
+    assert "`" not in page
+    assert "<code>dots</code>" in page
+    assert "None" not in page
+
+
+SHEET = {
+    "data_sheet_pitch_um": 2.0,
+    "full_well_e": 8000.0,
+    "read_noise_e": 5.0,
+    "dark_current_e_per_s": 10.0,
+    "quantum_efficiency": [[400.0, 0.3], [550.0, 0.6], [700.0, 0.4]],
+}
+
+
+def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> None:
+    more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
+    result = pixsim.study(pixsim.Study.model_validate(STUDY | more), tmp_path, jobs=1)
+    write_report(result, tmp_path)
+    page, words = text_of(tmp_path), words_of(tmp_path)
+    rows = re.findall(r"<tr><td>(\w+)</td>", page)
+    assert {"full_well_e", "bits", "white_cd_per_m2"} <= set(rows)
+    assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"} & set(rows)
+    assert "curve of 3 points, 400 to 700 nm" in words
+    assert "What the data sheet does not tell is taken as none." in words
+    assert "comes from the technology" not in words
+    assert "ill factor" not in words
+    assert "fill_factor_law" in text_of_a_process(tmp_path)
+
+
+def text_of_a_process(folder: Path) -> str:
+    """The same pages of a process, which uses those settings."""
+    study = pixsim.Study.model_validate(STUDY | {"name": "process", "technologies": ["0.35um"], "title": ""})
+    return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
+
+
 @needs_browser
 def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     found = assert_fits(made[1] / "report.html", tmp_path)
@@ -173,5 +259,5 @@ def test_it_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     page = text_of(made[1])
     headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
     assert len(headings) > 8
-    told = [TITLE, f"{best.pitch_um:.2f} ± {best.ci95_um:.2f} µm", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
+    told = [TITLE, f"{best.pitch_um:.2f} µm; as good, within 1 %", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
     assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings, [each for each in headings if ": " in each])

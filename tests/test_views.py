@@ -19,7 +19,7 @@ from pixsim.evaluations import Content
 from pixsim.messages import checked
 from pixsim.pictures import delta_e_colours, grey_codes
 from pixsim.study_result import StudyResult
-from pixsim.views import best_place, detail_at, study_views
+from pixsim.views import best_place, called, detail_at, study_views
 
 STUDY = {
     "name": "views",
@@ -159,11 +159,26 @@ def test_the_views_of_a_study(raster: str, tmp_path: Path) -> None:
     for tile, pitch_um, delta_e in zip(views.tiles[1:], curve.pitch_um, curve.delta_e, strict=True):
         assert tile.name == f"{pitch_um:.2f} µm"
         assert tile.note == f"mean ΔE {delta_e.mean():.3f}"
-    assert [tile.best for tile in views.tiles] == [index == at + 1 and curve.optimum.inside for index in range(7)]
+    means = curve.delta_e.mean(axis=1)
+    assert means[at] == means.min(), "no other size that was tried is better than the one that is called so"
+    assert [tile.best for tile in views.tiles] == [index == at + 1 and (curve.optimum.inside or 0 < at < 5) for index in range(7)]
     np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(finest))
-    assert [output.name.partition(",")[0] for output in views.outputs][0::2] == ["smallest", "largest"]
-    for output, place in zip(views.outputs, sorted({0, at, 5}), strict=True):
+    for output, row, place in zip(views.outputs, views.crops, sorted({0, at, 5}), strict=True):
+        told = {0: "smallest", 5: "largest"}.get(place, "best of these")
+        told += ", best of these" if place == at and place in (0, 5) and curve.optimum.inside else ""
+        assert output.name == f"{told}, {curve.pitch_um[place]:.2f} µm"
+        assert (row[1].name, row[1].note) == (f"{curve.pitch_um[place]:.2f} µm", told)
         np.testing.assert_array_equal(decoded(output.png), grey_codes(scores[place].image))
+
+
+def test_the_best_is_the_least_mean_of_those_tried_not_the_nearest_to_the_fit(result: StudyResult) -> None:
+    delta_e = np.array([[3.0, 3.0], [1.0, 1.0], [1.2, 1.2], [1.1, 1.1], [2.0, 2.0], [3.0, 3.0]])
+    optimum = replace(result.curves[0].optimum, inside=True, pitch_um=8.4)
+    curve = replace(result.curves[0], statistics={"mean_delta_e": delta_e}, optimum=optimum)
+    assert best_place(curve) == 1
+    assert [called(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
+    rising = replace(curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)}, optimum=replace(optimum, inside=False))
+    assert [called(rising, place) for place in (0, 5)] == ["smallest", "largest"]
 
 
 def test_crops_are_the_same_part_of_ideal_output_and_map(result: StudyResult) -> None:
