@@ -47,16 +47,17 @@ function moved(frame, page, each) {{
   const range = each.querySelector("input[type=range]"), box = each.querySelector(".stack").getBoundingClientRect();
   const at = share => page.elementFromPoint(box.left + share * box.width, box.top + box.height / 2);
   const hit = share => at(share).closest("figure, .border").className;
-  const results = [];
+  const results = [], spoken = [];
   [...each.querySelectorAll("input.pick")].forEach(pick => {{
     pick.click();
     for (const value of [50, 20, 80]) {{
       range.value = value;
       range.dispatchEvent(new Event("input"));
+      spoken.push(range.getAttribute("aria-valuetext"));
       results.push([value, ...[10, 30, 60, 90].map(share => hit(share / 100))]);
     }}
   }});
-  return {{live: each.classList.contains("live"), focusable: range.tabIndex === 0, results}};
+  return {{live: each.classList.contains("live"), focusable: range.tabIndex === 0, results, spoken}};
 }}
 onload = () => document.title = JSON.stringify([...document.querySelectorAll("iframe")].map(seen));
 </script>"""
@@ -132,6 +133,7 @@ def assert_sliders_move(found: list[Seen], pictures: int) -> None:
             assert slider["live"]
             assert slider["focusable"]
             assert len(slider["results"]) == 3 * pictures
+            assert slider["spoken"] == [f"{value} % of the width is the ideal image" for value, *_ in slider["results"]]
             for index, (value, *met) in enumerate(slider["results"]):
                 expected = ["ideal" if share < value else f"out out-{index // 3}" for share in (10, 30, 60, 90)]
                 assert met == expected, (seen.width, value)

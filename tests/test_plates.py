@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -251,6 +252,62 @@ def test_the_table_of_a_curve_is_the_study_s(plates: dict[str, Plate], result: S
         # t for two sensors is tan(0.475 π), the standard error half their distance.
         half_width = np.tan(0.475 * np.pi) * np.ptp(curve.delta_e, axis=1) / 2
         np.testing.assert_allclose(column(plate, "ci95_delta_e"), half_width, rtol=1e-9)
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def texts_of(plate: Plate) -> dict[str, tuple[float, float]]:
+    """Text -> its place in px, across and up."""
+    axes = plate.figure.axes[0]
+    plate.figure.draw_without_rendering()
+    boxes = {each.get_text(): each.get_window_extent() for each in axes.texts}
+    return {text: ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2) for text, box in boxes.items()}
+
+
+def curve_with(result: StudyResult, mean: Sequence[float], optimum: Optimum) -> StudyResult:
+    curve = result.curves[0]
+    own = curve.delta_e.mean(axis=1, keepdims=True)
+    statistics = {name: values / own * np.array(mean)[:, None] for name, values in curve.statistics.items()}
+    return replace(result, curves=(replace(curve, statistics=statistics, optimum=optimum),))
+
+
+@pytest.mark.parametrize("least", [0.02, 0.6])
+def test_noise_is_on_the_side_of_small_pixels_and_the_best_over_the_axis(result: StudyResult, least: float) -> None:
+    best = Optimum(7.5, 0.1, 0.2, least, True, (6.6, 8.4), (6.1, 9.0))
+    found = curve_with(result, [1.0, 0.8, least, least, 0.7, 0.9], best)
+    plate = delta_e_against_pitch(found, found.curves)
+    places, axes = texts_of(plate), plate.figure.axes[0]
+    assert set(places) == {"← more noise", "more blur →", "best: 7.50 µm"}
+    assert places["← more noise"][0] < places["best: 7.50 µm"][0] < places["more blur →"][0]
+    low_px, high_px = (axes.transData.transform((7.5, at))[1] for at in axes.get_ylim())
+    (label,) = (each for each in axes.texts if each.get_text().startswith("best"))
+    words, foot = (each.get_window_extent() for each in (label, next(other for other in axes.texts if other is not label)))
+    assert low_px < words.y0 < words.y1 < high_px
+    assert words.y0 > foot.y1, "over the words at the foot"
+    assert [each.get_text() for each in axes.get_legend().get_texts()] == ["0.35um: 7.50 µm (6.60 to 8.40 µm within 1 %)"]
+
+
+def test_without_an_optimum_nothing_is_said_of_its_sides(result: StudyResult) -> None:
+    end = Optimum(15.0, 0.1, 0.2, 0.5, False, (14.0, 15.0), (13.0, 15.0))
+    found = curve_with(result, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], end)
+    plate = delta_e_against_pitch(found, found.curves)
+    assert texts_of(plate) == {}
+    assert [each.get_text() for each in plate.figure.axes[0].get_legend().get_texts()] == ["0.35um"]
+
+
+@pytest.mark.parametrize(("fill_factor", "there"), [((0.05, 0.73), True), ((0.712, 0.788), False), ((1.0, 1.0), False)])
+def test_an_axis_of_fill_factors_has_marks(result: StudyResult, fill_factor: tuple[float, float], there: bool) -> None:
+    curve = replace(result.curves[0], fill_factor=np.linspace(*fill_factor, 6))
+    (axes,) = delta_e_against_pitch(result, [curve]).figure.axes
+    assert len(axes.child_axes) == there
+    assert all(each.get_xlabel() == "fill factor (%)" and len(each.get_xticks()) > 3 for each in axes.child_axes)
+
+
+def test_the_darkest_bars_are_told_of_the_chart_that_has_them(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "darkest bars" in other_statistics(result, result.curves[0]).caption
+    monkeypatch.setitem(result.irradiance.header, "scene", "still_life.xml")
+    assert "darkest bars" not in other_statistics(result, result.curves[0]).caption
 
 
 # --- axes -------------------------------------------------------------------------------------------------------------

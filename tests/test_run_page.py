@@ -15,6 +15,7 @@ from test_cli import command
 from pixsim.details import MOST_DOTS, factor_for, reduced
 from pixsim.pictures import grey_codes
 from pixsim.run_page import FILES, shown_picture
+from pixsim.spectral import read_channels
 from pixsim.views import Picture
 
 LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
@@ -43,6 +44,79 @@ def test_it_tells_what_score_json_holds(ran: Path) -> None:
     assert "3.86 mm at f/4" in page
     assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
     assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
+
+
+def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
+    """Irradiance as another program wrote it: a picture of ones and twos, these about half as bright as white."""
+    nm = np.arange(400.0, 701.0, 20.0)
+    data = 5e-5 * steps[:, :, None] * np.ones(nm.size)
+    np.savez(path, data=data, wavelength_nm=nm, units="W m^-2 nm^-1", pitch_um=pitch_um, white_cd_per_m2=300.0)
+    return path
+
+
+def test_it_tells_where_the_largest_errors_are(tmp_path: Path) -> None:
+    """The detail of 112 dots a side with the largest mean, on the map beside the page; fine stripes are up on the right."""
+    y, x = np.indices((128, 128))
+    light = light_file(tmp_path / "stripes.npz", 1 + ((x // 2) % 2) * (x > 80) * (y < 40), 10.0)
+    camera = "--camera.die-mm 1.28 --display.dots 256 --pixel.pitch-um 15"
+    code, _, err = command(f"run {light} {camera} --out {tmp_path / 'out'}")
+    assert code == 0, err
+    delta_e = read_channels(tmp_path / "out/delta_e.exr")[0]["delta_e"]
+    starts = sorted({*range(0, 256 - 112 + 1, 28), 256 - 112})
+    means = {(left, top): delta_e[top : top + 112, left : left + 112].mean() for left in starts for top in starts}
+    left, top = max(means, key=means.__getitem__)
+    assert top < 40 < 100 < left
+    x_mm, y_mm = ((at + 56) / 256 * 1.28 for at in (left, top))
+    page = text_of(tmp_path / "out")
+    assert f"its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
+
+
+def test_it_tells_how_to_look_at_it(ran: Path) -> None:
+    page = " ".join(text_of(ran).split())
+    distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
+    assert f"look at 100 % zoom, from where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots" in page
+    # `assert_sliders_move` meets the pictures on those sides.
+    assert "Left of the border the ideal image, right of it the sensor's picture." in page
+    assert 'alt="The sensor\'s picture (10.6 µm pixels)"' in page
+
+
+def test_it_tells_how_bright_the_scene_was(ran: Path) -> None:
+    page = " ".join(text_of(ran).split())
+    assert "display white is 1000 cd/m² in the scene; exposed for" in page
+    told = "<td>white_cd_per_m2</td><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>"
+    assert told in page
+    assert "<td>resolution</td><td>128</td>" in page
+
+
+SHEET = "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-per-s 10 --pixel.quantum-efficiency 0.6"
+
+
+def test_a_picture_from_elsewhere_and_a_sensor_of_a_data_sheet(tmp_path: Path) -> None:
+    """The page names the file, and lists no setting of a process, nor a fill factor that nobody told."""
+    y, x = np.indices((2, 3000))
+    light_file(tmp_path / "mine.npz", 1 + (x // 50 + y) % 2, 1.5)
+    sensor = f"--pixel.technology none {SHEET} --pixel.pitch-um 1.5 --display.dots 4096"
+    code, _, err = command(f"run {tmp_path / 'mine.npz'} {sensor} --camera.die-mm 4.5 --out {tmp_path / 'out'}")
+    assert code == 0, err
+    page = " ".join(text_of(tmp_path / "out").split())
+    assert "<h1>mine with 1.5 µm pixels</h1>" in page
+    assert "Irradiance: read from mine.npz." in page
+    assert str(tmp_path) not in page
+    assert "(data sheet)" in page
+    assert "What the data sheet does not tell is taken as none." in page
+    assert "comes from the technology" not in page
+    rows = set(re.findall(r"<tr><td>([^<]+)</td>", page))
+    assert {"full_well_e", "technology"} <= rows
+    assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law", "photodiode area over pixel area"} & rows
+    assert "Each dot of the whole pictures is the mean of 4 × 4 dots of the display." in page
+
+
+def test_a_picture_of_few_dots_is_enlarged_by_a_whole_number(tmp_path: Path) -> None:
+    line = f"run csf --variant scalar_spectral -D resolution=64 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
+    assert command(line)[0] == 0
+    page = text_of(tmp_path)
+    assert "--dots: 240px" in page
+    assert "(each dot enlarged 6 ×)" in page
 
 
 def test_its_pictures_are_the_files_beside_it(ran: Path) -> None:
