@@ -74,7 +74,7 @@ def scene_rows(
         shown = Path(value).name if isinstance(value, str) else value
         rows.append(Row(name, shown, "parameter of the scene", named.get(f"scene.parameters.{name}", together)))
     own = header.get("luminance_cd_per_m2")
-    if own and own != light.white_cd_per_m2:
+    if isinstance(own, int | float) and own != light.white_cd_per_m2:
         rows.append(Row("luminance_cd_per_m2", f"{own:.4g}", "white of the scene, which the display does not show as its own", ""))
     rows.append(Row("white_cd_per_m2", f"{light.white_cd_per_m2:.4g}", "scene luminance shown as display white", light.white_from))
     rows.append(Row("integration_s", light.exposure, "exposure time, from the shortest to the longest frame", ""))

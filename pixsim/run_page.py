@@ -47,6 +47,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     window = worst_window([score.delta_e])
     width_mm, height_mm = extent(irradiance)[1:3]
     physics, header = score.physics, irradiance.header
+    parameters = header.get("parameters")  # in a file from elsewhere it may be anything
     name = f"{physics.pitch_um:g} µm pixels"
     ideal = shown_picture(folder / "ideal.png", score.ideal, "ideal image")
     image = shown_picture(folder / "image.png", score.image, name)
@@ -86,7 +87,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "budget": budget_lines(summary),
         "light": light,
         "settings": [
-            ("scene", scene_rows(irradiance, header.get("parameters", {}), light)),
+            ("scene", scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)),
             *((title, record_rows(title, record, sheet)) for title, record in records.items()),
         ],
         "sheet": sheet,
