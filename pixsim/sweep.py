@@ -26,7 +26,7 @@ from pixsim.evaluations import (
 )
 from pixsim.files import output_folder
 from pixsim.messages import checked
-from pixsim.parameters import Camera, Study
+from pixsim.parameters import Camera, Study, content_hash
 from pixsim.pixel import derive
 from pixsim.sensor import pixels_along
 from pixsim.sensor_file import study_layers
@@ -34,6 +34,7 @@ from pixsim.spectral import SpectralImage
 from pixsim.study_result import Curve as Curve
 from pixsim.study_result import StudyResult as StudyResult
 from pixsim.study_result import curve_of
+from pixsim.technology import load_technology
 
 if TYPE_CHECKING:
     from pixsim.accuracy.settle import Settled
@@ -104,8 +105,11 @@ def repeats_for_target(study: Study, curves: Sequence[Curve]) -> int:
 
 def refuse_bad_pitches(study: Study) -> None:
     """PixsimError for a pitch that a technology cannot have, before any work is done."""
-    if len(set(study.technologies)) < len(study.technologies):
-        raise refuse("technologies", list(study.technologies), "each once")
+    processes: dict[str, str] = {}
+    for name in study.technologies:
+        other = processes.setdefault(content_hash(load_technology(name).model_dump(exclude={"sources"})), name)
+        if other != name or study.technologies.count(name) > 1:
+            raise refuse("technologies", f"{name} beside {other}, the same process", "each process once")
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
             derive(pixel_of(study, technology, pitch_um))

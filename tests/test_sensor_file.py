@@ -220,3 +220,12 @@ def test_a_data_sheet_stands_alone() -> None:
 def test_a_single_file_needs_no_list(tmp_path: Path) -> None:
     path = written(tmp_path / "sensor.toml", SHEET)
     assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path])
+
+
+def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
+    """Rows are known by their content: two names of one process would share them, and one curve would have none."""
+    source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+    for name in ("a", "b"):
+        written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
+    own = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
+    assert_refused(*command(f"study {own} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
