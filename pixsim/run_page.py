@@ -13,7 +13,7 @@ from pixsim.parameters import Camera, Display, Exposure
 from pixsim.pictures import extent, grey_codes
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
-from pixsim.wording import budget_lines, score_line
+from pixsim.wording import budget_lines, dark_note, score_line
 
 # What lies beside the page.
 FILES = {
@@ -84,6 +84,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "scale_bar": scale(),
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in told.items()],
+        "notes": dark_note(summary),
         "budget": budget_lines(summary),
         "light": light,
         "settings": [

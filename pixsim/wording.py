@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from io import StringIO
 from typing import TYPE_CHECKING, Any
+
+from pixsim.pixel_record import NO_TECHNOLOGY
 
 if TYPE_CHECKING:
     from pixsim.plan import Plan
 
 SATURATED_TOLD = 0.01
+SEEN_DN = 0.3  # rounding hides less: 1/√12 DN
+CLIPPED_SIGMAS, KEPT_SIGMAS = 3.0, 6.0
 
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
@@ -78,6 +83,19 @@ def frame_words(result: dict[str, Any]) -> str:
     if exposure["integration_s"] is None and result["integration_s"] >= exposure["max_integration_s"]:
         told += " (the longest allowed)"
     return told + (f", {saturated:.0%} of them saturated" if saturated > SATURATED_TOLD else "")
+
+
+def dark_note(result: dict[str, Any]) -> list[str]:
+    """What a data sheet that tells no black level does to the dark: an ADC has no codes for the lower half of its noise."""
+    pixel, top = result["pixel"], 2 ** result["pixel"]["bits"] - 1
+    if pixel["technology"] != NO_TECHNOLOGY:
+        return []
+    black_dn = pixel["black_level_dn"]
+    noise_dn = pixel["read_noise_e"] * (top - black_dn) / result["full_well_e"]
+    if noise_dn < SEEN_DN or black_dn >= CLIPPED_SIGMAS * noise_dn:
+        return []
+    told = f"a black level of {black_dn:g} DN cuts off dark noise of σ = {noise_dn:.2g} DN"
+    return [f"note: {told}; pixel.black_level_dn = {math.ceil(KEPT_SIGMAS * noise_dn)} keeps it"]
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:

@@ -229,3 +229,14 @@ def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
         written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
     own = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
     assert_refused(*command(f"study {own} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
+
+
+def test_a_black_level_that_cuts_off_the_dark_is_told(tmp_path: Path) -> None:
+    """σ of 2.5 electrons is 0.85 DN where 12000 are 4095: six of it are 5.1 DN."""
+    film = "--no-irradiance -D resolution=64 -D spp=4 --display.dots 64"
+    for extra, told in (("", True), ("black_level_dn = 6\n", False)):
+        path = written(tmp_path / "sensor.toml", SHEET.replace("bits = 12\n", f"bits = 12\n{extra}"))
+        code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
+        assert code == 0, err
+        note = "note: a black level of 0 DN cuts off dark noise of σ = 0.85 DN; pixel.black_level_dn = 6 keeps it"
+        assert (note in out) == (note in (tmp_path / "out/report.html").read_text(encoding="utf-8")) == told

@@ -37,7 +37,7 @@ from pixsim.cli.tables import (
     ExposureTable,
     PixelTable,
 )
-from pixsim.wording import budget_lines, plan_table, score_line
+from pixsim.wording import budget_lines, dark_note, plan_table, score_line
 
 
 @app.command
@@ -114,7 +114,7 @@ def run(
         score_line(result)
         + (f"; noise of the render {noise['fraction']:.2g} of the sensor's" if noise else "")
         + f"; report: {folder / 'report.html'}"
-        + "".join(f"\n{line}" for line in budget_lines(result)),
+        + "".join(f"\n{line}" for line in [*dark_note(result), *budget_lines(result)]),
     )
 
 
