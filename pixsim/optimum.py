@@ -71,6 +71,12 @@ def fitted_curve(pitch_um: Array, delta_e: Array, degree: int = DEGREE) -> tuple
     return np.exp(grid) * pitch_um.mean(), polynomial(grid)
 
 
+def fitted_minimum_um(pitch_um: Array, delta_e: Array, degree: int = DEGREE) -> float:
+    """The pitch with the least mean ΔE of a local fit."""
+    grid, curve = fitted_curve(pitch_um, delta_e, degree)
+    return float(grid[np.argmin(curve)])
+
+
 def fit_spread_um(pitch_um: Array, mean: Array) -> float:
     """Half of the range of the minima over `OTHER_DEGREES` and `OTHER_WINDOW_LEVELS`, and without each point in turn.
 
@@ -80,14 +86,10 @@ def fit_spread_um(pitch_um: Array, mean: Array) -> float:
     here = window(mean)
     pitch, values = pitch_um[here], mean[here]
     if pitch.size > FEWEST_LEFT:
-        for point in range(pitch.size):
-            grid, curve = fitted_curve(np.delete(pitch, point), np.delete(values, point))
-            minima.append(float(grid[np.argmin(curve)]))
+        minima += [fitted_minimum_um(np.delete(pitch, point), np.delete(values, point)) for point in range(pitch.size)]
     for level in OTHER_WINDOW_LEVELS:
         here = window(mean, level)
-        for degree in OTHER_DEGREES:
-            grid, curve = fitted_curve(pitch_um[here], mean[here], degree)
-            minima.append(float(grid[np.argmin(curve)]))
+        minima += [fitted_minimum_um(pitch_um[here], mean[here], degree) for degree in OTHER_DEGREES]
     return (max(minima) - min(minima)) / 2
 
 
@@ -103,11 +105,7 @@ def find_optimum(pitch_um: Array, delta_e: Array) -> Optimum:
     here = window(delta_e.mean(axis=1))
     pitch, rows = pitch_um[here], delta_e[here]
 
-    def minimum(columns: Array) -> float:
-        grid, curve = fitted_curve(pitch, columns.mean(axis=1))
-        return float(grid[np.argmin(curve)])
-
-    left_out = np.array([minimum(np.delete(rows, r, axis=1)) for r in range(repeats)])
+    left_out = np.array([fitted_minimum_um(pitch, np.delete(rows, r, axis=1).mean(axis=1)) for r in range(repeats)])
     standard_error = np.sqrt((repeats - 1) / repeats * ((left_out - left_out.mean()) ** 2).sum())
     grid, curve = fitted_curve(pitch, rows.mean(axis=1))
     best = int(np.argmin(curve))

@@ -69,7 +69,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     rows: list[Finding] = []
     views = None
     if section.kind == "curves":
-        plates = curve_plates(result, first)
+        plates = plates_of_curves(result, first)
     elif section.kind == "pictures":
         curve = by_name[section.technology]
         scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
@@ -86,7 +86,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     return Made(section, [Drawn.of(plate) for plate in plates], views, tuple(rows))
 
 
-def curve_plates(result: StudyResult, first: Curve) -> list[Plate]:
+def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]

@@ -110,6 +110,11 @@ class StudyResult:
         """The light behind the lens for each response, kept for `scores`."""
         return Lights(self.study, self.irradiance, self.camera)
 
+    @cached_property
+    def content(self) -> Content:
+        """What its frames and rows are known by."""
+        return Content(self.study, self.camera, self.irradiance)
+
     def as_dict(self) -> dict[str, Any]:
         """As summary.json tells it."""
         budget = {"error_budget": self.budget} if self.budget else {}
@@ -126,7 +131,7 @@ class StudyResult:
         """
         bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
         count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
-        frames = Content(self.study, self.camera, self.irradiance).frames(technology, pitch_um)
+        frames = self.content.frames(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
         each = (scores_of(bench, self.study, own, block_key(frames, block)) for block, own in enumerate(blocks))
         return [score for block in each for _, score in block]

@@ -107,9 +107,10 @@ def refuse_bad_pitches(study: Study) -> None:
     """PixsimError for a pitch that a technology cannot have, before any work is done."""
     processes: dict[str, str] = {}
     for name in study.technologies:
-        other = processes.setdefault(content_hash(load_technology(name).model_dump(exclude={"sources"})), name)
-        if other != name or study.technologies.count(name) > 1:
-            raise refuse("technologies", f"{name} beside {other}, the same process", "each process once")
+        content = content_hash(load_technology(name).model_dump(exclude={"sources"}))
+        if content in processes:
+            raise refuse("technologies", f"{name} beside {processes[content]}, the same process", "each process once")
+        processes[content] = name
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
             derive(pixel_of(study, technology, pitch_um))

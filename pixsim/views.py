@@ -10,19 +10,19 @@ from pixsim import cache
 from pixsim import display as displays
 from pixsim.contact_sheet import Tile, contact_sheet_png
 from pixsim.details import Picture, Window, crops, factor_for, reduced, window_at, worst_window
-from pixsim.evaluations import Content, bench_at, block_key, stream_key
-from pixsim.parameters import pixel_of
+from pixsim.evaluations import bench_at, block_key, stream_key
+from pixsim.parameters import Exposure, pixel_of
 from pixsim.pictures import grey_codes
 from pixsim.pixel import derive
 from pixsim.score import Projection, Score
-from pixsim.sensor import Frame, pixels_along
+from pixsim.sensor import frame_of, pixels_along
 from pixsim.spectral import Array
 from pixsim.study_result import Curve, StudyResult
 
 
 @dataclass(frozen=True)
 class Views:
-    """Pictures of one technology, or of one run.
+    """Pictures of one technology.
 
     tiles : the ideal image's detail, then that of every pitch
     crops : for some pitches, the detail of the ideal image, of the output, and of its ΔE map
@@ -39,7 +39,7 @@ class Views:
     ideal: Picture
     factor: int
     outputs: tuple[Picture, ...]
-    sheet: bytes = field(default=b"", repr=False)
+    sheet: bytes = field(repr=False)
 
 
 def best_place(curve: Curve) -> int:
@@ -65,9 +65,8 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     where = result.study.detail
     window = window_at(where, shape) if where else worst_window([scores[0].delta_e, scores[last].delta_e])
     tiles = [Tile(grey_codes(window.of(ideal)), "ideal image", "")]
-    content = Content(result.study, result.camera, result.irradiance)
     for place in range(last + 1):
-        part = window.of(scores[place].image) if place in scores else detail_at(result, content, curve, place, window)
+        part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
         tiles.append(Tile(grey_codes(part), *words(curve, place), is_best(curve, place)))
     named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
     return Views(
@@ -98,14 +97,14 @@ def pixels_of(size_um: tuple[float, float], pitch_um: float) -> tuple[int, ...]:
     return tuple(pixels_along(um, pitch_um) for um in size_um)
 
 
-def detail_at(result: StudyResult, content: Content, curve: Curve, place: int, window: Window) -> Array:
+def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> Array:
     """A part of the first sensor's picture of a pitch, shown luminance: that of `result.scores`, without its ΔE.
 
     What the cache holds is only shown, in a fifth of the time that the light on the pixels takes.
     """
     study, pitch_um = result.study, float(curve.pitch_um[place])
     light = result.lights.of(curve.technology)
-    key = block_key(content.frames(curve.technology, pitch_um), 0)
+    key = block_key(result.content.frames(curve.technology, pitch_um), 0)
     kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
     if not isinstance(light, Projection) or kept is None or kept.shape != pixels_of(light.size_um, pitch_um):
         bench = bench_at(study, light, result.camera, curve.technology, pitch_um)
@@ -114,14 +113,6 @@ def detail_at(result: StudyResult, content: Content, curve: Curve, place: int, w
     else:
         physics, time_s = derive(pixel_of(study, curve.technology, pitch_um)), float(curve.statistics["integration_s"][place, 0])
         white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
-        frame = Frame(
-            dn=kept.astype(np.int32),
-            mean_e=np.broadcast_to(np.nan, kept.shape),  # nothing that is shown depends on it
-            integration_s=time_s,
-            dn_per_e=physics.dn_per_e,
-            black_level_dn=physics.pixel.black_level_dn,
-            mean_dark_e=physics.dark_current_e_per_s * time_s,
-            pitch_um=pitch_um,
-            bits=physics.pixel.bits,
-        )
+        unknown = np.broadcast_to(np.nan, kept.shape)  # nothing that is shown depends on the mean signal
+        frame = frame_of(kept.astype(np.int32), unknown, physics, Exposure(integration_s=time_s))
     return displays.shown_luminance(window.of(displays.frame_luminance(frame, size_um, white_e, study.display)), study.display)

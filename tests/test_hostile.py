@@ -690,6 +690,15 @@ def read_or_refused(reader, path, kind):
         assert kind == "curve.csv"
 
 
+@contextmanager
+def given_back(path: Path, whole: bytes) -> Iterator[None]:
+    """A file that a test changes is what it was for the next one."""
+    try:
+        yield
+    finally:
+        path.write_bytes(whole)
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_file_is_read_or_refused(targets, kind):
@@ -701,11 +710,8 @@ def test_a_changed_file_is_read_or_refused(targets, kind):
         path.write_bytes(changed(whole, changes, end, repeated))
         read_or_refused(reader, path, kind)
 
-    try:
-        with in_time():
-            check()
-    finally:
-        path.write_bytes(whole)
+    with in_time(), given_back(path, whole):
+        check()
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -719,8 +725,5 @@ def test_random_bytes_are_refused(targets, kind):
         path.write_bytes(content)
         read_or_refused(reader, path, kind)
 
-    try:
-        with in_time():
-            check()
-    finally:
-        path.write_bytes(whole)
+    with in_time(), given_back(path, whole):
+        check()

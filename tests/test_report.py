@@ -14,7 +14,7 @@ from browser import assert_fits, assert_prints, assert_sliders_move, needs_brows
 
 import pixsim
 from pixsim.assumed import Light
-from pixsim.report import curve_plates, write_report
+from pixsim.report import plates_of_curves, write_report
 from pixsim.sweep import StudyResult
 
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"
@@ -156,7 +156,7 @@ def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, P
     assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
     assert result.as_dict()["curves"][0]["optimum_features"] is None
     assert made[0].as_dict()["curves"][0]["optimum_features"] == pytest.approx(best.pitch_um / 0.35)
-    names = [plate.name for plate in curve_plates(replace(made[0], curves=(curve, sheet)), curve)]
+    names = [plate.name for plate in plates_of_curves(replace(made[0], curves=(curve, sheet)), curve)]
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
 
 

@@ -15,7 +15,6 @@ from pixsim import cache, details
 from pixsim.contact_sheet import COLUMNS, GAP, MARGIN, TITLE, Tile, contact_sheet_png
 from pixsim.details import DETAIL_DOTS, Window, crops, scale, window_at, windows, worst_window
 from pixsim.errors import PixsimError
-from pixsim.evaluations import Content
 from pixsim.messages import checked
 from pixsim.pictures import delta_e_colours, grey_codes
 from pixsim.study_result import StudyResult
@@ -106,7 +105,7 @@ def test_the_detail_is_where_all_maps_are_bad_not_where_one_is_worst() -> None:
 @pytest.mark.parametrize("how", ["kept", "not kept", "of another shape"])
 def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, with the frame from the cache and without it."""
-    curve, content = result.curves[0], Content(result.study, result.camera, result.irradiance)
+    curve = result.curves[0]
     if how == "not kept":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
     elif how == "of another shape":
@@ -114,7 +113,7 @@ def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how:
     else:
         monkeypatch.setattr(pixsim.views, "bench_at", None)  # the dear way is not taken
     for place in (0, 3):
-        picture = detail_at(result, content, curve, place, WHOLE)
+        picture = detail_at(result, curve, place, WHOLE)
         expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
         np.testing.assert_array_equal(picture, expected)
 
