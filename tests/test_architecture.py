@@ -22,7 +22,6 @@ def module_name(path: Path) -> str:
 FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 MODULES = sorted(TREES.keys() - {"__init__", "__main__"})
-LONGEST_MODULE = 300  # lines: one that a physicist reads in one sitting
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They come in where they are used.
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
 
@@ -54,11 +53,6 @@ def type_checked_names() -> set[str]:
     (block,) = filter(is_type_checking, TREES["__init__"].body)
     assert all(alias.name == alias.asname for node in block.body for alias in node.names), "not re-exported"
     return {f"{node.module}.{alias.name}" for node in block.body for alias in node.names}
-
-
-@pytest.mark.parametrize("module", TREES)
-def test_a_module_can_be_read_in_one_sitting(module: str) -> None:
-    assert len(FILES[module].read_text(encoding="utf-8").splitlines()) <= LONGEST_MODULE
 
 
 def test_one_place_speaks_mitsuba() -> None:
