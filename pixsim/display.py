@@ -11,7 +11,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from pixsim import optics
@@ -19,8 +18,7 @@ from pixsim.errors import refuse
 from pixsim.parameters import Camera, Display
 from pixsim.pixel import PixelPhysics
 from pixsim.pixel_grid import weighted
-from pixsim.planes import strips
-from pixsim.sensor import M2_PER_UM2, MOST_PIXELS, Frame, electrons_per_joule, ideal_rate, pixels_along, point_values
+from pixsim.sensor import M2_PER_UM2, MOST_PIXELS, Frame, electrons_per_joule, ideal_rate, integrate_axis, pixels_along
 from pixsim.spectral import Array, SpectralImage, d65
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
@@ -113,16 +111,40 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     return rate
 
 
-def dot_edges_um(length_um: float, die_um: float, pitch_um: float, display: Display) -> Array:
-    """Borders of the dots along one side of the sensor, (dots + 1,), measured from the picture's border.
+def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display, border_um: float) -> tuple[Array, Array]:
+    """Edges of the dots that are shown and scored, rows and columns, measured from the top left corner of the picture.
 
-    `fixed_size`: `dots` belong to the width of the die. `one_to_one`: a dot is a pixel of the centred array.
+    `fixed_size`: `dots` span the width of the die, and the frame is the die less `border_um` on each side, whole dots only.
+    `one_to_one`: a dot is a pixel of the centred array, all of it.
 
-    length_um, die_um : of that side, and the picture's width
+    size_um : (height, width) of the picture on the sensor
+    pitch_um : of the pixels; used by `one_to_one` only
+    border_um : the largest pitch that shares the frame. Half of it holds the strip that whole pixels do not fill, the other
+        half the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
+
+    Returns ((rows + 1,), (columns + 1,)). Raises PixsimError where not one whole pixel fits or not one whole dot is left, and for
+    more dots than memory holds.
     """
-    if display.raster == "fixed_size":
-        return np.linspace(0.0, length_um, max(1, round(display.dots * length_um / die_um)) + 1)
-    return pixel_edges_um(length_um, pixels_along(length_um, pitch_um), pitch_um)
+    pixels = [pixels_along(length_um, pitch_um) for length_um in size_um]
+    if display.raster == "one_to_one":
+        rows, columns = (pixel_edges_um(um, count, pitch_um) for um, count in zip(size_um, pixels, strict=True))
+        return rows, columns
+    counts = [max(1, round(display.dots * length_um / size_um[1])) for length_um in size_um]
+    if math.prod(counts) > MOST_PIXELS:
+        found = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {math.prod(counts):.3g} dots"
+        raise refuse("display.dots", found, f"at most {MOST_PIXELS:.3g} dots in all")
+    edges = []
+    for length_um, count in zip(size_um, counts, strict=True):
+        cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
+        if 2 * cut >= count:
+            raise refuse(
+                "pixel.pitch_um",
+                f"{border_um:g} µm: its border on either side leaves none of the {count} dots of {length_um / count:.3g} µm",
+                f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die",
+                "Take smaller pixels, a larger die, or display.raster = 'one_to_one'.",
+            )
+        edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
+    return edges[0], edges[1]
 
 
 def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:
@@ -185,64 +207,30 @@ def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
     return csr_array((weight[kept], value[kept], rows), shape=(edges.size - 1, n))
 
 
-def _smooth_excess(five: Array) -> Array:
-    """How far a smooth picture may go beyond the mean of the third of five neighbouring cells (5, …), (…).
+def ideal_luminance(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Array, Array]
+) -> Array:
+    """Relative luminance of each dot from a sensor without pixels, noise or quantisation behind a lens without diffraction.
 
-    At a crest it exceeds the mean of its cell by a sixth of the second difference, at most; half of the smallest of three
-    neighbouring second differences allows for it. At an edge they change sign, and nothing is allowed. (After the limiter of
-    A. Suresh and H. T. Huynh, J. Comput. Phys. 136 (1997) 83, which so keeps its order at smooth extrema.)
-    """
-    second = np.diff(five, 2, axis=0)
-    return np.maximum(np.maximum(second.min(axis=0), -second.max(axis=0)), 0.0) / 2
+    A dot shows the mean of the light over itself: what the image of ever smaller pixels tends to.
 
-
-def cell_range(cells: Array, y: NDArray[np.intp], x: NDArray[np.intp]) -> tuple[Array, Array]:
-    """(least, most) that a point may have in the cells (H, W) at rows y and columns x, (len(y), len(x)) each, same unit.
-
-    After A. Suresh and H. T. Huynh, J. Comput. Phys. 136 (1997) 83.
-
-    No point is darker or brighter than its cell and the eight around it, but where the picture is smooth (not in the two
-    outermost cells along an axis); and none is below zero.
-    """
-    (height, width), around = cells.shape, np.arange(-2, 3)
-    five_rows = cells[np.clip(y + around[:, None], 0, height - 1)]
-    columns = np.clip(x + around[:, None], 0, width - 1)
-    inside = ((y >= 2) & (y < height - 2))[:, None], (x >= 2) & (x < width - 2)
-    beyond = np.where(inside[0], _smooth_excess(five_rows).take(x, axis=1), 0.0)
-    beyond += np.where(inside[1], _smooth_excess(np.stack([five_rows[2].take(each, axis=1) for each in columns])), 0.0)
-    rows = five_rows[1:4]
-    lowest, highest = rows.min(axis=0), rows.max(axis=0)
-    least = np.minimum.reduce([lowest.take(each, axis=1) for each in columns[1:4]]) - beyond
-    most = np.maximum.reduce([highest.take(each, axis=1) for each in columns[1:4]]) + beyond
-    return np.maximum(least, 0.0), most
-
-
-def ideal_luminance(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> Array:
-    """Relative luminance at the dot centres from a sensor without blur, noise or quantisation behind an ideal lens.
+    edges_um : of the dots' rows and columns, as `dot_edges_um` gives them
 
     Returns (H, W) dots, 1 for the scene's white.
 
-    Raises PixsimError for more dots than memory holds, and as `white_rate` does.
+    Raises PixsimError as `white_rate` does.
     """
-    size_um = picture_size_um(irradiance)
-    centres = []
-    for length_um in size_um:
-        edges = dot_edges_um(length_um, size_um[1], physics.pitch_um, display)
-        centres.append((edges[:-1] + edges[1:]) / 2)
-    if (dots := math.prod(each.size for each in centres)) > MOST_PIXELS:
-        found = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {dots:.3g} dots"
-        raise refuse("display.dots", found, f"at most {MOST_PIXELS:.3g} dots in all")
-    cells = ideal_rate(irradiance, physics)
-    rate = point_values(cells, irradiance.pitch_um, *centres)
-    # A spline rings at an edge.
-    y, x = (np.clip((um / irradiance.pitch_um).astype(int), 0, n - 1) for um, n in zip(centres, cells.shape, strict=True))
-    for rows in strips(y.size, cells.shape[1]):
-        np.clip(rate[rows], *cell_range(cells, y[rows], x), out=rate[rows])
+    rate = ideal_rate(irradiance, physics)
+    for axis, edges in enumerate(edges_um):
+        rate = integrate_axis(rate, irradiance.pitch_um, edges[:-1], edges[1:], axis)
+        rate /= np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
     rate /= white_rate(irradiance, camera, physics, display)
-    return rate
+    return np.maximum(rate, 0.0, out=rate)
 
 
-def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, display: Display) -> Array:
+def frame_luminance(
+    frame: Frame, size_um: tuple[float, float], white_e: float, display: Display, edges_um: tuple[Array, Array]
+) -> Array:
     """Relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
 
     A dot shows the mean over itself of the picture interpolated between pixel centres. (Reading the picture at the dots'
@@ -252,6 +240,7 @@ def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, 
     ----------
     size_um : (height, width) of the picture on the sensor
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
+    edges_um : of the dots' rows and columns, as `dot_edges_um` gives them
     """
     picture = frame.electrons
     picture /= white_e
@@ -259,10 +248,9 @@ def frame_luminance(frame: Frame, size_um: tuple[float, float], white_e: float, 
         return picture
     # The shorter way: what is transposed is small.
     for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
-        um = size_um[axis]
-        low_um = um / 2 - picture.shape[axis] / 2 * frame.pitch_um
-        edges_um = dot_edges_um(um, size_um[1], frame.pitch_um, display)
-        picture = average_axis(picture, frame.pitch_um, low_um, edges_um, SPLINE_DEGREE[display.interpolation], axis)
+        low_um = size_um[axis] / 2 - picture.shape[axis] / 2 * frame.pitch_um
+        degree = SPLINE_DEGREE[display.interpolation]
+        picture = average_axis(picture, frame.pitch_um, low_um, edges_um[axis], degree, axis)
     return picture
 
 

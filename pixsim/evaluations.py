@@ -84,7 +84,8 @@ class Lights:
                 self._kept.clear()
             any_um = float(study_pitches_um(self.study, technology).max())
             physics = derive(pixel_of(self.study, technology, any_um))
-            self._kept[technology] = project(self.irradiance, self.camera, physics, self.study.display)
+            border_um = self.study.pitch.largest_um
+            self._kept[technology] = project(self.irradiance, self.camera, physics, self.study.display, border_um=border_um)
         return self._kept[technology]
 
     @property
@@ -105,7 +106,7 @@ def bench_at(
     """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
     physics = derive(pixel_of(study, technology, pitch_um), process)
     if not isinstance(light, Projection):
-        light = project(light, camera, physics, study.display)
+        light = project(light, camera, physics, study.display, border_um=study.pitch.largest_um)
     return bench_of(light, physics, study.exposure, study.display)
 
 
@@ -195,7 +196,10 @@ class Content:
 
     @cached_property
     def display(self) -> str:
-        return self.study.display.content_hash
+        """Of the viewer's raster, and of the part of the die that is scored on it."""
+        study = self.study
+        border_um = study.pitch.largest_um if study.display.raster == "fixed_size" else 0.0
+        return content_hash([study.display.content_hash, border_um])
 
     def light(self, technology: str) -> str:
         """Of what all pitches of a technology share."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.pictures import DELTA_E_SHOWN, VIEWING_GAMMA, axes_of, is_csf
+from pixsim.pictures import DELTA_E_SHOWN, NO_BORDER, VIEWING_GAMMA, Border, axes_of, is_csf
 from pixsim.pictures import extent as extent
 from pixsim.spectral import Array, SpectralImage
 
@@ -102,23 +102,24 @@ def svg_text(figure: Figure) -> str:
     )
 
 
-def draw_picture(axes: Axes, luminance: Array, irradiance: SpectralImage) -> None:
-    axes.imshow(np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, extent=extent(irradiance))
-    label_axes(axes, irradiance)
+def draw_picture(axes: Axes, luminance: Array, irradiance: SpectralImage, border_um: Border = NO_BORDER) -> None:
+    shown = np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)
+    axes.imshow(shown, cmap="gray", vmin=0, vmax=1, extent=extent(irradiance, border_um))
+    label_axes(axes, irradiance, border_um)
 
 
-def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, irradiance: SpectralImage) -> None:
+def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, irradiance: SpectralImage, border_um: Border) -> None:
     """A ΔE map on the fixed scale, which stands in axes of its own."""
-    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, extent=extent(irradiance))
+    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, extent=extent(irradiance, border_um))
     axes.figure.colorbar(image, cax=bar, label="ΔE", extend="max")
-    label_axes(axes, irradiance)
+    label_axes(axes, irradiance, border_um)
 
 
-def label_axes(axes: Axes, irradiance: SpectralImage) -> None:
+def label_axes(axes: Axes, irradiance: SpectralImage, border_um: Border = NO_BORDER) -> None:
     """Frequency and contrast for the CSF chart, else the position on the sensor."""
     for spine in axes.spines.values():
         spine.set_visible(False)
-    across, down = axes_of(irradiance)
+    across, down = axes_of(irradiance, border_um)
     axes.set_xlabel(across.label)
     axes.set_ylabel(down.label)
     if is_csf(irradiance):

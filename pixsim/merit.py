@@ -33,7 +33,7 @@ def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: 
     irradiance = result.irradiance
     weight = electrons_per_joule(physics, irradiance) * irradiance.mean_spectrum()
     share = weight / weight.sum()
-    lens = optics.white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, result.camera.working_f_number)
+    lens = optics.white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, result.camera.effective_f_number)
     return lens * optics.square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
 
 

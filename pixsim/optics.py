@@ -69,17 +69,18 @@ def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: flo
 
 
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
-    """1/(λ N_w), the highest frequency that a diffraction-limited lens passes: 0 for a pinhole, N_w = infinity.
+    """1/(λ N_e) = 2 sin α/λ, the highest frequency that a diffraction-limited lens passes: 0 for a pinhole, N_e = infinity.
 
     Goodman, Introduction to Fourier Optics, 3rd ed. Shape (...) as the wavelengths.
 
-    f_number : the working one, N(1+|m|), a number above 0
+    f_number : the effective one, N_e = 1/(2 sin α) (`Camera.effective_f_number`), a number above 0; sin α is the numerical
+        aperture on the sensor's side, with tan α = 1/(2 N (1 + |m|)), as in `irradiance_factor`
 
     Raises PixsimError for wavelengths or f-numbers that are not positive: the OTF would exceed 1.
     """
     wavelength_nm = np.asarray(wavelength_nm, float)
     if not (np.all(wavelength_nm > 0) and f_number > 0):
-        raise refuse("wavelength and working f-number", f"{wavelength_nm} nm, {f_number}", "numbers above 0")
+        raise refuse("wavelength and f-number", f"{wavelength_nm} nm, {f_number}", "numbers above 0")
     with np.errstate(over="ignore", divide="ignore"):  # to a cut-off at 0 or at infinity
         return NM_PER_MM / (wavelength_nm * f_number)
 
@@ -91,7 +92,7 @@ def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_
     eq. (6-31). Frequency 0 always passes.
 
     frequency_cy_per_mm, wavelength_nm : broadcast together; the result, 0 to 1, has their shape
-    f_number : the working one, N(1+|m|)
+    f_number : the effective one, N_e = 1/(2 sin α) (`Camera.effective_f_number`)
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
 
@@ -110,7 +111,7 @@ def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f
     """Σ weight · `diffraction_otf` over wavelengths, (...) as the frequencies; the white-light OTF where the weights add up to 1.
 
     wavelength_nm, weight : (B,), any unit of weight
-    f_number : the working one
+    f_number : the effective one, N_e = 1/(2 sin α)
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
@@ -142,7 +143,7 @@ def diffract_sum(
     shape : (H, W)
     pitch_um : of the samples
     wavelength_nm : (B,)
-    f_number : the working one
+    f_number : the effective one, N_e = 1/(2 sin α)
     workers : threads of the transforms; the result does not depend on it
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
@@ -185,7 +186,7 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
 
     picture : (H, W)
     weight : (B,) of the light at each wavelength; their ratios count
-    f_number : the working one
+    f_number : the effective one, N_e = 1/(2 sin α)
     workers : threads of the transforms
 
     Raises PixsimError where the weights add up to 0 (no light has no shape), and as `cutoff_cy_per_mm` does.

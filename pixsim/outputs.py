@@ -188,7 +188,7 @@ def write_all(
         write_channels(partial / "delta_e.exr", {"delta_e": score.delta_e}, {})
         save_png(partial / "ideal.png", score.ideal)
         save_png(partial / "image.png", score.image)
-        save_delta_e_png(partial / "delta_e.png", score.delta_e, irradiance)
+        save_delta_e_png(partial / "delta_e.png", score.delta_e, irradiance, score.border_um)
         write_json(partial / "score.json", summary)
         write_run_page(partial, score, irradiance, summary)
         made = sorted(partial.iterdir())

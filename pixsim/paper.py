@@ -10,11 +10,12 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.display import picture_size_um
 from pixsim.merit import dr_and_snr_db, growth_exponent
+from pixsim.pictures import NO_BORDER, Border
 from pixsim.pixel import fill_factor_law
 from pixsim.spectral import Array
 from pixsim.sweep import Curve, StudyResult
@@ -62,13 +63,24 @@ class Evidence:
         """Pitch -> ΔE map at the reference technology, mean over the study's first eight sensors."""
         return {pitch: np.mean(maps, axis=0) for pitch, maps in self.sensor_maps.items()}
 
-    @cached_property
+    @property
     def sensor_maps(self) -> dict[float, list[Array]]:
         """Pitch -> ΔE map of each of those sensors."""
-        return {
-            pitch: [score.delta_e for score in self.result.scores(REFERENCE_TECHNOLOGY, pitch, SENSORS)]
-            for pitch in FIGURE_6_PITCHES_UM
-        }
+        return self._maps_and_borders[0]
+
+    def border(self, pitch_um: float) -> Border:
+        """Shares of the chart's height and width that the maps of a pitch leave out on either side."""
+        return self._maps_and_borders[1][pitch_um]
+
+    @cached_property
+    def _maps_and_borders(self) -> tuple[dict[float, list[Array]], dict[float, Border]]:
+        height_um, width_um = picture_size_um(self.result.irradiance)
+        maps, borders = {}, {}
+        for pitch in FIGURE_6_PITCHES_UM:
+            scores = self.result.scores(REFERENCE_TECHNOLOGY, pitch, SENSORS)
+            down_um, across_um = scores[0].border_um
+            maps[pitch], borders[pitch] = [score.delta_e for score in scores], (down_um / height_um, across_um / width_um)
+        return maps, borders
 
     @cached_property
     def fine_display_map(self) -> Array:
@@ -81,7 +93,13 @@ class Evidence:
     @cached_property
     def thresholds(self) -> dict[float, Array]:
         """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf where it never does."""
-        return {pitch: threshold_contrast(each, self.result.study.iso_delta_e) for pitch, each in self.maps.items()}
+        level = self.result.study.iso_delta_e
+        return {pitch: threshold_contrast(each, level, self.border(pitch)[0]) for pitch, each in self.maps.items()}
+
+    @cached_property
+    def frequencies_lp_per_mm(self) -> Array:
+        """Centres of the bins of `thresholds`."""
+        return frequency_bins_lp_per_mm(self.border(FIGURE_6_PITCHES_UM[0])[1])
 
 
 ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not tell"
@@ -97,21 +115,32 @@ def by_frequency(delta_e: Array, bins: int = FREQUENCY_BINS) -> Array:
     return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, bins, axis=1)], axis=1)
 
 
-def frequency_bins_lp_per_mm(bins: int = FREQUENCY_BINS) -> Array:
-    """Centres of `by_frequency`."""
-    return csf_frequency_lp_per_mm((np.arange(bins) + 0.5) / bins)
+def chart_places(parts: int, border: float) -> Array:
+    """Middles of equal parts of a map along a side of the chart, (parts,), 0 to 1; `border` of the side lies outside the map."""
+    return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
 
 
-def frequency_contrast_table(delta_e: Array) -> tuple[Array, Array, Array]:
-    """Frequencies (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map."""
+def frequency_bins_lp_per_mm(border: float = 0.0, bins: int = FREQUENCY_BINS) -> Array:
+    """Centres of `by_frequency`, of a map that leaves out a border (as a share of the chart's width) on either side."""
+    return csf_frequency_lp_per_mm(chart_places(bins, border))
+
+
+def frequency_contrast_table(delta_e: Array, border: Border = NO_BORDER) -> tuple[Array, Array, Array]:
+    """Frequencies (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map.
+
+    border : shares of the chart's height and width that the map leaves out on either side
+    """
     table = np.stack([part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)])
-    return frequency_bins_lp_per_mm(), csf_contrast((np.arange(CONTRAST_BINS) + 0.5) / CONTRAST_BINS), table
+    return frequency_bins_lp_per_mm(border[1]), csf_contrast(chart_places(CONTRAST_BINS, border[0])), table
 
 
-def threshold_contrast(delta_e: Array, level: float) -> Array:
-    """Contrast at which the mean ΔE of each frequency bin first exceeds a level, coming from low contrast, (F,)."""
+def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Array:
+    """Contrast at which the mean ΔE of each frequency bin first exceeds a level, coming from low contrast, (F,).
+
+    border : share of the chart's height that the map leaves out above and below
+    """
     smooth = gaussian_filter1d(by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest")
-    contrast = csf_contrast((np.arange(len(smooth)) + 0.5) / len(smooth))
+    contrast = csf_contrast(chart_places(len(smooth), border))
     above = smooth > level
     return np.where(above.any(axis=0), contrast[above.argmax(axis=0)], np.inf)
 
@@ -193,19 +222,19 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     yield Finding("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees, unless(agrees))
 
 
-def _bands(better: NDArray[np.bool_]) -> str:
+def _bands(frequencies_lp_per_mm: Array) -> str:
     """The frequencies at which something holds, for people."""
-    names = [f"{frequency:.2g}" for frequency in frequency_bins_lp_per_mm()[better]]
+    names = [f"{frequency:.2g}" for frequency in frequencies_lp_per_mm]
     return f"{', '.join(names)} lp/mm" if names else "no frequency"
 
 
 def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
     """Fig. 6: a pixel is better where it reaches the iso level at a higher contrast. The contrasts are figure 6's table."""
-    limits = evidence.thresholds
+    limits, centres = evidence.thresholds, evidence.frequencies_lp_per_mm
     title = f"Iso-ΔE = {evidence.result.study.iso_delta_e:g}"
     for good, bad in ((8.0, 15.0), (6.0, 8.0)):
         better, worse = limits[good] > limits[bad], limits[good] < limits[bad]
-        found = f"better at {_bands(better)}, worse at {_bands(worse)}"
+        found = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
         if not (better | worse).all():
             found += "; elsewhere neither reaches the level, or both at the same contrast"
         agrees = bool(better.any() and not worse.any())
@@ -213,13 +242,12 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
     six, smallest = limits[6.0], limits[5.3]
     apart = np.flatnonzero(six != smallest)
     crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
-    centres = frequency_bins_lp_per_mm()
     turn = np.flatnonzero(smallest > six)[:1]
     where = f"; they cross between {centres[turn[0] - 1]:.2g} and {centres[turn[0]]:.2g} lp/mm" if crosses and turn[0] else ""
     yield Finding(
         f"{title}: 6 and 5.3 µm cross",
         "6 µm better at low, 5.3 µm at high frequencies",
-        f"6 µm better at {_bands(six > smallest)}, 5.3 µm at {_bands(smallest > six)}{where}",
+        f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}{where}",
         crosses,
         unless(crosses),
     )
@@ -235,7 +263,7 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
         why = f"the steps of the display ({bits} bits) show in it" if fine == 1 else ASSUMED
         found += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
     yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", found, count == 1, why)
-    frequency, contrast, table = frequency_contrast_table(map_)
+    frequency, contrast, table = frequency_contrast_table(map_, evidence.border(8.0))
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
     yield Finding(

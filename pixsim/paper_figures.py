@@ -109,7 +109,9 @@ def figure_6(evidence: Evidence) -> Plate:
     vertices: list[tuple[float, float, float]] = []
     for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
         smooth = gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
-        lines = draw_iso(axes, evidence.result, smooth, [level], [look], [1.6], [f"{pitch_um:g} µm"])
+        down, across = evidence.border(pitch_um)
+        border_um = 1e3 * down * height_mm, 1e3 * across * width_mm
+        lines = draw_iso(axes, evidence.result, border_um, smooth, [level], [look], [1.6], [f"{pitch_um:g} µm"])
         vertices += [(pitch_um, x / width_mm, y / height_mm) for x, y in lines]
     handles = [axes.plot([], [], label=f"{p:g} µm", **look.stroke)[0]
                for p, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False)]  # fmt: skip
@@ -130,7 +132,7 @@ def figure_6(evidence: Evidence) -> Plate:
 
 def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     """Mean ΔE in cells of frequency and contrast, at 8 µm."""
-    frequency, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM])
+    frequency, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
     image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=DELTA_E_SHOWN)

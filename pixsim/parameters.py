@@ -31,6 +31,8 @@ class Camera(Record):
     >>> camera = Camera(focal_length_mm=50.0, object_distance_m=0.1)  # twice the focal length away: life size
     >>> camera.magnification, camera.image_distance_mm, camera.working_f_number
     (1.0, 100.0, 8.0)
+    >>> round(camera.effective_f_number, 4)  # what diffraction sees
+    8.0156
     """
 
     focal_length_mm: bounds.FocalLength = Field(3.86, description="focal length")
@@ -66,8 +68,16 @@ class Camera(Record):
 
     @property
     def working_f_number(self) -> float:
-        """N(1 + |m|), the number that diffraction and exposure see."""
+        """N_w = N(1 + |m|), the ratio of image distance to aperture: 1/(2 tan α), with α the half angle of the cone of light."""
         return self.f_number * (1 + self.magnification)
+
+    @property
+    def effective_f_number(self) -> float:
+        """N_e = 1/(2 sin α), the f-number of diffraction, a ratio: 1/(2 NA) with NA = sin α on the sensor's side.
+
+        Light and blur have one pupil (Abbe's sine condition): irradiance goes with sin²α, the cut-off frequency with 2 sin α/λ.
+        """
+        return math.hypot(self.working_f_number, 0.5)
 
     @property
     def fov_deg(self) -> float:
@@ -167,6 +177,11 @@ class PitchRange(Record):
     max_um: bounds.Pitch = Field(15.0, description="the largest pixel that is tried, centre to centre")
     count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="pixel sizes that are tried")
     values_um: tuple[bounds.Pitch, ...] | None = Field(None, description="these pixel sizes in place of the others")
+
+    @property
+    def largest_um(self) -> float:
+        """The largest pixel of the range as it is stated; the frame that a study scores follows from it."""
+        return self.max_um if self.values_um is None else max(self.values_um)
 
 
 class StudyScene(Record):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.charts import DIE_MM, LOWEST_CONTRAST, LUMINANCE_CD_PER_M2, csf_frequency_lp_per_mm
+from pixsim.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.display import picture_size_um
 from pixsim.spectral import Array, SpectralImage
 
@@ -32,6 +32,8 @@ CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
 MAP, LEFT, TOP, BELOW, BESIDE = 560, 110, 70, 90, 160
 BAR, BAR_GAP, TICK, GAP, POINT = 30, 50, 7, 5, 20
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+Border = tuple[float, float]  # µm above and below, and left and right, that a picture leaves out of what was rendered
+NO_BORDER: Border = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,8 @@ def save_png(path: Path, luminance: Array) -> None:
     path.write_bytes(png_bytes(np.repeat(grey_codes(luminance)[:, :, None], 3, axis=2)))
 
 
-def save_delta_e_png(path: Path, delta_e: Array, irradiance: SpectralImage) -> None:
-    """The map with its scale and axes."""
+def save_delta_e_png(path: Path, delta_e: Array, irradiance: SpectralImage, border_um: Border = NO_BORDER) -> None:
+    """The map with its scale and axes; `border_um` is the edge of the picture that the map leaves out."""
     from PIL import Image, ImageDraw
 
     shown = _enlarged(delta_e_colours(delta_e))
@@ -63,12 +65,12 @@ def save_delta_e_png(path: Path, delta_e: Array, irradiance: SpectralImage) -> N
     draw = ImageDraw.Draw(canvas)
     title = f"S-CIELAB difference from the ideal image, mean {delta_e.mean():.3f}"
     draw.text((LEFT + width / 2, TOP - POINT), title, BLACK, font(18), anchor="ms")
-    x, y = axes_of(irradiance)
-    height_um, width_um = picture_size_um(irradiance)
+    x, y = axes_of(irradiance, border_um)
+    left_mm, right_mm, bottom_mm, top_mm = extent(irradiance, border_um)
     for at_mm, text in x.ticks:
-        _mark(draw, LEFT + at_mm * 1e3 / width_um * width, TOP + height, text, down=True)
+        _mark(draw, LEFT + (at_mm - left_mm) / (right_mm - left_mm) * width, TOP + height, text, down=True)
     for at_mm, text in y.ticks:
-        _mark(draw, LEFT, TOP + at_mm * 1e3 / height_um * height, text, down=False)
+        _mark(draw, LEFT, TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height, text, down=False)
     draw.text((LEFT + width / 2, TOP + height + 45), x.label, BLACK, font(15), anchor="mt")
     _upright(canvas, y.label, LEFT - 95, TOP + height / 2)
     _colour_bar(canvas, draw, LEFT + width + BAR_GAP, height)
@@ -158,10 +160,11 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
 # --- Axes of a sensor's picture ---------------------------------------------------------------------------------------
 
 
-def extent(irradiance: SpectralImage) -> tuple[float, float, float, float]:
-    """Left, right, bottom, top in mm on the sensor, row 0 on top."""
+def extent(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on top."""
     height_um, width_um = picture_size_um(irradiance)
-    return 0.0, 1e-3 * width_um, 1e-3 * height_um, 0.0
+    down_um, across_um = border_um
+    return 1e-3 * across_um, 1e-3 * (width_um - across_um), 1e-3 * (height_um - down_um), 1e-3 * down_um
 
 
 def is_csf(irradiance: SpectralImage) -> bool:
@@ -169,28 +172,30 @@ def is_csf(irradiance: SpectralImage) -> bool:
     return bool(header.get("scene") == "csf.xml" and "chart" not in header.get("parameters", {}))
 
 
-def axes_of(irradiance: SpectralImage) -> tuple[Axis, Axis]:
-    """Across and down: frequency and contrast for the CSF chart, else the position on the sensor."""
-    _, width_mm, height_mm, _ = extent(irradiance)
+def axes_of(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[Axis, Axis]:
+    """Across and down: frequency and contrast for the CSF chart, else the position on the sensor; marks within the border."""
+    height_um, width_um = picture_size_um(irradiance)
+    left, right, bottom, top = extent(irradiance, border_um)
     if is_csf(irradiance):
-        return _csf_axes(width_mm, height_mm)
-    across, down = (Axis(f"{name} on the sensor (mm)", _even_ticks(mm)) for name, mm in (("x", width_mm), ("y", height_mm)))
-    return across, down
+        return _csf_axes(1e-3 * width_um, 1e-3 * height_um, (left, right), (top, bottom))
+    across = Axis("x on the sensor (mm)", _even_ticks(left, right))
+    return across, Axis("y on the sensor (mm)", _even_ticks(top, bottom))
 
 
-def _csf_axes(width_mm: float, height_mm: float) -> tuple[Axis, Axis]:
-    # The chart fills the die, so another die than the chart's own scales its frequencies.
-    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(end)) for end in (0.0, 1.0))
+def _csf_axes(width_mm: float, height_mm: float, x_mm: tuple[float, float], y_mm: tuple[float, float]) -> tuple[Axis, Axis]:
+    """Of a chart that fills a die, between two places across and two down; the ends have marks of their own."""
+    # Another die than the chart's own scales its frequencies.
+    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(at / width_mm)) for at in x_mm)
     inner = np.array([1, 2, 5, 10, 20, 50, 100, 200])
     frequencies = np.array([lowest, *inner[(inner > 1.4 * lowest) & (inner < 0.75 * highest)], highest])
-    x_mm = np.log(frequencies / lowest) / np.log(highest / lowest) * width_mm
-    low, high = LUMINANCE_CD_PER_M2
-    largest = (high - low) / (high + low)
-    contrasts = np.array([0.01, 0.03, 0.1, 0.3, 0.951])
-    y_mm = (1 - np.log(contrasts / largest) / np.log(LOWEST_CONTRAST)) * height_mm
-    across = _ticks(x_mm, (f"{f:.3g}" for f in frequencies))
+    at_x_mm = x_mm[0] + np.log(frequencies / lowest) / np.log(highest / lowest) * (x_mm[1] - x_mm[0])
+    faintest, strongest = (float(csf_contrast(at / height_mm)) for at in y_mm)
+    steps = np.array([0.03, 0.1, 0.3])
+    contrasts = np.array([faintest, *steps[(steps > 1.4 * faintest) & (steps < 0.75 * strongest)], strongest])
+    at_y_mm = y_mm[0] + np.log(contrasts / faintest) / np.log(strongest / faintest) * (y_mm[1] - y_mm[0])
+    across = _ticks(at_x_mm, (f"{f:.3g}" for f in frequencies))
     return Axis("spatial frequency on the sensor (lp/mm)", across), Axis(
-        CONTRAST_LABEL, _ticks(y_mm, (f"{c:g}" for c in contrasts))
+        CONTRAST_LABEL, _ticks(at_y_mm, (f"{c:.3g}" for c in contrasts))
     )
 
 
@@ -198,9 +203,10 @@ def _ticks(at_mm: Array, texts: Iterable[str]) -> tuple[tuple[float, str], ...]:
     return tuple(zip(at_mm.tolist(), texts, strict=True))
 
 
-def _even_ticks(length_mm: float) -> tuple[tuple[float, str], ...]:
-    """From 0 in steps of 1, 2 or 5 times a power of ten."""
-    rough = length_mm / (MOST_TICKS - 1)
+def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...]:
+    """In steps of 1, 2 or 5 times a power of ten."""
+    rough = (last_mm - first_mm) / (MOST_TICKS - 1)
     unit = 10.0 ** math.floor(math.log10(rough))
     step = unit * min(each for each in (1, 2, 5, 10) if each * unit >= rough * (1 - 1e-9))
-    return tuple((step * n, f"{step * n:.3g}") for n in range(math.floor(length_mm / step * (1 + 1e-9)) + 1))
+    steps = range(math.ceil(first_mm / step * (1 - 1e-9)), math.floor(last_mm / step * (1 + 1e-9)) + 1)
+    return tuple((step * n, f"{step * n:.3g}") for n in steps)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from pixsim import optics
 from pixsim.errors import refuse
@@ -23,7 +22,6 @@ from pixsim.running_sum import (
     difference,
     is_steep,
     rising,
-    slopes_at,
     spline_coefficients,
     values_at,
     without_ringing,
@@ -57,7 +55,7 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
     else:
         one = np.eye(nm.size)
         pictures = ((irradiance.band(band), weight * one[band]) for band in np.flatnonzero(weight).tolist())
-    rate = optics.diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, camera.working_f_number, workers)
+    rate = optics.diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, camera.effective_f_number, workers)
     rate *= M2_PER_UM2
     return rate
 
@@ -137,20 +135,6 @@ def integrate_axis(
         del found
         return along(samples, axis, low_um.size, partial(integrals, limited=True))
     return found
-
-
-def point_values(samples: Array, sample_pitch_um: float, y_um: Array, x_um: Array) -> Array:
-    """The picture behind a grid of cell means, at the crossings of rows y and columns x: (len(y), len(x))."""
-    values = samples
-    for axis, at_um in enumerate((y_um, x_um)):
-        slopes = slopes_at(at_um / sample_pitch_um, samples.shape[axis])
-        values = along(values, axis, at_um.size, partial(points_of, slopes))
-    return values
-
-
-def points_of(slopes: csr_array, _: slice, strip: Array) -> Array:
-    """Of columns of cell means (n, columns), the picture at the points of `slopes_at`."""
-    return slopes @ spline_coefficients(strip)
 
 
 def integrate_pixels(

@@ -23,6 +23,7 @@ from pixsim.figures import (
     new_figure,
     svg_text,
 )
+from pixsim.pictures import Border
 from pixsim.spectral import Array
 
 if TYPE_CHECKING:
@@ -81,15 +82,15 @@ def pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Arr
     grid = figure.add_gridspec(2, len(WIDTHS), width_ratios=WIDTHS, **MARGINS)
     ideal, image, map_, iso = (figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (0, 3))
     ideal.set_title("ideal image")
-    draw_picture(ideal, score.ideal, result.irradiance)
+    draw_picture(ideal, score.ideal, result.irradiance, score.border_um)
     image.set_title(f"image from {pitch_um:.2f} µm pixels")
-    draw_picture(image, score.image, result.irradiance)
+    draw_picture(image, score.image, result.irradiance, score.border_um)
     map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
-    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, result.irradiance)
+    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, result.irradiance, score.border_um)
     iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
-    draw_iso(iso, result, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
+    draw_iso(iso, result, score.border_um, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.label}): the ideal image, the picture of one sensor, its ΔE map "
         f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
@@ -109,6 +110,7 @@ def coarse_table(values: Array, name: str) -> dict[str, Column]:
 def draw_iso(
     axes: Axes,
     result: StudyResult,
+    border_um: Border,
     smooth: Array,
     levels: Sequence[float],
     looks: Sequence[Look],
@@ -117,7 +119,7 @@ def draw_iso(
 ) -> list[tuple[float, float]]:
     """Curves of equal ΔE in the axes of the picture; returns their points, (x, y) in mm."""
     points: list[tuple[float, float]] = []
-    left, right, bottom, top = extent(result.irradiance)
+    left, right, bottom, top = extent(result.irradiance, border_um)
     x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
     y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
     there = [i for i, level in enumerate(levels) if smooth.min() < level < smooth.max()]
@@ -137,7 +139,7 @@ def draw_iso(
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.set_aspect("equal")
-    label_axes(axes, result.irradiance)
+    label_axes(axes, result.irradiance, border_um)
     for spine in axes.spines.values():
         spine.set(visible=True, color="0.8")
     return points

@@ -184,12 +184,12 @@ def decide_samples(
 
 def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tolerance_e: float, full: bool) -> Decision:
     """Left out where it changes no sample of a lone chart by more than its share, at the longest wavelength."""
-    disc_um = AIRY_DIAMETER * HIGH_NM / 1e3 * camera.working_f_number
+    disc_um = AIRY_DIAMETER * HIGH_NM / 1e3 * camera.effective_f_number
     told = f"Airy disc up to {disc_um:.3g} µm"
     if chart is None or full:
         return Decision("diffraction", True, f"{told}; what it does is known only from the picture" if not full else told)
     allowed = tolerance_e * DIFFRACTION_SHARE
-    effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.working_f_number, allowed)
+    effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.effective_f_number, allowed)
     if effect > allowed:
         return Decision("diffraction", True, f"{told}; changes samples of this chart by up to {effect:.1%}")
     return Decision(

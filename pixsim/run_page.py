@@ -46,6 +46,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     """Write report.html beside the run's other files, which it names, and whose pictures it holds."""
     window = worst_window([score.delta_e])
     width_mm, height_mm = extent(irradiance)[1:3]
+    left_mm, right_mm, bottom_mm, top_mm = extent(irradiance, score.border_um)
     physics, header = score.physics, irradiance.header
     parameters = header.get("parameters")  # in a file from elsewhere it may be anything
     name = f"{physics.pitch_um:g} µm pixels"
@@ -80,7 +81,9 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "samples_per_deg": display.samples_per_deg,
         "reduced": factor_for(score.ideal),
         "crops": crops(score, window, "the sensor's picture"),
-        "place_mm": (window.centre[0] * width_mm, window.centre[1] * height_mm),
+        "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
+        "border_um": score.border_um,
+        "dots": (score.delta_e.shape[1], score.delta_e.shape[0]),
         "scale_bar": scale(),
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in told.items()],

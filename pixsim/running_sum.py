@@ -1,7 +1,7 @@
 """Between cell means: running integrals of columns, exact at cell borders, interpolated by quintic splines.
 
 Box-film samples are exact means over their cells, so the running sum of a column is its running integral at the borders of
-its cells. A spline through it gives the integral between any two positions, and its derivative the picture at a point.
+its cells. A spline through it gives the integral between any two positions.
 Each column has a spline of its own: columns can be taken in strips of any width, with the same result.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -116,15 +116,6 @@ def spline_coefficients(samples: Array) -> Array:
 def values_at(edges: Array, n: int) -> csr_array:
     """What turns the coefficients of n cells into running integrals at positions from 0 to n, (positions, n + 1)."""
     return design_matrix(edges, knots_of(n).knots, knots_of(n).degree)
-
-
-def slopes_at(positions: Array, n: int) -> csr_array:
-    """The same for the derivative, which is the picture itself."""
-    knots, degree = knots_of(n).knots, knots_of(n).degree
-    lower = design_matrix(positions, knots[1:-1], degree - 1)
-    lower.data *= (degree / (knots[degree + 1 : -1] - knots[1 : -degree - 1]))[lower.indices]
-    zero = csr_array((lower.shape[0], 1))
-    return csr_array(hstack([zero, lower]) - hstack([lower, zero]))
 
 
 def running_integral(samples: Array) -> Array:

@@ -38,12 +38,13 @@ def stream(*key: object) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Score:
-    """What a viewer sees of a sensor's picture, beside what an ideal camera would have shown.
+    """What a viewer sees of a sensor's picture, next to what an ideal camera would have shown.
 
     delta_e : (H, W) S-CIELAB difference on the display's dots
     ideal, image : (H, W) shown luminance, 1 for white
     frame : behind the image
     physics : of the pixel
+    border_um : (above and below, left and right) width of the edge of the picture that is neither shown nor scored
     """
 
     delta_e: Array = field(repr=False)
@@ -51,6 +52,7 @@ class Score:
     image: Array = field(repr=False)
     frame: Frame = field(repr=False)
     physics: PixelPhysics = field(repr=False)
+    border_um: tuple[float, float] = (0.0, 0.0)
 
     @property
     def mean_delta_e(self) -> float:
@@ -146,6 +148,7 @@ class Bench:
     exposure: Exposure
     display: Display
     size_um: tuple[float, float]
+    dot_edges_um: tuple[Array, Array]
     white_e_per_s: float
     ideal: Array
     ideal_lab: Array
@@ -174,9 +177,10 @@ class Bench:
     def view(self, frame: Frame) -> Score:
         """What a viewer sees of a frame."""
         white_e = self.white_e_per_s * frame.integration_s
-        luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display)
+        luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display, self.dot_edges_um)
         image = displays.shown_luminance(luminance, self.display)
-        return Score(self.delta_e_of(image), self.ideal, image, frame, self.physics)
+        border_um = float(self.dot_edges_um[0][0]), float(self.dot_edges_um[1][0])
+        return Score(self.delta_e_of(image), self.ideal, image, frame, self.physics, border_um)
 
     def delta_e_of(self, image: Array) -> Array:
         """S-CIELAB difference of a shown picture from the ideal one, (H, W)."""
@@ -191,12 +195,14 @@ class Projection:
 
     rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
     white_e_per_s_um2 : of the scene's white, on axis
+    dot_edges_um : of the rows and columns of dots that are shown and scored
     ideal, ideal_lab : shown luminance on the display's dots, and its CIELAB as the eye blurs it
     """
 
     rate_e_per_s_um2: Array = field(repr=False)
     sample_pitch_um: float
     size_um: tuple[float, float]
+    dot_edges_um: tuple[Array, Array] = field(repr=False)
     white_e_per_s_um2: float
     ideal: Array = field(repr=False)
     ideal_lab: Array = field(repr=False)
@@ -207,13 +213,26 @@ class Projection:
         return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MOST_KEPT_SAMPLES else None
 
 
-def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, full: bool = False) -> Projection:
+def project(
+    irradiance: SpectralImage,
+    camera: Camera,
+    physics: PixelPhysics,
+    display: Display,
+    full: bool = False,
+    *,
+    border_um: float | None = None,
+) -> Projection:
     """Everything up to the pixels. Only the one_to_one raster, whose dots are pixels, makes it depend on the pitch.
+
+    border_um : the largest pitch that shares the frame, as `displays.dot_edges_um` takes it; None takes the pixel's own
 
     PixsimError for light that is negative or not finite.
     """
     refuse_impossible_light(irradiance)
-    luminance = displays.ideal_luminance(irradiance, camera, physics, display)
+    size_um = displays.picture_size_um(irradiance)
+    own_um = physics.pitch_um
+    edges_um = displays.dot_edges_um(size_um, own_um, display, own_um if border_um is None else border_um)
+    luminance = displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
     if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
         warnings.warn(
             f"{beyond:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2", stacklevel=4
@@ -222,7 +241,8 @@ def project(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, di
     return Projection(
         rate_e_per_s_um2=diffracted_rate(irradiance, camera, physics),
         sample_pitch_um=irradiance.pitch_um,
-        size_um=displays.picture_size_um(irradiance),
+        size_um=size_um,
+        dot_edges_um=edges_um,
         white_e_per_s_um2=displays.white_rate(irradiance, camera, physics, display),
         ideal=ideal,
         ideal_lab=seen_lab(ideal, display, full),
@@ -239,6 +259,7 @@ def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure, displ
         exposure=exposure,
         display=display,
         size_um=light.size_um,
+        dot_edges_um=light.dot_edges_um,
         white_e_per_s=light.white_e_per_s_um2 * physics.photodiode_area_um2,
         ideal=light.ideal,
         ideal_lab=light.ideal_lab,
@@ -282,18 +303,24 @@ def evaluate(
     >>> pixel, display = Pixel(pitch_um=84.8, prnu=0, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
     >>> score = evaluate(light, Camera(), pixel, display=display)
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
-    ((32, 32), 1.0)
+    ((30, 30), 1.0)
     """
     bench = make_bench(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
     return bench.score("evaluate", seed)
 
 
 def describe(score: Score, irradiance: SpectralImage) -> dict[str, Any]:
-    """score.json: numbers, then what made them; `pixels` are rows and columns."""
+    """score.json: numbers, then what made them.
+
+    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the edge of the picture that is not
+    scored.
+    """
     white = "the lamps' own" if displays.white_spectrum(irradiance) is not None else "D65: the lamps share no spectrum"
     return {
         **score.statistics(),
         "pixels": list(score.frame.dn.shape),
+        "scored_dots": list(score.delta_e.shape),
+        "border_um": list(score.border_um),
         "pixel": score.physics.pixel.model_dump(),
         "white_spectrum": white,
         "irradiance": irradiance.header,

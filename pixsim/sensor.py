@@ -22,7 +22,6 @@ from pixsim.pixel_grid import integrate_pixels as integrate_pixels
 from pixsim.pixel_grid import mean_signal_rate as mean_signal_rate
 from pixsim.pixel_grid import pixel_count as pixel_count
 from pixsim.pixel_grid import pixels_along as pixels_along
-from pixsim.pixel_grid import point_values as point_values
 from pixsim.pixel_grid import refuse_too_many as refuse_too_many
 from pixsim.pixel_grid import running_integral as running_integral
 from pixsim.saturation import kept_level_e

@@ -73,8 +73,8 @@ def decide_oversampling(
     """A coarser film for a scene without detail; else the scene's own, and how it compares with the lens and the photodiode."""
     pitch_um = 1e3 * camera.die_mm / width
     nyquist = 1e3 / (2 * pitch_um)
-    cutoff = float(optics.cutoff_cy_per_mm(GREEN_NM, camera.working_f_number))
-    left = float(optics.diffraction_otf(nyquist, GREEN_NM, camera.working_f_number))
+    cutoff = float(optics.cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
+    left = float(optics.diffraction_otf(nyquist, GREEN_NM, camera.effective_f_number))
     told = (
         f"{width} samples of {pitch_um:.3g} µm across: {physics.photodiode_side_um / pitch_um:.2g} a photodiode side; "
         f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"

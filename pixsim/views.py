@@ -109,10 +109,12 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     if not isinstance(light, Projection) or kept is None or kept.shape != pixels_of(light.size_um, pitch_um):
         bench = bench_at(study, light, result.camera, curve.technology, pitch_um)
         frame = bench.capture(*stream_key(study, bench.physics.technology.name, pitch_um, 0))
-        white_e, size_um = bench.white_e_per_s * frame.integration_s, bench.size_um
+        white_e, size_um, edges_um = bench.white_e_per_s * frame.integration_s, bench.size_um, bench.dot_edges_um
     else:
         physics, time_s = derive(pixel_of(study, curve.technology, pitch_um)), float(curve.statistics["integration_s"][place, 0])
         white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
+        edges_um = light.dot_edges_um
         unknown = np.broadcast_to(np.nan, kept.shape)  # nothing that is shown depends on the mean signal
         frame = frame_of(kept.astype(np.int32), unknown, physics, Exposure(integration_s=time_s))
-    return displays.shown_luminance(window.of(displays.frame_luminance(frame, size_um, white_e, study.display)), study.display)
+    luminance = displays.frame_luminance(frame, size_um, white_e, study.display, edges_um)
+    return displays.shown_luminance(window.of(luminance), study.display)

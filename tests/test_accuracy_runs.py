@@ -303,7 +303,7 @@ def truth_of(sensors: int = 16) -> float:
 
 def test_a_run_meets_its_tolerance_and_a_looser_one_is_cheaper(chart, tmp_path, monkeypatch):
     monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
-    tolerances = 0.05, 1.0
+    tolerances = 0.01, 1.0
     results = {t: run(chart, f"--tolerance-delta-e {t}", tmp_path / f"{t}") for t in tolerances}
     truth = truth_of()
     for tolerance, result in results.items():

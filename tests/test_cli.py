@@ -234,7 +234,8 @@ def test_json_on_stdout_is_score_json(picture: Path) -> None:
     told = json.loads((picture / "stdout").read_text(encoding="utf-8"))
     assert told == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
     delta_e = read_channels(picture / "out/delta_e.exr")[0]["delta_e"]
-    assert delta_e.shape == (128, 128)
+    assert delta_e.shape == tuple(told["scored_dots"]) == (126, 126)  # less a border of one pixel
+    assert told["border_um"] == pytest.approx([21.2, 21.2])
     assert told["mean_delta_e"] == pytest.approx(delta_e.mean(dtype=float), rel=1e-6)  # the file is float32
     assert told["pitch_um"] == 8.0
 
@@ -242,15 +243,15 @@ def test_json_on_stdout_is_score_json(picture: Path) -> None:
 def test_the_ideal_png_decodes_to_the_luminance_shown(picture: Path) -> None:
     """8 bits under gamma 2.2, on the display and in the PNG; half a code for rounding, a quarter for the render's 0.1 %."""
     png = imread(picture / "out/ideal.png")[:, :, :3]
-    assert png.shape == (128, 128, 3)
+    assert png.shape == (126, 126, 3)
     assert np.ptp(png, axis=2).max() == 0, "grey"
-    codes = 255 * expected_quadrants(128) ** (1 / 2.2)
-    assert np.abs(255.0 * png[:, :, 0] - codes)[away_from_edges(128)].max() < 0.75
+    codes = 255 * expected_quadrants(128)[1:-1, 1:-1] ** (1 / 2.2)
+    assert np.abs(255.0 * png[:, :, 0] - codes)[away_from_edges(128)[1:-1, 1:-1]].max() < 0.75
 
 
 def test_the_sensors_picture_has_the_same_sides_and_greys(picture: Path) -> None:
     """Means over a quadrant's middle, 2304 dots: noise and gamma's curvature stay below 0.5 %."""
-    png = imread(picture / "out/image.png")[:, :, 0].astype(float)
+    png = np.pad(imread(picture / "out/image.png")[:, :, 0].astype(float), 1)  # a dot of border is not shown
     middles = np.where(away_from_edges(128), 1.0, np.nan)
     shown, expected = (
         np.nanmean((middles * image).reshape(2, 64, 2, 64), axis=(1, 3)) for image in (png**2.2, expected_quadrants(128))

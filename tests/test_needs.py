@@ -138,7 +138,7 @@ def test_a_soft_chart_is_left_to_the_lens(tmp_path: Path):
         pixsim.write_chart(tmp_path / "soft.exr", np.tile(wave.astype(np.float32), (2, 1)))
         plan = render_plan("csf", chart=str(tmp_path / "soft.exr"), resolution=128)
         assert plan.diffraction == kept
-    cutoff = optics.cutoff_cy_per_mm(830.0, pixsim.Camera().working_f_number)
+    cutoff = optics.cutoff_cy_per_mm(830.0, pixsim.Camera().effective_f_number)
     assert 4 / np.pi * 0.03 / 0.47 / (2 * 2.7136) / cutoff < 1e-4  # by the OTF's slope at 0, 4/π over the cut-off
 
 

@@ -14,6 +14,7 @@ from scipy.integrate import quad
 
 from pixsim import optics
 from pixsim.errors import PixsimError
+from pixsim.parameters import Camera
 
 NM = np.array([550.0])
 ONE = np.array([1.0])
@@ -120,6 +121,15 @@ def test_square_aperture_mtf():
     # A photodiode as wide as the pitch: 2/π at the Nyquist frequency 1/(2 · 5 µm), zero at 1/5 µm.
     assert optics.square_aperture_mtf(100.0, 5.0) == pytest.approx(2 / np.pi, rel=1e-14)
     assert optics.square_aperture_mtf(200.0, 5.0) == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("f_number", [1.0, 1.8, 4.0, 1000.0])
+def test_light_and_blur_see_one_pupil(f_number):
+    """E = π L sin²α on axis, and a cut-off of 2 sin α/λ, of one α; with a camera whose image is a fifth of its object."""
+    camera = Camera(focal_length_mm=50.0, f_number=f_number, object_distance_m=0.3)
+    sin_alpha = np.sqrt(optics.irradiance_factor(f_number, 0.0, camera.magnification) / np.pi)
+    assert optics.cutoff_cy_per_mm(500.0, camera.effective_f_number) == pytest.approx(2 * sin_alpha / 500e-6, rel=1e-13)
+    assert np.tan(np.arcsin(sin_alpha)) == pytest.approx(1 / (2 * f_number * 1.2), rel=1e-12)
 
 
 # --- Convolution ---

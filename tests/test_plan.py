@@ -202,7 +202,7 @@ def test_oversampling_tells_photodiode_and_lens():
     pixel, camera = pixsim.Pixel(pitch_um=8.0, fill_factor=0.25), pixsim.Camera(f_number=8.0)
     reason = decision(make_plan(load("csf", resolution=512), camera, pixel), "oversampling").reason
     pitch_um = 2713.6 / 512
-    x = 1e3 / (2 * pitch_um) * 550e-6 * camera.working_f_number
+    x = 1e3 / (2 * pitch_um) * 550e-6 * camera.effective_f_number
     otf = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
     for told in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} a photodiode side", f"{otf:.0%}"):
         assert told in reason

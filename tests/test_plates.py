@@ -192,11 +192,12 @@ def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evide
     assert len(set(pitch_um)) >= 2
     assert 0.99 <= frequency.min() < frequency.max() <= 33.4
     assert 0.0095 <= contrast.min() < contrast.max() <= 0.952
-    dots = evidence.maps[8.0].shape[0]
+    cut = (120 - evidence.maps[8.0].shape[0]) / 2
+    assert cut == 1, "a border of 15 µm is one dot of 22.6 µm"
     smooth = gaussian_filter(evidence.maps[8.0], ISO_SMOOTHING_DOTS, mode="nearest")
     here = pitch_um == 8.0
-    x = np.log(frequency[here]) / np.log(1e3 / 30) * dots - 0.5
-    y = (1 - np.log(contrast[here] / (975 / 1025)) / np.log(0.01)) * dots - 0.5
+    x = np.log(frequency[here]) / np.log(1e3 / 30) * 120 - cut - 0.5
+    y = (1 - np.log(contrast[here] / (975 / 1025)) / np.log(0.01)) * 120 - cut - 0.5
     level = map_coordinates(smooth, [y, x], order=1, mode="nearest")
     # The contour is drawn by lines between samples: off by the curvature within one.
     np.testing.assert_allclose(level, STUDY["iso_delta_e"], rtol=0.02)
@@ -205,17 +206,18 @@ def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evide
 def test_figure_5_s_map_is_the_mean_of_the_sensors(plates: dict[str, Plate], evidence: Evidence) -> None:
     plate = plates["figure_5_pictures_8um"]
     cells = np.stack([column(plate, name) for name in plate.table if name != "row"], axis=1)
-    sizes = np.array([each.size for each in np.array_split(np.arange(120), 64)])
-    weighed = (cells * sizes[:, None] * sizes).sum() / 120**2
+    sizes = np.array([each.size for each in np.array_split(np.arange(118), 64)])
+    weighed = (cells * sizes[:, None] * sizes).sum() / 118**2
     assert weighed == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
 
 
 def test_errors_by_cell_keep_the_mean_of_the_map(plates: dict[str, Plate], evidence: Evidence) -> None:
-    """120 dots are whole numbers of six and eight, so all cells are of one size."""
+    """118 dots in six columns and eight rows: cells of 19 and 20 by 14 and 15 dots."""
     plate = plates["delta_e_by_frequency_and_contrast"]
     cells = np.stack([column(plate, name) for name in plate.table if name != "contrast"])
     assert cells.shape == (6, 8)
-    assert cells.mean() == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
+    sizes = [[each.size for each in np.array_split(np.arange(118), parts)] for parts in (6, 8)]
+    assert (cells * np.outer(*sizes)).sum() / 118**2 == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
 
 
 def test_light_and_detail_are_bought_with_each_other(plates: dict[str, Plate], result: StudyResult) -> None:

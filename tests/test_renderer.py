@@ -213,7 +213,8 @@ def test_contrast_is_diffraction_times_photodiode(f_number, distance_m, frequenc
 
     physics, nm = derive(pixel), image.wavelength_nm
     electrons = physics.quantum_efficiency(nm) * nm * image.factors[0][0]
-    half_angle = np.arccos(np.minimum(frequency_lp_per_mm * nm * 1e-6 * f_number * (1 + 3.86 / (1e3 * distance_m - 3.86)), 1))
+    sin_alpha = np.sin(np.arctan(1 / (2 * f_number * (1 + 3.86 / (1e3 * distance_m - 3.86)))))
+    half_angle = np.arccos(np.minimum(frequency_lp_per_mm * nm * 1e-6 / (2 * sin_alpha), 1))
     otf = (electrons * (2 * half_angle - np.sin(2 * half_angle)) / np.pi).sum() / electrons.sum()
     aperture = np.sinc(frequency_lp_per_mm * physics.photodiode_side_um * 1e-3)
     expected = 0.9 * otf * aperture
@@ -283,7 +284,7 @@ def test_top_left_stays_top_left_in_every_file(tmp_path):
         "image.png": matplotlib.image.imread(out / "image.png")[:, :, 0],
     }
     for name, picture in pictures.items():
-        assert picture.shape == (64, 64), name
+        assert picture.shape == ((62, 62) if name.endswith("png") else (64, 64)), name  # shown without a border of one dot
         corners = [picture[rows, columns].mean() for rows in np.s_[2:12, 52:62] for columns in np.s_[2:12, 52:62]]
         top_left, top_right, bottom_left, bottom_right = corners
         assert top_left > 1.2 * top_right > 1.2**2 * bottom_left > 1.2**3 * bottom_right, name

@@ -249,7 +249,7 @@ def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(made: tuple[StudyResult
     assert_sliders_move(found, pictures=3)
     for seen in found:
         assert len(seen.tiles) == sum(1 + curve.pitch_um.size + 9 for curve in made[0].curves)
-        assert {tuple(tile) for tile in seen.tiles} == {(96, 96, 96, 96)}
+        assert {tuple(tile) for tile in seen.tiles} == {(94, 94, 94, 94)}
         assert seen.headings[0][1] == TITLE
 
 

@@ -62,11 +62,12 @@ def test_it_tells_where_the_largest_errors_are(tmp_path: Path) -> None:
     code, _, err = command(f"run {light} {camera} --out {tmp_path / 'out'}")
     assert code == 0, err
     delta_e = read_channels(tmp_path / "out/delta_e.exr")[0]["delta_e"]
-    starts = sorted({*range(0, 256 - 112 + 1, 28), 256 - 112})
+    assert delta_e.shape == (250, 250)  # a pixel of 15 µm is three dots of 5 µm
+    starts = sorted({*range(0, 250 - 112 + 1, 28), 250 - 112})
     means = {(left, top): delta_e[top : top + 112, left : left + 112].mean() for left in starts for top in starts}
     left, top = max(means, key=means.__getitem__)
     assert top < 40 < 100 < left
-    x_mm, y_mm = ((at + 56) / 256 * 1.28 for at in (left, top))
+    x_mm, y_mm = ((3 + at + 56) / 256 * 1.28 for at in (left, top))
     page = text_of(tmp_path / "out")
     assert f"its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
 
@@ -93,7 +94,7 @@ SHEET = "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-
 
 def test_a_picture_from_elsewhere_and_a_sensor_of_a_data_sheet(tmp_path: Path) -> None:
     """The page names the file, and lists no setting of a process, nor a fill factor that nobody told."""
-    y, x = np.indices((2, 3000))
+    y, x = np.indices((6, 3000))
     light_file(tmp_path / "mine.npz", 1 + (x // 50 + y) % 2, 1.5)
     sensor = f"--pixel.technology none {SHEET} --pixel.pitch-um 1.5 --display.dots 4096"
     code, _, err = command(f"run {tmp_path / 'mine.npz'} {sensor} --camera.die-mm 4.5 --out {tmp_path / 'out'}")
@@ -115,7 +116,7 @@ def test_a_picture_of_few_dots_is_enlarged_by_a_whole_number(tmp_path: Path) -> 
     line = f"run csf --variant scalar_spectral -D resolution=64 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
     assert command(line)[0] == 0
     page = text_of(tmp_path)
-    assert "--dots: 240px" in page
+    assert "--dots: 228px" in page  # 38 of 40 dots are shown
     assert "(each dot enlarged 6 ×)" in page
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 from pixsim import running_sum
-from pixsim.pixel_grid import integrate_axis, integrate_pixels, point_values
+from pixsim.pixel_grid import integrate_axis, integrate_pixels
 from pixsim.running_sum import Columns, running_integral
 
 
@@ -34,13 +34,6 @@ def test_the_spline_is_scipys(n, degree):
     spline, at = by_scipy(samples, degree), np.sort(np.random.default_rng(2).uniform(0, n, 50))
     found = integrate_axis(samples, 1.0, at[:25], at[25:], 0)
     np.testing.assert_allclose(found, spline(at[25:]) - spline(at[:25]), rtol=0, atol=4e-15 * n)
-    exact = spline.derivative()(at)
-    np.testing.assert_allclose(point_values(samples, 1.0, at, np.arange(3) + 0.5)[:, 1], _across(exact)[:, 1], atol=1e-12 * n)
-
-
-def _across(columns: np.ndarray) -> np.ndarray:
-    """The same along the other axis, at the middle of each of three cells."""
-    return by_scipy(columns.T, 3).derivative()(np.arange(3) + 0.5).T
 
 
 @pytest.mark.parametrize("picture", [smooth((33, 50)), mixed()], ids=["smooth", "edges"])
@@ -48,7 +41,6 @@ def _across(columns: np.ndarray) -> np.ndarray:
 def test_strips_and_columns_on_demand_change_nothing(monkeypatch, picture, pitch_um, side_um):
     whole = integrate_pixels(picture, 1.0, pitch_um, side_um)
     kept = integrate_pixels(picture, 1.0, pitch_um, side_um, running_integral(picture))
-    points = point_values(picture, 1.0, np.arange(5.0), np.arange(7.0))
     monkeypatch.setattr(running_sum, "STRIP_COLUMNS", 3)
     asked: list[tuple[int, int]] = []
 
@@ -65,7 +57,6 @@ def test_strips_and_columns_on_demand_change_nothing(monkeypatch, picture, pitch
         kept,
     ):
         assert np.abs(found - whole).max() < 1e-13 * scale
-    assert np.abs(point_values(picture, 1.0, np.arange(5.0), np.arange(7.0)) - points).max() < 1e-12 * np.abs(points).max()
     assert set(asked) == {(first, min(first + 3, width)) for first in range(0, width, 3)}
 
 

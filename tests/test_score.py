@@ -106,7 +106,7 @@ def test_large_films_need_little_more_than_one_plane():
     image, silent = chart(n), chart(n, header=False)
     light = score.project(image, CAMERA, physics, display)
     rate = light.rate_e_per_s_um2
-    grid = light.sample_pitch_um, 5.3, 3.0
+    grid, edges_um = (light.sample_pitch_um, 5.3, 3.0), light.dot_edges_um
     on_demand = Columns(rate.shape, lambda first, last: rate[:, first:last])
     works = {
         "project": (lambda: score.project(image, CAMERA, physics, display), 1.1, 1.6),
@@ -114,7 +114,7 @@ def test_large_films_need_little_more_than_one_plane():
         "diffraction": (lambda: diffracted_rate(image, CAMERA, physics), 1.0, 1.3),
         "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),
         "pixels on demand": (lambda: integrate_pixels(on_demand, *grid), 0.4, 0.8),
-        "ideal image": (lambda: displays.ideal_luminance(image, CAMERA, physics, display), 1.0, 1.6),
+        "ideal image": (lambda: displays.ideal_luminance(image, CAMERA, physics, display, edges_um), 1.0, 1.6),
         "white": (lambda: displays.measured_white(silent, CAMERA), 2.0, 2.6),
         "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
     }

@@ -108,24 +108,6 @@ def test_contrast_of_a_sinusoid_is_the_sinc_of_the_photodiode(frequency_lp_per_m
     assert mean == pytest.approx(side_um**2, rel=1e-4)
 
 
-def test_point_values_recover_a_smooth_function_from_its_cell_means():
-    n, length_um = 64, 64.0
-    line = cell_means(lambda x: 3 * x + 10 * np.sin(x / 10), n, length_um)
-    row = cell_means(lambda x: x - 8 * np.cos(x / 8 + 1), n, length_um)
-    y_um, x_um = np.linspace(0, length_um, 37), np.linspace(0, length_um, 101)
-    found = sensors.point_values(row[:, None] * line, 1.0, y_um, x_um)
-    exact = (1 + np.sin(y_um / 8 + 1))[:, None] * (3 + np.cos(x_um / 10))
-    # Found 2.5e-8 inside and 9.9e-6 at the very border. The cell means themselves are 7e-4 off.
-    assert np.abs(found - exact).max() < 2e-5
-    assert np.abs(found - exact)[4:-4, 10:-10].max() < 1e-7
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (1, 5)])
-def test_point_values_on_tiny_grids(shape):
-    found = sensors.point_values(np.full(shape, 2.5), 1.0, np.array([0.0, 0.5]), np.array([0.1, 0.9, 1.0]))
-    np.testing.assert_allclose(found, 2.5, rtol=1e-12)
-
-
 def test_a_pitch_larger_than_the_die_is_refused():
     with pytest.raises(PixsimError, match=r"pitch_um: got 11; allowed: at most the die, 10"):
         sensors.integrate_pixels(np.ones((10, 20)), 1.0, 11.0, 5.0)
@@ -359,6 +341,21 @@ def test_electrons_do_not_depend_on_oversampling():
     assert coarse.sum() == pytest.approx(fine.sum(), rel=1e-5)
     assert np.abs(coarse - fine)[3:-3, 3:-3].max() < 1e-4 * fine.mean()
     assert np.abs(coarse - fine).max() < 1e-3 * fine.mean()
+
+
+@pytest.mark.parametrize("f_number", [1.0, 1.8, 8.0])
+def test_a_grating_behind_the_lens_keeps_the_contrast_of_a_pupil_of_2_sin_alpha(f_number):
+    """At 0.3 of 2 sin α/λ, with tan α = 1/(2 N (1 + |m|)): a cut-off of 2 tan α/λ would be 12 % off at f/1."""
+    camera, wavelength_mm, n = Camera(f_number=f_number), 550e-6, 512
+    sin_alpha = np.sin(np.arctan(1 / (2 * camera.working_f_number)))
+    periods = 16
+    pitch_um = 1e3 * periods / (0.3 * 2 * sin_alpha / wavelength_mm) / n
+    cosine = np.cos(2 * np.pi * periods * (np.arange(n) + 0.5) / n)  # an even number of half periods: reflected smoothly
+    light = SpectralImage([550.0], 10.0, pitch_um, factors=([[1e-3]], [np.tile(1 + 0.5 * cosine, (4, 1))]))
+    rate = sensors.diffracted_rate(light, camera, derive(Pixel()))
+    contrast = 2 * (rate * cosine).mean() / rate.mean() / 0.5
+    otf = 2 / np.pi * (np.arccos(0.3) - 0.3 * np.sqrt(1 - 0.3**2))
+    assert contrast == pytest.approx(otf, rel=1e-6)  # float32 pictures
 
 
 def test_general_and_factored_images_give_the_same_electrons():

@@ -22,6 +22,7 @@ from pixsim.sweep import StudyResult
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
 # Dim, so that few and coarse dots show a minimum between noise and blur.
 TINY = {
     "name": "tiny",
@@ -84,7 +85,7 @@ def test_a_row_for_every_pitch_and_sensor(done: tuple[StudyResult, Path]) -> Non
     assert best.inside
     assert best.within_2_percent_um[0] <= best.within_1_percent_um[0] < best.pitch_um < best.within_1_percent_um[1]
     # The fitted minimum can lie below the lowest point, not above its mean by more than the fit smooths.
-    assert best.mean_delta_e == pytest.approx(curve.delta_e.mean(axis=1).min(), rel=0.03)
+    assert best.mean_delta_e == pytest.approx(curve.delta_e.mean(axis=1).min(), rel=0.06)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +145,7 @@ def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluati
 
 
 def test_sensors_that_a_target_asked_for_are_kept_too(tmp_path: Path, evaluations: list[Frame]) -> None:
-    study = tiny(repeats=2, target_ci_um=1e-6, max_repeats=3, pitch={"values_um": PITCHES_UM[:5]})
+    study = tiny(repeats=2, target_ci_um=1e-6, max_repeats=3, pitch={"values_um": FIVE_UM})
     first = pixsim.study(study, tmp_path, jobs=1)
     assert (len(evaluations), first.curves[0].delta_e.shape) == (15, (5, 3))
     before = (tmp_path / "results.csv").read_bytes()
@@ -171,7 +172,7 @@ def test_a_file_that_was_cut_off_is_completed(
 def test_rows_of_another_content_are_not_taken_for_finished(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """Seed, display, exposure, sensor and scene are all in a row's key; the title and the iso level are not."""
     own = set(keys(done[1]))
-    few = {"repeats": 2, "pitch": {"values_um": PITCHES_UM[:5]}}
+    few = {"repeats": 2, "pitch": {"values_um": FIVE_UM}}
     others = {
         "seed": tiny(seed=2, **few),
         "display": tiny(**merge(few, {"display": {"gamma": 1.8}})),
@@ -193,7 +194,7 @@ def test_rows_of_another_content_are_not_taken_for_finished(done: tuple[StudyRes
 def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, evaluations: list[Frame]) -> None:
     chart = tmp_path / "chart.exr"
     scene = {"parameters": {"chart": str(chart)}}
-    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[:5]}, scene=scene)
+    study = tiny(repeats=2, pitch={"values_um": FIVE_UM}, scene=scene)
     counts = []
     for dark in (0.1, 0.1, 0.2):
         pixsim.write_chart(chart, np.kron([[dark, 1.0]], np.ones((16, 8))).astype(np.float32))
@@ -214,12 +215,12 @@ def test_more_of_the_same_computes_the_difference_only(
 
 
 def test_a_row_depends_on_its_own_pitch_only(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    """Half of the pitches, others beside them, backwards: a shared pitch gives the same row."""
-    pixsim.study(tiny(pitch={"values_um": [11.0, 9.9, 8.5, 7.7, 6.0]}), tmp_path, jobs=1)
-    shared = {"6.0", "8.5", "11.0"}
+    """Some of the pitches, others among them, backwards, up to the same largest one: a shared pitch gives the same row."""
+    pixsim.study(tiny(pitch={"values_um": [PITCHES_UM[-1], 11.0, 9.9, 8.5, 7.7, 6.0]}), tmp_path, jobs=1)
+    shared = {"6.0", "8.5", "11.0", str(PITCHES_UM[-1])}
     mine, theirs = ([row for row in rows(folder) if row["pitch_um"] in shared] for folder in (tmp_path, done[1]))
     assert mine == theirs
-    assert len(mine) == 9
+    assert len(mine) == 12
 
 
 def test_a_stream_depends_on_its_key_and_on_nothing_else() -> None:
@@ -240,9 +241,9 @@ def test_a_stream_depends_on_its_key_and_on_nothing_else() -> None:
 
 def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """Quick rows are rows of the study itself: the table changes how much is done, not what."""
-    study = tiny(quick={"repeats": 2, "pitch": {"values_um": PITCHES_UM[:5]}})
+    study = tiny(quick={"repeats": 2, "pitch": {"values_um": FIVE_UM}})
     (curve,) = pixsim.study(study, tmp_path, quick=True, jobs=1).curves
-    np.testing.assert_array_equal(curve.delta_e, done[0].curves[0].delta_e[:5, :2])
+    np.testing.assert_array_equal(curve.delta_e, done[0].curves[0].delta_e[[0, 1, 2, 3, 5], :2])
     assert set(keys(tmp_path)) < set(keys(done[1]))
 
 

@@ -135,9 +135,9 @@ def test_whole_pictures_of_a_study_are_bounded_and_details_are_not(result: Study
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)
     assert views.factor == 3
-    means = best.ideal[:159, :159].reshape(53, 3, 53, 3).mean(axis=(1, 3))
+    means = best.ideal[:156, :156].reshape(52, 3, 52, 3).mean(axis=(1, 3))
     np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(means))
-    assert {(each.width, each.height) for each in views.outputs} == {(53, 53)}
+    assert {(each.width, each.height) for each in views.outputs} == {(52, 52)}
     assert {(each.width, each.height) for each in views.tiles} == {(112, 112)}
 
 

@@ -110,7 +110,7 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
     key = content_hash(
         [scene.content_hash, scene.parameters, scene.sensor_id, scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
          load_technology(setup.pixel.technology).model_dump(exclude={"sources"}), setup.exposure.model_dump(),
-         setup.display.model_dump(), setup.seed, setup.at_optimum, plan.spp, plan.tolerance_e, plan.lens,
+         setup.display.model_dump(), setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
          plan.passes, cache.made_by("mitsuba", "drjit")]
     )  # fmt: skip
     return cache.kept("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, setup), asdict)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -35,6 +35,7 @@ class Setup:
     pitches_um : at which the optimum is looked for; empty where none is wanted
     sensors : individual sensors; each pitch takes the same ones every time
     at_optimum : whether the pixel's pitch is the optimum's, whatever it says
+    border_um : the largest pitch of the study whose frame is scored; None takes the largest that is tried
     """
 
     camera: Camera
@@ -45,6 +46,7 @@ class Setup:
     pitches_um: tuple[float, ...] = ()
     sensors: int = 1
     at_optimum: bool = False
+    border_um: float | None = None
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Setup:
@@ -115,7 +117,7 @@ def probe(image: SpectralImage, setup: Setup) -> Probe:
     """Sense and score a picture at the set-up's pixel, and at its pitches."""
     start = time.perf_counter()
     with unheard():
-        bench_at = benches(image, setup)
+        bench_at = benches(image, setup, setup.pitches_um)
         bench = bench_at(setup.pixel.pitch_um)
         middle = time.perf_counter()
         first = score(bench, setup, setup.pixel.pitch_um, 0)
@@ -172,18 +174,24 @@ def scores(bench: Bench, setup: Setup, pitch_um: float) -> list[float]:
     return [score(bench, setup, pitch_um, sensor) for sensor in range(setup.sensors)]
 
 
-def benches(image: SpectralImage, setup: Setup) -> Callable[[float], Bench]:
-    """A bench of any pitch; what the pitches share is made once."""
-    shared: list[Projection] = []
+def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], Bench]:
+    """A bench of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless it is the optimum's.
+
+    What pitches of one frame share is made once.
+    """
+    shared: dict[float, Projection] = {}
+    own_um = setup.pixel.pitch_um
 
     def at(pitch_um: float) -> Bench:
         pixel = setup.pixel.model_copy(update={"pitch_um": pitch_um})
         if setup.display.raster == "one_to_one":
             return make_bench(image, setup.camera, pixel, setup.exposure, setup.display)
         physics = derive(pixel)
-        if not shared:
-            shared.append(project(image, setup.camera, physics, setup.display))
-        return bench_of(shared[0], physics, setup.exposure, setup.display)
+        alone = pitch_um == own_um and not setup.at_optimum
+        border_um = own_um if alone else setup.border_um or max(pitches_um, default=own_um)
+        if border_um not in shared:
+            shared[border_um] = project(image, setup.camera, physics, setup.display, border_um=border_um)
+        return bench_of(shared[border_um], physics, setup.exposure, setup.display)
 
     return at
 
@@ -215,8 +223,8 @@ def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) ->
     if low * AROUND >= high:
         return ()
     with unheard():
-        bench_at = benches(image, setup)
         scanned = np.geomspace(low, high, SCAN_PITCHES)
+        bench_at = benches(image, setup, scanned.tolist())
         errors = [score(bench_at(p), setup, p, 0) for p in scanned.tolist()]
     best = float(scanned[int(np.argmin(errors))])
     around = np.geomspace(max(low, best / AROUND), min(high, best * AROUND), count)

@@ -79,8 +79,11 @@ def score_in_stages(image: SpectralImage, setup: Setup, laps: Laps) -> None:
         white_e = (
             displays.white_rate(image, setup.camera, physics, setup.display) * physics.photodiode_area_um2 * frame.integration_s
         )
-        ideal = displays.shown_luminance(displays.ideal_luminance(image, setup.camera, physics, setup.display), setup.display)
-        shown = displays.frame_luminance(frame, displays.picture_size_um(image), white_e, setup.display)
+        size_um = displays.picture_size_um(image)
+        edges_um = displays.dot_edges_um(size_um, physics.pitch_um, setup.display, physics.pitch_um)
+        ideal_luminance = displays.ideal_luminance(image, setup.camera, physics, setup.display, edges_um)
+        ideal = displays.shown_luminance(ideal_luminance, setup.display)
+        shown = displays.frame_luminance(frame, size_um, white_e, setup.display, edges_um)
         picture = displays.shown_luminance(shown, setup.display)
         map_ = delta_e(seen_lab(ideal, setup.display), seen_lab(picture, setup.display), setup.display.delta_e)
     score = Score(map_, ideal, picture, frame, physics)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pixsim.display import average_axis
-from pixsim.sensor import integrate_pixels, point_values
+from pixsim.sensor import integrate_pixels
 from pixsim.spectral import Array
 from pixsim.stability import Case, compare
 
@@ -159,14 +159,6 @@ def _small_and_large(picture: Array) -> Iterator[Case]:
         got,
         ROUNDED * SIDE / small,
         "limit: the value at its centre; roundings of a running sum over the width",
-    )
-    at = np.linspace(0.0, SIDE * SAMPLE_UM, 200)
-    yield compare(
-        "values at points of a linear picture, borders included",
-        plane(at, at, SIDE),
-        point_values(sampled_plane((SIDE, SIDE), SAMPLE_UM, SIDE), SAMPLE_UM, at, at),
-        4 * ROUNDED * SIDE,
-        "closed form; roundings of a running sum, which the slope at a border amplifies",
     )
     order, side = 5, 0.6 * math.pi
     wave = np.cos(np.pi * order * (np.arange(SIDE) + 0.5) / SIDE) * np.sinc(order / (2 * SIDE))  # exact means of the samples

@@ -107,7 +107,7 @@ def plain_optics(image: SpectralImage) -> np.ndarray:
         margin = image.shape[0] // 2
         padded = np.pad(image.band(k).astype(float), margin, mode="symmetric")
         fy, fx = np.fft.fftfreq(padded.shape[0], image.pitch_um * 1e-3), np.fft.rfftfreq(padded.shape[1], image.pitch_um * 1e-3)
-        otf = optics.diffraction_otf(np.hypot(fx, fy[:, None]), nm, CAMERA.working_f_number)
+        otf = optics.diffraction_otf(np.hypot(fx, fy[:, None]), nm, CAMERA.effective_f_number)
         total += np.fft.irfft2(np.fft.rfft2(padded) * otf, padded.shape)[margin:-margin, margin:-margin]
     return total
 

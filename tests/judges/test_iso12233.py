@@ -96,12 +96,12 @@ def irradiance_of(work: Work, angle_deg: float, f_number: float, folder: Path) -
 
 
 def theory(
-    frequency_cy_per_px: np.ndarray, angle_deg: float, image: SpectralImage, working_f_number: float, pixel: Pixel, side_um: float
+    frequency_cy_per_px: np.ndarray, angle_deg: float, image: SpectralImage, f_number: float, pixel: Pixel, side_um: float
 ) -> np.ndarray:
     """MTF along the normal of an edge: Σ share · (2/π)(acos x - x √(1-x²)) · sinc · sinc."""
     frequency_cy_per_mm = frequency_cy_per_px * 1e3 / pixel.pitch_um
     share = electrons_per_joule(derive(pixel), image) * image.mean_spectrum()
-    x = np.minimum(frequency_cy_per_mm[:, None] * image.wavelength_nm * 1e-6 * working_f_number, 1.0)
+    x = np.minimum(frequency_cy_per_mm[:, None] * image.wavelength_nm * 1e-6 * f_number, 1.0)
     lens = (2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2)) * share / share.sum()).sum(axis=1)
     angle, side_mm = np.radians(angle_deg), side_um * 1e-3
     along, across = (np.sinc(frequency_cy_per_mm * side_mm * part) for part in (np.cos(angle), np.sin(angle)))
@@ -136,8 +136,8 @@ def truth(
     """The theory of a setting; of another f-number, or of a photodiode `side` times as wide, to see that it would show."""
     pixel = Pixel(pitch_um=setting.pitch_um)
     image = irradiance_of(work, setting.angle_deg, setting.f_number, folder)
-    working = camera_of(f_number or setting.f_number).working_f_number
-    return theory(frequency_cy_per_px, setting.angle_deg, image, working, pixel, side * derive(pixel).photodiode_side_um)
+    effective = camera_of(f_number or setting.f_number).effective_f_number
+    return theory(frequency_cy_per_px, setting.angle_deg, image, effective, pixel, side * derive(pixel).photodiode_side_um)
 
 
 def estimate(setting: Setting, work: Work, folder: Path, half_window_px: float = HALF_WINDOW_PX) -> EdgeResponse:
