@@ -1,0 +1,88 @@
+"""Dense sweeps of mean ΔE against pitch, from which `interval_coverage.py` draws its studies: tests/data/dense_sweeps/*.csv.
+
+python tests/benchmarks/dense_sweeps.py [NAME …]
+
+Each pitch has its own sensors. A file holds the mean and the standard deviation of the sensors' mean ΔE at every pitch.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pixsim
+from pixsim.evaluations import study_pitches_um
+from pixsim.sweep import load_study
+
+DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
+SENSORS = 8
+# docs/how_small.md
+GATE_SENSOR = {
+    "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3, "quantum_efficiency": 0.62, "bits": 12,
+    "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2, "data_sheet_pitch_um": 3.75,
+}  # fmt: skip
+GATE: dict[str, Any] = {
+    "name": "gate",
+    "seed": 1,
+    "technologies": ["none"],
+    "camera": {"die_mm": 2.4, "focal_length_mm": 4.0, "f_number": 2.8},
+    "pixel": GATE_SENSOR,
+    "exposure": {"max_integration_s": 0.033},
+}
+
+
+def chen2000(technology: str, count: int, **more: Any) -> pixsim.Study:
+    """The packaged study for one technology, at `count` pitches of its own range."""
+    study = load_study("chen2000").model_copy(update={"technologies": (technology,), "paper": False, "target_ci_um": None})
+    table = study.model_dump(mode="json", exclude={"quick"})
+    table["pitch"]["count"] = count
+    return pixsim.Study.model_validate(table | more)
+
+
+def gate(luminance_cd_per_m2: float, f_number: float, count: int) -> pixsim.Study:
+    """The camera of docs/how_small.md in a given light, with another lens."""
+    scene = {"file": "csf", "parameters": {"luminance_cd_per_m2": luminance_cd_per_m2}}
+    pitch = {"min_um": 1.326, "max_um": 10.607, "count": count}
+    return pixsim.Study.model_validate(GATE | {"scene": scene, "pitch": pitch, "camera": GATE["camera"] | {"f_number": f_number}})
+
+
+def studies() -> dict[str, pixsim.Study]:
+    """Name of a file -> the study behind it."""
+    one_to_one = {"display": {"raster": "one_to_one", "white_cd_per_m2": 1000.0}}
+    return {
+        "chen2000_0.35um": chen2000("0.35um", 140),
+        "evening": gate(10.0, 2.8, 50),
+        "flat": gate(80.0, 8.0, 60),  # the lens blurs more than most of the pixels
+        "near_an_end": chen2000("0.5um", 60),
+        "at_the_end": chen2000("0.35um", 60, **one_to_one),
+        "skewed": chen2000("0.18um", 80),
+    }
+
+
+def sweep(study: pixsim.Study) -> np.ndarray:
+    """(pitches, sensors) mean ΔE."""
+    study = study.model_copy(update={"repeats": SENSORS})
+    with tempfile.TemporaryDirectory() as folder:
+        return pixsim.study(study, folder).curves[0].delta_e
+
+
+def main(names: list[str]) -> None:
+    DATA.mkdir(parents=True, exist_ok=True)
+    for name, study in studies().items():
+        if names and name not in names:
+            continue
+        delta_e = sweep(study)
+        rows = zip(study_pitches_um(study, study.technologies[0]), delta_e.mean(axis=1), delta_e.std(axis=1, ddof=1), strict=True)
+        with (DATA / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(["pitch_um", "mean_delta_e", "sensor_std_delta_e"])
+            writer.writerows([f"{pitch:.4f}", f"{mean:.6f}", f"{std:.6f}"] for pitch, mean, std in rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
