@@ -25,7 +25,7 @@ from pixsim.pixel_grid import pixels_along as pixels_along
 from pixsim.pixel_grid import point_values as point_values
 from pixsim.pixel_grid import refuse_too_many as refuse_too_many
 from pixsim.pixel_grid import running_integral as running_integral
-from pixsim.saturation import kept_level_e
+from pixsim.saturation import kept_level_e, saturation_level_e
 from pixsim.spectral import Array, SpectralImage
 
 # Above this mean NumPy's Poisson is wrong (variance +3.5 % at 1e15) and a rounded normal differs from it by less than
@@ -135,6 +135,8 @@ class Frame:
     mean_dark_e : of a pixel, in this exposure
     pitch_um : centre to centre
     bits : of the ADC
+    saturated_fraction : of the pixels, those whose charge reached `saturation_level_e` (light and dark, with shot noise,
+        before reset noise and offsets) or whose DN is the top code
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -145,6 +147,7 @@ class Frame:
     mean_dark_e: float
     pitch_um: float
     bits: int
+    saturated_fraction: float
 
     @property
     def electrons(self) -> Array:
@@ -158,11 +161,6 @@ class Frame:
         electrons /= self.dn_per_e
         electrons -= self.mean_dark_e
         return electrons
-
-    @property
-    def saturated_fraction(self) -> float:
-        """Of the pixels, those at the top code."""
-        return float(np.mean(self.dn >= 2**self.bits - 1))
 
 
 def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
@@ -194,13 +192,21 @@ def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.G
     offsets → gain → black → ADC. A stage whose parameter is zero costs nothing. `frame_mean_dn` and `frame_variance_dn2` are
     its closed forms.
     """
+    return _expose(mean_e, integration_s, sensor, rng)[0]
+
+
+def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
+    """`expose`, and the fraction of saturated pixels, as `Frame` defines it."""
     p = sensor.physics
     charge = mean_e if sensor.gain is None else mean_e * sensor.gain
     mean_dark_e = p.dark_current_e_per_s * integration_s
     if mean_dark_e:
         dark = mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain
         charge = np.add(charge, dark, out=None if charge is mean_e else charge)
-    level = kept_level_e(shot_noise(charge, rng), integration_s, p)
+    generated = shot_noise(charge, rng)
+    # Counted here: reset noise and negative offsets take half of the full pixels off the top code.
+    saturated = generated >= saturation_level_e(integration_s, p)
+    level = kept_level_e(generated, integration_s, p)
     for offset_e in (
         _normal(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng),
         sensor.offset_e,
@@ -210,7 +216,9 @@ def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.G
             level += offset_e
     level *= p.dn_per_e
     level += p.pixel.black_level_dn
-    return quantise(level, p.pixel.bits)
+    dn = quantise(level, p.pixel.bits)
+    saturated |= dn >= 2**p.pixel.bits - 1
+    return dn, float(np.mean(saturated))
 
 
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
@@ -250,11 +258,17 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
             "Make the sensor with the camera and the film's aspect that the irradiance was rendered with.",
         )
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
-    return frame_of(expose(signal_e_per_s * time_s, time_s, sensor, rng), signal_e_per_s, p, exposure)
+    dn, saturated_fraction = _expose(signal_e_per_s * time_s, time_s, sensor, rng)
+    return frame_of(dn, saturated_fraction, signal_e_per_s, p, exposure)
 
 
-def frame_of(dn: NDArray[np.int32], signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure) -> Frame:
-    """Digital numbers with what is known about them, from the mean photo-electron rates that gave them, (rows, columns) both."""
+def frame_of(
+    dn: NDArray[np.int32], saturated_fraction: float, signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure
+) -> Frame:
+    """Digital numbers with what is known about them, from the mean photo-electron rates that gave them, (rows, columns) both.
+
+    saturated_fraction : of the pixels, as `Frame` defines it; it cannot be counted in the digital numbers
+    """
     time_s = integration_time_s(exposure, physics, float(signal_e_per_s.max()))
     return Frame(
         dn=dn,
@@ -265,6 +279,7 @@ def frame_of(dn: NDArray[np.int32], signal_e_per_s: Array, physics: PixelPhysics
         mean_dark_e=physics.dark_current_e_per_s * time_s,
         pitch_um=physics.pitch_um,
         bits=physics.pixel.bits,
+        saturated_fraction=saturated_fraction,
     )
 
 
