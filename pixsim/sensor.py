@@ -31,6 +31,8 @@ from pixsim.spectral import Array, SpectralImage
 # Above this mean NumPy's Poisson is wrong (variance +3.5 % at 1e15) and a rounded normal differs from it by less than
 # 1e-5 in its skewness, which is 1/√mean.
 POISSON_LIMIT_E = 1e9
+BLACK_SIGMAS = 6.0  # of the dark below the black level: a clip at 0 DN destroys the dark's statistics
+MOST_BLACK = 0.5  # of the codes for the black level: more leaves no light to measure
 
 
 # --- exposure ---------------------------------------------------------------------------------------------------------
@@ -242,6 +244,22 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
         variance_e2 = variance_e2 + (p.prnu * signal_e) ** 2 + (p.dsnu * dark_e) ** 2
         variance_e2 = variance_e2 + p.offset_fpn_e**2 + p.column_fpn_e**2
     return variance_e2 * p.dn_per_e**2 + 1 / 12
+
+
+def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
+    """Standard deviation of a dark frame over pixels and frames, e-."""
+    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
+    temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_e**2
+    return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
+
+
+def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
+    """Whole code that leaves `BLACK_SIGMAS` of the dark and one LSB below it.
+
+    The full well stands for what the black level leaves of the codes M, so b = 6σ(M - b)/F has b on both sides.
+    """
+    top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
+    return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
 
 
 def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
