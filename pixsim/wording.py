@@ -114,12 +114,11 @@ def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -
 
     black, kept = pixel["black_level_dn"], dark["least_black_level_dn"]
     room = kept <= MOST_BLACK * (2 ** pixel["bits"] - 1)
-    white, lightness = rounded(100 * dark["of_display_white"]), rounded(dark["lightness"])
     mend = f"pixel.black_level_dn = {kept} keeps it" if room else "to keep it takes more bits (pixel.bits)"
     return (
-        f"a black level of {black:g} DN cuts off dark noise{where}: σ is {dark['spread_dn']:.2g} DN, "
-        f"{100 * dark['at_zero_fraction']:.0f} % of dark pixels stand at 0 DN and darkness reads {rounded(dark['too_bright_e'])} "
-        f"e- too bright ({white} % of display white, ΔE {lightness} on even black); {mend}"
+        f"a black level of {black:g} DN cuts off dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
+        f"stand at 0 DN and darkness reads {rounded(dark['too_bright_e'])} e- too bright "
+        f"(ΔE {rounded(dark['lightness'])} on even black, less on grey); {mend}"
     )
 
 

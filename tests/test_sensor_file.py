@@ -235,12 +235,12 @@ def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
     ("options", "told"),
     [
         # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
-        ("", "cuts off dark noise: σ is 0.85 DN, 72 % of dark pixels stand at 0 DN and darkness reads 0.93 e- too bright"),
+        ("", "cuts off dark noise: 72 % of dark pixels stand at 0 DN and darkness reads 0.93 e- too bright"),
         ("black_level_dn = 7", ""),
         # Offsets count: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
         (
             "black_level_dn = 7\noffset_fpn = 0.002",
-            "σ is 8.2 DN, 21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright",
+            "21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright",
         ),
         ("black_level_dn = 50\noffset_fpn = 0.002", ""),
         # So do kTC and offsets of a process.
@@ -289,7 +289,7 @@ bits = 14
         for line, curve in zip(told, curves, strict=bool(notes)):
             dark = curve["dark"]
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"
-            assert line.startswith(f"note: {curve['technology']}: a black level of 0 DN cuts off dark noise {where}: σ is ")
+            assert line.startswith(f"note: {curve['technology']}: a black level of 0 DN cuts off dark noise {where}: ")
             assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
             assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
             assert f"{line}." in page
