@@ -8,7 +8,6 @@ frame has its own random stream, so that a frame is the same whichever others ar
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,7 +20,7 @@ from pixsim.parameters import Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.saturation import kept_level_e
 from pixsim.score import stream
-from pixsim.sensor import Sensor, draw_sensor, expose
+from pixsim.sensor import MOST_BLACK, Sensor, draw_sensor, expose, least_black_level_dn
 from pixsim.spectral import Array
 
 SHAPE = 200, 200  # pixels of the command's sensor: a variance is known to 0.7 %, a fitted slope to 0.2 %
@@ -32,8 +31,6 @@ STACK = 64  # frames; the standard asks for 16 at least
 DARK_TIMES = 8  # the standard asks for 6 at least
 WARMER_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # temperatures of the dark series, above the pixel's own
 HOTTEST_K = 400.0
-MOST_BLACK = 0.5  # of the codes: more leaves no light to measure
-BLACK_SIGMAS = 6.0  # a clip at 0 DN destroys the dark's statistics
 USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
 DARK_SHARE = 0.02  # of the well that dark charge takes at most in the light series, unless told otherwise
 LONGEST_DARK_SHARE = 0.2  # of the well, in the longest of the dark series
@@ -106,22 +103,6 @@ def peak_wavelength_nm(physics: PixelPhysics) -> float:
     efficiency = physics.quantum_efficiency(nm)
     highest = nm[efficiency >= efficiency.max() * (1 - 1e-9)]
     return float(highest[highest.size // 2])
-
-
-def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
-    """Standard deviation of a dark frame over pixels and frames, e-."""
-    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
-    temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_e**2
-    return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
-
-
-def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
-    """Whole code that leaves `BLACK_SIGMAS` of the dark and one LSB below it.
-
-    The full well stands for what the black level leaves of the codes M, so b = 6σ(M - b)/F has b on both sides.
-    """
-    top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
-    return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
 
 
 def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysics:

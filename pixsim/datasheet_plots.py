@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from pixsim.datasheet import DataSheet
-from pixsim.datasheet_experiment import BLACK_SIGMAS
 from pixsim.expected_frames import expected_curve
 from pixsim.figures import COLOURS, LOOKS, new_figure
 from pixsim.frame_statistics import Stack
 from pixsim.photon_transfer import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.plates import Column, Plate
+from pixsim.sensor import BLACK_SIGMAS
 from pixsim.spectral import Array
 
 if TYPE_CHECKING:

@@ -149,15 +149,18 @@ def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -
     """Each repeat with `bench.score` of its stream, its frame from the cache; those that are not there are kept."""
     technology, pitch_um = bench.physics.technology.name, bench.physics.pitch_um
     known = (cache.arrays("frames", frames_key) if frames_key else None) or {}
-    frames = {name: dn for name, dn in known.items() if dn.shape == bench.signal_e_per_s.shape}
+    # A frame's digital numbers under its repeat; its saturated fraction, which they do not show, as a number of its own.
+    frames = {name: each for name, each in known.items() if each.shape in (bench.signal_e_per_s.shape, ())}
     before = len(frames)
     for repeat in repeats:
-        if (name := str(repeat)) in frames:
-            yield repeat, bench.view(bench.frame_of(frames[name]))
+        name, saturated = str(repeat), f"{repeat}_saturated_fraction"
+        if name in frames and saturated in frames:
+            yield repeat, bench.view(bench.frame_of(frames[name], float(frames[saturated])))
         else:
             frame = bench.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
                 frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
+                frames[saturated] = np.array(frame.saturated_fraction)
             yield repeat, bench.view(frame)
     if len(frames) > before:
         cache.keep_arrays("frames", frames_key, frames)

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.display import white_header
+from pixsim.display import white_header, white_rate
 from pixsim.errors import refuse
+from pixsim.expected_frames import dark_clip
 from pixsim.files import output_folder, versions, write_json
 from pixsim.parameters import Camera, Display, Exposure, Run
 from pixsim.pictures import save_delta_e_png, save_png
@@ -102,7 +103,10 @@ def summary_of(
 ) -> dict[str, Any]:
     """score.json: what was found, and all that it was found with."""
     records = {"camera": camera, "exposure": exposure, "display": display}
-    return describe(score, irradiance) | {name: each.model_dump() for name, each in records.items()} | {"seed": seed}
+    physics, time_s = score.physics, score.frame.integration_s
+    white_e = white_rate(irradiance, camera, physics, display) * physics.photodiode_area_um2 * time_s
+    dark = {"dark": dark_clip(physics, time_s, white_e)}
+    return describe(score, irradiance) | dark | {name: each.model_dump() for name, each in records.items()} | {"seed": seed}
 
 
 def sensors_mean(bench: Bench, score: Score, seed: int, more: dict[str, Any]) -> dict[str, Any]:

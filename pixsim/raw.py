@@ -1,7 +1,7 @@
 """The raw frame in formats that others open, and back: TIFF and PNG of 16 bits, EXR, npz, each with what its numbers mean.
 
 Every format holds the digital numbers as they are, neither scaled nor encoded, and the same facts beside them: black and
-white level, bits, pitch, gain and integration time. Where each format keeps them:
+white level, bits, pitch, gain, integration time and saturated fraction. Where each format keeps them:
 
     TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), all of them as JSON in ImageDescription
     PNG    a text chunk for each; sBIT is left to the file's own 16 bits
@@ -36,7 +36,7 @@ BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RawFrame:
     """Digital numbers and what they mean; None where a file of another program does not tell it.
 
@@ -47,6 +47,8 @@ class RawFrame:
     pitch_um : centre to centre
     integration_s : of the exposure
     dn_per_e : DN for each electron above black; with integration_s it turns them into electrons a second
+    saturated_fraction : of the pixels, those whose charge or DN reached its limit (`Frame`); only the simulation knows the
+        charge, so for a file of another program there is `top_code_fraction` alone
     """
 
     dn: NDArray[Any] = field(repr=False)
@@ -56,9 +58,32 @@ class RawFrame:
     pitch_um: float | None = None
     dn_per_e: float | None = None
     integration_s: float | None = None
+    saturated_fraction: float | None = None
+
+    @property
+    def top_code_fraction(self) -> float | None:
+        """Of the pixels, those at the white level or above; None where the file gives neither white level nor bits.
+
+        Reset noise and offsets take saturated pixels off the top code: under even light of 14 wells, 42 % of the default pixels.
+        """
+        top = self.white_level_dn
+        if top is None and self.bits is not None:
+            top = 2.0**self.bits - 1
+        return None if top is None else float(np.mean(self.dn >= top))
+
+    def __repr__(self) -> str:
+        words = [f"{name}={value:g}" for name in FACTS if (value := getattr(self, name)) is not None]
+        if self.saturated_fraction is None:
+            at_top = self.top_code_fraction
+            words.append(
+                "saturation not known, without a white level"
+                if at_top is None
+                else f"{at_top:.3g} of the pixels at the top code; saturated ones below it cannot be counted from the file"
+            )
+        return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 
-FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "integration_s")
+FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "integration_s", "saturated_fraction")
 
 
 def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
@@ -72,6 +97,7 @@ def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
         "pitch_um": float(frame.pitch_um),
         "dn_per_e": float(frame.dn_per_e),
         "integration_s": float(frame.integration_s),
+        "saturated_fraction": float(frame.saturated_fraction),
     }
 
 

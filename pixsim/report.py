@@ -23,6 +23,7 @@ from pixsim.plates import SENSORS_SHOWN, Drawn, Plate, pictures
 from pixsim.study_result import Curve, StudyResult
 from pixsim.technology import load_technology
 from pixsim.views import Views, best_place, study_views
+from pixsim.wording import study_dark_notes
 
 # Of the paper, for the curves that any study has.
 FIGURE_NUMBERS = {
@@ -156,6 +157,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "views": views,
         "scale_bar": scale(),
         "findings": rows,
+        "notes": study_dark_notes(result),
         "budget": result.budget,
         "header": result.irradiance.header,
         "settings": settings(result, light),

@@ -32,7 +32,7 @@ MEANINGS = {
     "fill_factor": "photodiode area over pixel area",
     "full_well_e": "full well (electrons)",
     "integration_s": "exposure time (s)",
-    "saturated_fraction": "pixels at the top code, of all",
+    "saturated_fraction": "saturated pixels, of all: their charge reached the well, or their DN the top code",
     "mean_electrons_e": "mean photo-electrons of all pixels",
     "mean_delta_e": "mean ΔE",
     "median_delta_e": "median ΔE",

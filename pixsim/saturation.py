@@ -111,6 +111,17 @@ def level_table(diode: Diode, full_well_e: float, integration_s: float | None, b
     return LevelTable(*refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e)
 
 
+def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
+    """Generated charge (e-) from which a pixel loses some: the full well of a hard clip, `linear_limit_e` of a diode.
+
+    A soft saturation begins there: 1e-6 of the well is lost, at 0.7 to 0.95 of the full well in the packaged processes
+    (1 s to 0.1 ms). Infinite without a diode current.
+    """
+    if physics.diode is None or physics.pixel.well_limit == "swing":
+        return physics.full_well_e
+    return linear_limit_e(physics.diode, physics.full_well_e, integration_s)
+
+
 def kept_level_e(generated_e: Array, integration_s: float, physics: PixelPhysics) -> Array:
     """Level in electrons of each pixel's generated charge (light and dark), by the pixel's well limit and conversion.
 

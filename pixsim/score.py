@@ -170,9 +170,9 @@ class Bench:
         sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
         return capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
 
-    def frame_of(self, dn: NDArray[Any]) -> Frame:
+    def frame_of(self, dn: NDArray[Any], saturated_fraction: float) -> Frame:
         """The frame that gave these digital numbers."""
-        return frame_of(dn.astype(np.int32), self.signal_e_per_s, self.physics, self.exposure)
+        return frame_of(dn.astype(np.int32), saturated_fraction, self.signal_e_per_s, self.physics, self.exposure)
 
     def view(self, frame: Frame) -> Score:
         """What a viewer sees of a frame."""

@@ -24,12 +24,14 @@ from pixsim.pixel_grid import pixel_count as pixel_count
 from pixsim.pixel_grid import pixels_along as pixels_along
 from pixsim.pixel_grid import refuse_too_many as refuse_too_many
 from pixsim.pixel_grid import running_integral as running_integral
-from pixsim.saturation import kept_level_e
+from pixsim.saturation import kept_level_e, saturation_level_e
 from pixsim.spectral import Array, SpectralImage
 
 # Above this mean NumPy's Poisson is wrong (variance +3.5 % at 1e15) and a rounded normal differs from it by less than
 # 1e-5 in its skewness, which is 1/√mean.
 POISSON_LIMIT_E = 1e9
+BLACK_SIGMAS = 6.0  # of the dark below the black level: a clip at 0 DN destroys the dark's statistics
+MOST_BLACK = 0.5  # of the codes for the black level: more leaves no light to measure
 
 
 # --- exposure ---------------------------------------------------------------------------------------------------------
@@ -134,6 +136,8 @@ class Frame:
     mean_dark_e : of a pixel, in this exposure
     pitch_um : centre to centre
     bits : of the ADC
+    saturated_fraction : of the pixels, those whose charge reached `saturation_level_e` (light and dark, with shot noise,
+        before reset noise and offsets) or whose DN is the top code
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -144,6 +148,7 @@ class Frame:
     mean_dark_e: float
     pitch_um: float
     bits: int
+    saturated_fraction: float
 
     @property
     def electrons(self) -> Array:
@@ -157,11 +162,6 @@ class Frame:
         electrons /= self.dn_per_e
         electrons -= self.mean_dark_e
         return electrons
-
-    @property
-    def saturated_fraction(self) -> float:
-        """Of the pixels, those at the top code."""
-        return float(np.mean(self.dn >= 2**self.bits - 1))
 
 
 def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
@@ -193,13 +193,21 @@ def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.G
     offsets → gain → black → ADC. A stage whose parameter is zero costs nothing. `frame_mean_dn` and `frame_variance_dn2` are
     its closed forms.
     """
+    return _expose(mean_e, integration_s, sensor, rng)[0]
+
+
+def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
+    """`expose`, and the fraction of saturated pixels, as `Frame` defines it."""
     p = sensor.physics
     charge = mean_e if sensor.gain is None else mean_e * sensor.gain
     mean_dark_e = p.dark_current_e_per_s * integration_s
     if mean_dark_e:
         dark = mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain
         charge = np.add(charge, dark, out=None if charge is mean_e else charge)
-    level = kept_level_e(shot_noise(charge, rng), integration_s, p)
+    generated = shot_noise(charge, rng)
+    # Counted here: reset noise and negative offsets take half of the full pixels off the top code.
+    saturated = generated >= saturation_level_e(integration_s, p)
+    level = kept_level_e(generated, integration_s, p)
     for offset_e in (
         _normal(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng),
         sensor.offset_e,
@@ -209,7 +217,9 @@ def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.G
             level += offset_e
     level *= p.dn_per_e
     level += p.pixel.black_level_dn
-    return quantise(level, p.pixel.bits)
+    dn = quantise(level, p.pixel.bits)
+    saturated |= dn >= 2**p.pixel.bits - 1
+    return dn, float(np.mean(saturated))
 
 
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
@@ -235,6 +245,22 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
     return variance_e2 * p.dn_per_e**2 + 1 / 12
 
 
+def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
+    """Standard deviation of a dark frame over pixels and frames, e-."""
+    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
+    temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_e**2
+    return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
+
+
+def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
+    """Whole code that leaves `BLACK_SIGMAS` of the dark and one LSB below it.
+
+    The full well stands for what the black level leaves of the codes M, so b = 6σ(M - b)/F has b on both sides.
+    """
+    top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
+    return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
+
+
 def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
     """A frame from the mean photo-electron rates (rows, columns) of a sensor's pixels, with temporal noise from `rng`.
 
@@ -249,11 +275,17 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
             "Make the sensor with the camera and the film's aspect that the irradiance was rendered with.",
         )
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
-    return frame_of(expose(signal_e_per_s * time_s, time_s, sensor, rng), signal_e_per_s, p, exposure)
+    dn, saturated_fraction = _expose(signal_e_per_s * time_s, time_s, sensor, rng)
+    return frame_of(dn, saturated_fraction, signal_e_per_s, p, exposure)
 
 
-def frame_of(dn: NDArray[np.int32], signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure) -> Frame:
-    """Digital numbers with what is known about them, from the mean photo-electron rates that gave them, (rows, columns) both."""
+def frame_of(
+    dn: NDArray[np.int32], saturated_fraction: float, signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure
+) -> Frame:
+    """Digital numbers with what is known about them, from the mean photo-electron rates that gave them, (rows, columns) both.
+
+    saturated_fraction : of the pixels, as `Frame` defines it; it cannot be counted in the digital numbers
+    """
     time_s = integration_time_s(exposure, physics, float(signal_e_per_s.max()))
     return Frame(
         dn=dn,
@@ -264,6 +296,7 @@ def frame_of(dn: NDArray[np.int32], signal_e_per_s: Array, physics: PixelPhysics
         mean_dark_e=physics.dark_current_e_per_s * time_s,
         pitch_um=physics.pitch_um,
         bits=physics.pixel.bits,
+        saturated_fraction=saturated_fraction,
     )
 
 

@@ -164,7 +164,7 @@ def refuse_saturated(data: Array, saturation: float) -> None:
     full = float(np.mean(data >= saturation))
     if full > MOST_SATURATED:
         mend = "Expose less (--exposure.well-target, --exposure.integration-s)."
-        raise refuse("edge picture", f"{full:.1%} of its pixels saturated", f"at most {MOST_SATURATED:.1%}", mend)
+        raise refuse("edge picture", f"{full:.1%} of its pixels saturated (at the top code)", f"at most {MOST_SATURATED:.1%}", mend)
 
 
 def upright(data: Array) -> tuple[Array, float, bool]:

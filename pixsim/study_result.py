@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_at, block_key, scores_of
+from pixsim.display import white_rate
+from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_at, block_key, pixel_of, scores_of
+from pixsim.expected_frames import dark_clip
 from pixsim.labels import file_label, label_of, labels_of
 from pixsim.ledger import Row
 from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
 from pixsim.parameters import Camera, Study
+from pixsim.pixel import derive
 from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
@@ -121,8 +124,17 @@ class StudyResult:
         return budget | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "irradiance": self.irradiance.header,
-            "curves": [curve.as_dict() for curve in self.curves],
+            "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
         }
+
+    def dark(self, curve: Curve) -> dict[str, list[float]]:
+        """`pixsim.expected_frames.dark_clip` of a curve's pitches, a list for each of its numbers."""
+        clips = []
+        for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.statistics["integration_s"][:, 0].tolist(), strict=True):
+            physics = derive(pixel_of(self.study, curve.technology, pitch_um))
+            rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
+            clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
+        return {name: [clip[name] for clip in clips] for name in clips[0]}
 
     def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
         """Pictures of the study again, for showing: the first `repeats` sensors, or all, of a `technology` at a pitch.

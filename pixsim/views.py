@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -114,7 +115,8 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
         physics, time_s = derive(pixel_of(study, curve.technology, pitch_um)), float(curve.statistics["integration_s"][place, 0])
         white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
         edges_um = light.dot_edges_um
-        unknown = np.broadcast_to(np.nan, kept.shape)  # nothing that is shown depends on the mean signal
-        frame = frame_of(kept.astype(np.int32), unknown, physics, Exposure(integration_s=time_s))
+        # Nothing that is shown depends on the saturated fraction or on the mean signal.
+        unknown = np.broadcast_to(np.nan, kept.shape)
+        frame = frame_of(kept.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
     luminance = displays.frame_luminance(frame, size_um, white_e, study.display, edges_um)
     return displays.shown_luminance(window.of(luminance), study.display)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from io import StringIO
 from typing import TYPE_CHECKING, Any
-
-from pixsim.pixel_record import NO_TECHNOLOGY
 
 if TYPE_CHECKING:
     from pixsim.plan import Plan
 
 SATURATED_TOLD = 0.01
-SEEN_DN = 0.3  # rounding hides less: 1/√12 DN
-CLIPPED_SIGMAS, KEPT_SIGMAS = 3.0, 6.0
+HIDDEN_DN = 0.05  # a shift of the dark's mean that is hidden: a sixth of the rounding error, 1/√12 DN
+TAIL_SIGMAS = 0.01  # of the dark's spread: what a black level of 1.9 σ cuts off
 
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
@@ -86,16 +83,48 @@ def frame_words(result: dict[str, Any]) -> str:
 
 
 def dark_note(result: dict[str, Any]) -> list[str]:
-    """What a data sheet that tells no black level does to the dark: an ADC has no codes for the lower half of its noise."""
-    pixel, top = result["pixel"], 2 ** result["pixel"]["bits"] - 1
-    if pixel["technology"] != NO_TECHNOLOGY:
-        return []
-    black_dn = pixel["black_level_dn"]
-    noise_dn = pixel["read_noise_e"] * (top - black_dn) / result["full_well_e"]
-    if noise_dn < SEEN_DN or black_dn >= CLIPPED_SIGMAS * noise_dn:
-        return []
-    told = f"a black level of {black_dn:g} DN cuts off dark noise of σ = {noise_dn:.2g} DN"
-    return [f"note: {told}; pixel.black_level_dn = {math.ceil(KEPT_SIGMAS * noise_dn)} keeps it"]
+    """What the clip at 0 DN does to the dark of a run's frame; nothing where its effect is not seen."""
+    dark, pixel = result["dark"], result["pixel"]
+    return [f"note: {clip_words(dark, pixel)}"] if clips_dark(dark) else []
+
+
+def study_dark_notes(result: Any) -> list[str]:
+    """A line for each curve whose black level cuts off dark noise: at how many pixel sizes, and the worst of them."""
+    pixel, notes = result.study.pixel.model_dump(), []
+    for curve in result.curves:
+        table = result.dark(curve)
+        clips = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
+        cut = [place for place, clip in enumerate(clips) if clips_dark(clip)]
+        if cut:
+            worst = max(cut, key=lambda place: clips[place]["of_display_white"])
+            most = max(clips[place]["least_black_level_dn"] for place in cut)
+            where = f" at {len(cut)} of {len(clips)} pixel sizes, most at {curve.pitch_um[worst]:.2f} µm"
+            notes.append(f"note: {curve.label}: {clip_words(clips[worst] | {'least_black_level_dn': most}, pixel, where)}")
+    return notes
+
+
+def clips_dark(dark: dict[str, float]) -> bool:
+    """Whether a `dark_clip` shows: beyond what rounding to codes hides, and beyond the tail of the noise."""
+    clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
+    return clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
+
+
+def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> str:
+    from pixsim.sensor import MOST_BLACK  # 0.5 s to load, which --help does not need
+
+    black, kept = pixel["black_level_dn"], dark["least_black_level_dn"]
+    room = kept <= MOST_BLACK * (2 ** pixel["bits"] - 1)
+    mend = f"pixel.black_level_dn = {kept} keeps it" if room else "to keep it takes more bits (pixel.bits)"
+    return (
+        f"a black level of {black:g} DN cuts off dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
+        f"stand at 0 DN and darkness reads {rounded(dark['too_bright_e'])} e- too bright "
+        f"(ΔE {rounded(dark['lightness'])} on even black, less on grey); {mend}"
+    )
+
+
+def rounded(value: float) -> str:
+    """Two digits, large numbers without an exponent."""
+    return f"{float(f'{value:.2g}'):.15g}"
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:

@@ -18,8 +18,6 @@ from pixsim.datasheet_entries import Entry, entries
 from pixsim.datasheet_experiment import (
     DARK_TIMES,
     EXPOSURES,
-    dark_spread_e,
-    least_black_level_dn,
     make_experiment,
     peak_wavelength_nm,
     pixel_efficiency,
@@ -44,7 +42,7 @@ from pixsim.photon_transfer import (
 )
 from pixsim.pixel import derive
 from pixsim.score import stream
-from pixsim.sensor import draw_sensor, expose, frame_mean_dn, frame_variance_dn2
+from pixsim.sensor import dark_spread_e, draw_sensor, expose, frame_mean_dn, frame_variance_dn2, least_black_level_dn
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
 FILES = {"datasheet.csv", "summary.json", "report.html", "figures"}

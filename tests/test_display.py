@@ -35,7 +35,7 @@ def irradiance_of(picture: np.ndarray, camera: Camera = CAMERA, general: bool = 
 def noise_free(electrons: np.ndarray, pitch_um: float, mean_dark_e: float = 0.0, black_level_dn: float = 0.0) -> Frame:
     """A frame that the ADC has only rounded, to 1e-3 e-."""
     dn = np.rint((electrons + mean_dark_e) * 1e3 + black_level_dn).astype(np.int32)
-    return Frame(dn, electrons, 1.0, 1e3, black_level_dn, mean_dark_e, pitch_um, 31)
+    return Frame(dn, electrons, 1.0, 1e3, black_level_dn, mean_dark_e, pitch_um, 31, 0.0)
 
 
 def on_dots(frame: Frame, size_um: tuple[float, float], white_e: float, display: Display, border_um: float = 0.0) -> np.ndarray:

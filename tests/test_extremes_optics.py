@@ -151,7 +151,7 @@ def test_even_frames_are_shown_even(degree, n):
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1)])
 def test_frames_of_one_pixel_or_one_row_are_shown(interpolation, shape):
     dn = np.random.default_rng(0).integers(10, 900, shape).astype(np.int32)
-    frame = Frame(dn, dn.astype(float), 1.0, 1.0, 0.0, 0.0, 5.0, 10)
+    frame = Frame(dn, dn.astype(float), 1.0, 1.0, 0.0, 0.0, 5.0, 10, 0.0)
     size_um = 5.0 * shape[0], 5.0 * shape[1]
     display = Display(dots=64, interpolation=interpolation)
     shown = frame_luminance(frame, size_um, 1000.0, display, dot_edges_um(size_um, 5.0, display, 0.0))

@@ -20,7 +20,7 @@ CODES = np.array([[0, 1, 2, 4095], [64, 1000, 4094, 63], [7, 8, 9, 10]], np.int3
 
 
 def frame(dn: np.ndarray = CODES, bits: int = 12) -> Frame:
-    return Frame(dn, np.zeros(dn.shape), 1 / 60, 0.37, 64.25, 3.0, 5.3, bits)
+    return Frame(dn, np.zeros(dn.shape), 1 / 60, 0.37, 64.25, 3.0, 5.3, bits, 1 / 3)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -32,7 +32,7 @@ def test_every_number_comes_back(suffix: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.dn, CODES)
     assert found.dn.dtype == np.uint16
     assert (found.black_level_dn, found.white_level_dn, found.bits, found.pitch_um) == (64.25, 4095.0, 12, 5.3)
-    assert (found.dn_per_e, found.integration_s) == (0.37, 1 / 60)
+    assert (found.dn_per_e, found.integration_s, found.saturated_fraction) == (0.37, 1 / 60, 1 / 3)
     pixsim.write_frame(tmp_path / f"again{suffix}", found)
     assert (tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
     assert sorted(each.name for each in tmp_path.iterdir()) == sorted([path.name, f"again{suffix}"])
@@ -90,6 +90,26 @@ def test_a_frame_without_facts(tmp_path: Path) -> None:
     assert (found.black_level_dn, found.bits) == (None, None)
     np.savez(tmp_path / "one.npz", picture=CODES)
     np.testing.assert_array_equal(pixsim.read_frame(tmp_path / "one.npz").dn, CODES)
+
+
+def test_a_file_of_another_program_counts_the_top_code_only_and_says_so(tmp_path: Path) -> None:
+    """One pixel of twelve stands at 4095; how many lost charge below it, only the simulation knows."""
+    path = tmp_path / "raw.npz"
+    pixsim.write_frame(path, frame())
+    simulated = pixsim.read_frame(path)
+    assert (simulated.saturated_fraction, simulated.top_code_fraction) == (1 / 3, 1 / 12)
+    assert repr(simulated) == (
+        "<RawFrame 3 × 4: black_level_dn=64.25, white_level_dn=4095, bits=12, pitch_um=5.3, dn_per_e=0.37, "
+        "integration_s=0.0166667, saturated_fraction=0.333333>"
+    )
+    np.savez(path, dn=CODES, bits=12)
+    other = pixsim.read_frame(path)
+    assert (other.saturated_fraction, other.top_code_fraction) == (None, 1 / 12)
+    assert "0.0833 of the pixels at the top code; saturated ones below it cannot be counted" in repr(other)
+    np.savez(path, dn=CODES)
+    unknown = pixsim.read_frame(path)
+    assert (unknown.saturated_fraction, unknown.top_code_fraction) == (None, None)
+    assert "saturation not known" in repr(unknown)
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, P
     sheet = replace(curve, technology="none", optimum=replace(best, inside=False, pitch_um=15.0))
     result = replace(made[0], curves=(sheet,))
     assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
-    assert result.as_dict()["curves"][0]["optimum_features"] is None
+    assert sheet.as_dict()["optimum_features"] is None
     assert made[0].as_dict()["curves"][0]["optimum_features"] == pytest.approx(best.pitch_um / 0.35)
     names = [plate.name for plate in plates_of_curves(replace(made[0], curves=(curve, sheet)), curve)]
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]

@@ -5,15 +5,19 @@ Statistical tests use fixed seeds, 250 000 columns of 4 pixels and gates of 5σ:
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.constants import c as light_speed
 from scipy.constants import h as planck
+from scipy.stats import poisson
 
 from pixsim import sensor as sensors
 from pixsim.errors import PixsimError
 from pixsim.parameters import Camera, Exposure, Pixel
 from pixsim.pixel import PixelPhysics, derive
+from pixsim.saturation import linear_limit_e
 from pixsim.spectral import SpectralImage, photons_per_joule
 
 SHAPE = (4, 250_000)
@@ -269,6 +273,56 @@ def test_the_well_clips_before_read_noise_and_offsets():
     # min(n, 0) of a normal: mean -σ/√(2π), variance σ²(½ - 1/2π). Rounding moves it by less than 1e-4 σ.
     error = SIGMAS * sigma_dn * np.sqrt(0.5 - 0.5 / np.pi) / 1e3
     assert frame.mean() == pytest.approx(top - sigma_dn / np.sqrt(2 * np.pi), abs=error)
+
+
+def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, size: int = 250_000) -> float:
+    """Of pixels under even light in 10 ms; `offset` of all of them, as a fraction of the well, in the place of their own."""
+    physics = derive(pixel)
+    sensor = sensors.draw_sensor(physics, (4, size // 4), seeded(31))
+    if offset is not None:
+        sensor = replace(sensor, offset_e=np.full(sensor.shape, offset * physics.full_well_e))
+    rate = np.full(sensor.shape, wells * physics.full_well_e / 0.01)
+    frame = sensors.capture_rate(rate, sensor, Exposure(integration_s=0.01), seeded(32))
+    assert frame.saturated_fraction >= np.mean(frame.dn == 2**pixel.bits - 1)
+    return frame.saturated_fraction
+
+
+README_SHEET = {"technology": "none", "pitch_um": 3.75, "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3}
+README_SHEET |= {"quantum_efficiency": 0.62, "bits": 12, "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2}
+
+
+@pytest.mark.parametrize(
+    "options", [{}, README_SHEET, {"conversion": "junction"}, {"well_limit": "diode"}, {"technology": "4t-bsi", "pitch_um": 2.8}]
+)
+def test_flat_light_saturates_all_pixels_or_none(options):
+    """14 wells and half a well are 30 σ of shot noise and PRNU away from the well; half is below where a diode turns forward."""
+    assert saturated_fraction(Pixel(**options), 14.0) == 1.0
+    assert saturated_fraction(Pixel(**options), 0.5) == 0.0
+
+
+@pytest.mark.parametrize("wells", [0.99, 1.0, 1.01])
+def test_saturation_is_counted_in_the_charge_before_noise_and_offsets(wells):
+    """Offsets of -5 % keep all pixels below the top code: those at the well are Poisson counts that reach it."""
+    pixel = Pixel(**CLEAN | {"full_well_e": 10_000.5, "read_noise_e": 20})
+    expected = poisson.sf(10_000, wells * 10_000.5)
+    error = SIGMAS * np.sqrt(expected * (1 - expected) / 250_000)
+    assert saturated_fraction(pixel, wells, offset=-0.05) == pytest.approx(expected, abs=error)
+    assert 0.15 < expected < 0.85
+
+
+def test_a_soft_saturation_is_counted_from_where_the_diode_takes_charge():
+    pixel = Pixel(well_limit="diode", prnu=0, dark_current_e_per_s=1e3, dsnu=0)
+    physics = derive(pixel)
+    limit_e = linear_limit_e(physics.diode, physics.full_well_e, 0.01)
+    expected = poisson.sf(np.ceil(limit_e) - 1, limit_e)
+    error = SIGMAS * np.sqrt(expected * (1 - expected) / 250_000)
+    wells = (limit_e - physics.dark_current_e_per_s * 0.01) / physics.full_well_e
+    assert wells < 0.95  # below the top code
+    assert saturated_fraction(pixel, wells) == pytest.approx(expected, abs=error)
+
+
+def test_the_top_code_counts_where_the_charge_does_not_reach_the_well():
+    assert saturated_fraction(Pixel(**CLEAN), 0.9, offset=0.2) == 1.0
 
 
 def test_a_dark_frame_of_a_noiseless_sensor_is_the_black_level():

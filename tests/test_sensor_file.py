@@ -231,12 +231,66 @@ def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
     assert_refused(*command(f"study {own} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
 
 
-def test_a_black_level_that_cuts_off_the_dark_is_told(tmp_path: Path) -> None:
-    """σ of 2.5 electrons is 0.85 DN where 12000 are 4095: six of it are 5.1 DN."""
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
+        ("", "cuts off dark noise: 72 % of dark pixels stand at 0 DN and darkness reads 0.93 e- too bright"),
+        ("black_level_dn = 7", ""),
+        # Offsets count: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
+        (
+            "black_level_dn = 7\noffset_fpn = 0.002",
+            "21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright",
+        ),
+        ("black_level_dn = 50\noffset_fpn = 0.002", ""),
+        # So do kTC and offsets of a process.
+        ('technology = "0.35um"', "pixel.black_level_dn = 15 keeps it"),
+        ('technology = "0.35um"\nblack_level_dn = 15', ""),
+        ("offset_fpn = 0.2", "to keep it takes more bits (pixel.bits)"),
+    ],
+)
+def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, tmp_path: Path) -> None:
     film = "--no-irradiance -D resolution=64 -D spp=4 --display.dots 64"
-    for extra, told in (("", True), ("black_level_dn = 6\n", False)):
-        path = written(tmp_path / "sensor.toml", SHEET.replace("bits = 12\n", f"bits = 12\n{extra}"))
-        code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
+    sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
+    path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
+    code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
+    assert code == 0, err
+    notes = [line for line in out.splitlines() if line.startswith("note: ")]
+    assert len(notes) == bool(told)
+    assert out.startswith("mean ΔE ")
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert ("cuts off dark noise" in page) == bool(told)
+    if told:
+        assert told in notes[0]
+        assert notes[0] in page
+    dark = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["dark"]
+    assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(told)
+
+
+def test_a_study_tells_once_a_curve_what_its_black_level_cuts_off(tmp_path: Path) -> None:
+    """The worst size has the least white: the smallest pixel, of a well in proportion to its area."""
+    table = """name = "dark"
+technologies = ["0.35um", "4t-bsi"]
+repeats = 2
+scene = { file = "csf", parameters = { resolution = 64, spp = 4 } }
+pitch = { values_um = [6, 8, 10, 14, 20] }
+display = { dots = 64 }
+[pixel]
+bits = 14
+"""
+    for black, notes in (("", 2), ("black_level_dn = 250\n", 0)):
+        path = written(tmp_path / "dark.toml", table + black)
+        code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
         assert code == 0, err
-        note = "note: a black level of 0 DN cuts off dark noise of σ = 0.85 DN; pixel.black_level_dn = 6 keeps it"
-        assert (note in out) == (note in (tmp_path / "out/report.html").read_text(encoding="utf-8")) == told
+        told = [line for line in out.splitlines() if line.startswith("note: ")]
+        page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+        assert len(told) == notes == page.count("cuts off dark noise")
+        curves = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["curves"]
+        for line, curve in zip(told, curves, strict=bool(notes)):
+            dark = curve["dark"]
+            where = "at 5 of 5 pixel sizes, most at 6.00 µm"
+            assert line.startswith(f"note: {curve['technology']}: a black level of 0 DN cuts off dark noise {where}: ")
+            assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
+            assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
+            assert f"{line}." in page
+        assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim import cli
+from pixsim import cache, cli
 from pixsim.config import merge
 from pixsim.score import Bench, stream
 from pixsim.sensor import Frame
@@ -212,6 +212,31 @@ def test_more_of_the_same_computes_the_difference_only(
     pixsim.study(tiny(repeats=4, technologies=("0.35um", "0.25um")), tmp_path, jobs=1)
     assert len(evaluations) == 6 * 1 + 6 * 4  # one more sensor of the old process, four of the new
     assert set(keys(done[1])) < set(keys(tmp_path))
+
+
+def test_frames_from_the_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Overexposed, so that a part of the pixels is saturated: their fraction is kept with the frame, whose DN do not show it."""
+    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
+    taken: list[int] = []
+    capture = Bench.capture
+    monkeypatch.setattr(Bench, "capture", lambda self, *key: taken.append(1) or capture(self, *key))
+    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0})
+    results = tmp_path / "out/results.csv"
+
+    def evaluated() -> tuple[bytes, int]:
+        taken.clear()
+        results.unlink(missing_ok=True)
+        pixsim.study(study, results.parent, jobs=1)
+        return results.read_bytes(), len(taken)
+
+    cold, captures = evaluated()
+    assert captures == 10
+    assert all(0.5 < float(row["saturated_fraction"]) < 0.97 for row in rows(results.parent))
+    assert evaluated() == (cold, 0)
+    for path in (tmp_path / "cache/frames").iterdir():  # without the fractions, as if they had never been kept
+        kept = cache.arrays("frames", path.stem)
+        cache.keep_arrays("frames", path.stem, {name: each for name, each in kept.items() if each.ndim == 2})
+    assert evaluated() == (cold, 10)
 
 
 def test_a_row_depends_on_its_own_pitch_only(done: tuple[StudyResult, Path], tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pixsim.cli.base import DEFAULT_OUT, Config, Define, Json, Out, Variant, app
 from pixsim.errors import refuse
 from pixsim.messages import checked
 from pixsim.sensor_file import study_layers
-from pixsim.wording import budget_lines, found_line, sensitivity_lines
+from pixsim.wording import budget_lines, found_line, sensitivity_lines, study_dark_notes
 
 
 @app.command
@@ -78,7 +78,7 @@ def study(
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             found = result.as_dict()
-            lines = [*(found_line(curve) for curve in result.curves), *budget_lines(found)]
+            lines = [*(found_line(curve) for curve in result.curves), *study_dark_notes(result), *budget_lines(found)]
     show(found, json, "\n".join([*lines, f"report: {report}"]))
 
 

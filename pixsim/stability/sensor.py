@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import poisson
+from scipy.stats import norm, poisson
 
 from pixsim import sensor as sensors
 from pixsim.parameters import Exposure, Pixel
@@ -37,6 +37,7 @@ def cases() -> Iterator[Case]:
     yield from _grids()
     yield from _times()
     yield from _dark_current()
+    yield from _saturated()
     yield from _converters()
     yield from _temperatures()
     yield from _fixed_patterns()
@@ -160,6 +161,52 @@ def _dark_current() -> Iterator[Case]:
     yield compare(
         "the same: share of saturated pixels", full, share, SIGMAS, source, scale=math.sqrt(full * (1 - full) / codes.size)
     )
+
+
+def _saturated() -> Iterator[Case]:
+    """Fractions of saturated pixels behind noise of every kind: kTC, read noise, offsets, and light that is not even."""
+    sheet = {"technology": "none", "pitch_um": 3.75, "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3}
+    sheet |= {"quantum_efficiency": 0.62, "bits": 12, "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.002}
+    pixels = {
+        "default pixel": Pixel(),
+        "data sheet": Pixel.model_validate(sheet),
+        "pinned": Pixel(technology="4t-bsi", pitch_um=2.8),
+        "diode": Pixel(well_limit="diode"),
+        "junction": Pixel(conversion="junction"),
+        "diode and junction": Pixel(well_limit="diode", conversion="junction"),
+    }
+    for wells, expected, where in ((14.0, 1.0, "every one"), (0.5, 0.0, "none")):
+        got = [_saturated_of(derive(pixel), wells * derive(pixel).full_well_e) for pixel in pixels.values()]
+        source = f"{where}: the well is 30 σ of shot noise and PRNU away"
+        yield compare(f"saturated pixels under {wells:g} wells, {', '.join(pixels)}", expected, got, 0.0, source)
+    # Offsets of -5 % of the well keep every pixel off the top code: the charge alone decides.
+    for name in ("default pixel", "data sheet"):
+        physics = replace(derive(pixels[name]), prnu=0.0, dark_current_e_per_s=0.0)
+        well_e = physics.full_well_e
+        lowered = np.full((200, 500), -0.05 * well_e)
+        share = float(poisson.sf(math.ceil(well_e) - 1, well_e))
+        scale = math.sqrt(share * (1 - share) / lowered.size)
+        alone = _saturated_of(physics, well_e, lowered)
+        source = f"P(N ≥ well) of Poisson counts; {STATISTICAL}"
+        yield compare(f"{name}, light that just fills the well, below the top code", share, alone, SIGMAS, source, scale=scale)
+        # With the usual offsets, noise lifts some of the others to the top code.
+        counts = np.arange(math.ceil(well_e))
+        top_e = (2**physics.pixel.bits - 1.5 - physics.pixel.black_level_dn) / physics.dn_per_e
+        noise_e = math.hypot(physics.reset_noise_e, physics.read_noise_e, physics.offset_fpn_e)
+        share += float((poisson.pmf(counts, well_e) * norm.sf((top_e - counts) / noise_e)).sum())
+        scale = math.sqrt(share * (1 - share) / lowered.size)
+        both = _saturated_of(replace(physics, column_fpn_e=0.0), well_e)
+        source = f"P(N ≥ well) + Σ P(N = n < well) P(noise lifts n to the top code); {STATISTICAL}"
+        yield compare(f"{name}, light that just fills the well", share, both, SIGMAS, source, scale=scale)
+
+
+def _saturated_of(physics: PixelPhysics, mean_e: float, offset_e: Array | None = None) -> float:
+    """Of 100 000 pixels under even light in 30 ms; `offset_e` in the place of the sensor's own."""
+    sensor = sensors.draw_sensor(physics, (200, 500), np.random.default_rng(0))
+    if offset_e is not None:
+        sensor = replace(sensor, offset_e=offset_e)
+    rate, exposure = np.full(sensor.shape, mean_e / 0.03), Exposure(integration_s=0.03)
+    return sensors.capture_rate(rate, sensor, exposure, np.random.default_rng(1)).saturated_fraction
 
 
 def _converters() -> Iterator[Case]:
