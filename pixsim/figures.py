@@ -53,6 +53,12 @@ LOOKS = (
     Look("#D55E00", (0, (1, 3)), "p"),
 )
 COLOURS = tuple(look.colour for look in LOOKS)
+TERM_NAMES = {  # of what blurs, in legends
+    "lens": "lens (diffraction)",
+    "photodiode": "photodiode",
+    "interpolation": "{} interpolation on the display",
+    "dot": "dot of the display",
+}
 ISO_SMOOTHING_DOTS = 8.0  # about a cycle of the middle frequencies: ΔE peaks in each dark bar
 
 

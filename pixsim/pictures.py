@@ -169,18 +169,24 @@ def is_csf(irradiance: SpectralImage) -> bool:
     return bool(header.get("scene") == "csf.xml" and "chart" not in header.get("parameters", {}))
 
 
+def csf_range_lp_per_mm(irradiance: SpectralImage) -> tuple[float, float]:
+    """Lowest and highest frequency of the CSF chart: it fills the die, so another die than its own scales them."""
+    width_mm = extent(irradiance)[1]
+    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(end)) for end in (0.0, 1.0))
+    return lowest, highest
+
+
 def axes_of(irradiance: SpectralImage) -> tuple[Axis, Axis]:
     """Across and down: frequency and contrast for the CSF chart, else the position on the sensor."""
     _, width_mm, height_mm, _ = extent(irradiance)
     if is_csf(irradiance):
-        return _csf_axes(width_mm, height_mm)
+        return _csf_axes(irradiance, width_mm, height_mm)
     across, down = (Axis(f"{name} on the sensor (mm)", _even_ticks(mm)) for name, mm in (("x", width_mm), ("y", height_mm)))
     return across, down
 
 
-def _csf_axes(width_mm: float, height_mm: float) -> tuple[Axis, Axis]:
-    # The chart fills the die, so another die than the chart's own scales its frequencies.
-    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(end)) for end in (0.0, 1.0))
+def _csf_axes(irradiance: SpectralImage, width_mm: float, height_mm: float) -> tuple[Axis, Axis]:
+    lowest, highest = csf_range_lp_per_mm(irradiance)
     inner = np.array([1, 2, 5, 10, 20, 50, 100, 200])
     frequencies = np.array([lowest, *inner[(inner > 1.4 * lowest) & (inner < 0.75 * highest)], highest])
     x_mm = np.log(frequencies / lowest) / np.log(highest / lowest) * width_mm
