@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, TERM_NAMES, Look, literal, new_figure
+from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, Look, draw_terms, literal, new_figure
 from pixsim.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
 from pixsim.parameters import pixel_of
@@ -189,22 +189,16 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
 
     frequency, name = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
     of_pixels = [study_mtf_terms(result, physics, np.array(frequency)) for physics in pixels]
+    terms = {term: np.array([float(each[term]) for each in of_pixels]) for term in of_pixels[0]}
+    shown = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
     table: dict[str, Column] = {
         "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
     }  # fmt: skip
-    for term, look in zip(of_pixels[0], LOOKS, strict=False):
-        values = [float(terms[term]) for terms in of_pixels]
-        label = TERM_NAMES[term].format(result.study.display.interpolation)
-        lower.plot(curve.pitch_um, values, ms=4, label=label, **look.line)
-        table[f"{term}_mtf_at_{frequency:.3g}_lp_per_mm"] = values
-    shown = [float(np.prod(list(terms.values()))) for terms in of_pixels]
-    lower.plot(curve.pitch_um, shown, lw=2.5, color="0.45", label="all together")
-    table[f"shown_mtf_at_{frequency:.3g}_lp_per_mm"] = shown
+    table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
     lower.set_xlabel("pixel size (µm)")
     lower.set_ylabel(f"contrast left at {frequency:.3g} lp/mm")
     lower.set_ylim(0, 1.02)
     lower.grid(alpha=0.25)
-    lower.legend(frameon=False, fontsize=8, loc="lower left", handlelength=LEGEND_LINE)
     caption = (
         f"Both sides of the trade-off ({curve.label}). Above: the frequency at which the MTF is one half, from the scene to the "
         "sensor and to the viewer's display, and the least exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High "

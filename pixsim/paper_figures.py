@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
-from pixsim.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, TERM_NAMES, draw_picture, extent, new_figure
-from pixsim.merit import dr_and_snr_db, shown_mtf, study_mtf_terms, system_mtf
+from pixsim.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, extent, new_figure
+from pixsim.merit import dr_and_snr_db, study_mtf_terms, system_mtf
 from pixsim.paper import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
@@ -80,19 +80,13 @@ def figure_2b(result: StudyResult) -> Plate:
 
     physics = derive(pixel_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM))
     terms = study_mtf_terms(result, physics, frequency)
-    for (name, mtf), look in zip(terms.items(), LOOKS, strict=False):
-        label = TERM_NAMES[name].format(result.study.display.interpolation)
-        terms_axes.plot(frequency, mtf, markevery=20, ms=4, label=label, **look.line)
-        table[f"{name}_mtf_{OPTIMUM_UM:g}um"] = mtf.tolist()
-    shown = shown_mtf(result, physics, frequency)
-    terms_axes.plot(frequency, shown, lw=2.5, color="0.45", label="all together")
+    shown = draw_terms(terms_axes, frequency, terms, result.study.display.interpolation)
+    table |= {f"{name}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
     nyquist = 1e3 / (2 * OPTIMUM_UM)
-    terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="0.45", lw=1)
-    table[f"shown_mtf_{OPTIMUM_UM:g}um"] = shown.tolist()
+    terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
     terms_axes.set_title(f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
     terms_axes.set_xlabel("frequency on the sensor (lp/mm)")
     terms_axes.set_xlim(0, SIX_UM_NYQUIST_CY_PER_MM)
-    terms_axes.legend(frameon=False, fontsize=8, loc="lower left", handlelength=LEGEND_LINE)
     caption = (
         "Figure 2b. Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
         "frequency of each pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch "

@@ -29,6 +29,7 @@ from pixsim.accuracy.budget import (
 from pixsim.accuracy.choice import FINEST_NOISE, MOST_SENSORS, choose, options_of, rounded_down, widths_of
 from pixsim.accuracy.probe import Probe, Setup, probe
 from pixsim.display import interpolation_mtf
+from pixsim.wording import budget_lines
 
 NO_OPTIMUM = math.nan
 
@@ -275,6 +276,17 @@ def test_rounding_down():
     for value in np.geomspace(1e-5, 2, 300):
         assert 0 <= value - rounded_down(value) < 0.011 * value
         assert float(f"{rounded_down(value):.3g}") == rounded_down(value)
+
+
+def test_the_lines_of_a_budget_stand_in_one_column():
+    sources = {
+        name: {"delta_e": each.delta_e, "optimum_um": None} for name, each in effects(calibration(), 512, 0.1, 1e-3, 1).items()
+    }
+    told = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
+    _, *lines = budget_lines({"error_budget": told | {"total": {"delta_e": 0.5, "optimum_um": None}}})
+    assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "all but the display"]
+    assert lines[-2][23:] == " 3.0e-02 ΔE"
+    assert {line[23] for line in lines} == {" "}
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
