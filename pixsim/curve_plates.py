@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure
-from pixsim.merit import mpe30_lx_s, mtf50_cy_per_mm
+from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, Look, draw_terms, literal, new_figure
+from pixsim.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
 from pixsim.parameters import pixel_of
 from pixsim.pictures import is_csf
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
 ROOM_ABOVE = 1.12  # over the highest point, for the legend
+ROOM_FOR_LEGEND = 1.35  # over the highest point, for a legend of three lines
 ROOM_BELOW = 0.25  # of the height of an axis, for the words under an optimum and those at the foot
 MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
 OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
@@ -169,24 +170,39 @@ def optimum_against_technology(result: StudyResult) -> Plate:
 
 
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
-    """MTF50 and MPE30 of each pitch: the two sides of the trade-off."""
+    """MTF50 and MPE30 of each pitch, the two sides of the trade-off; and what each term of the blur leaves of fine detail."""
     pixels = [derive(pixel_of(result.study, curve.technology, pitch)) for pitch in curve.pitch_um.tolist()]
     mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
+    shown50 = [mtf50_cy_per_mm(result, physics, shown_mtf) for physics in pixels]
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
-    figure = new_figure(6.0, 3.8)
-    axes = figure.subplots()
-    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50, on the left")
-    axes.set_xlabel("pixel size (µm)")
+    figure = new_figure(6.4, 6.8)
+    axes, lower = figure.subplots(2, 1, sharex=True)
+    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor, left")
+    detail += axes.plot(curve.pitch_um, shown50, "^:", ms=4, color=COLOURS[0], label="MTF50 on the display, left")
     axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, ROOM_FOR_LEGEND * max(mtf50))
     other = axes.twinx()
-    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure, on the right")
+    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure, right")
     other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
     other.spines["right"].set_visible(True)
-    axes.legend(handles=[*detail, *light], frameon=False, loc="upper center", handlelength=LEGEND_LINE)
+    axes.legend(handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE)
+
+    frequency, name = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
+    of_pixels = [study_mtf_terms(result, physics, np.array(frequency)) for physics in pixels]
+    terms = {term: np.array([float(each[term]) for each in of_pixels]) for term in of_pixels[0]}
+    shown = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
+    table: dict[str, Column] = {
+        "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
+    }  # fmt: skip
+    table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
+    lower.set_xlabel("pixel size (µm)")
+    lower.set_ylabel(f"contrast left at {frequency:.3g} lp/mm")
+    lower.set_ylim(0, 1.02)
+    lower.grid(alpha=0.25)
     caption = (
-        f"Both sides of the trade-off ({curve.label}): the frequency at which the system MTF is one half, and the least "
-        "exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High detail and little light are good."
+        f"Both sides of the trade-off ({curve.label}). Above: the frequency at which the MTF is one half, from the scene to the "
+        "sensor and to the viewer's display, and the least exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High "
+        f"detail and little light are good. Below: what each term leaves of the scene's contrast at {frequency:.3g} lp/mm, {name}, "
+        "and their product."
     )
-    table = {"pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "mpe30_lx_s": mpe30}
     return Plate("light_against_detail", caption, figure, table)

@@ -11,6 +11,7 @@ import warnings
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from pixsim import optics
@@ -24,7 +25,8 @@ from pixsim.spectral import Array, SpectralImage, d65
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
 WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # so that pictures over white, of any sensor and exposure, stay in the range of float64
-SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3}
+SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # no display has the last: cubic ones are compared with it
+B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
 WHITE_PERCENTILE = 99.0  # of a scene that tells no white
 WHITE_DIGITS = 2  # so that the noise of a render does not move the white
 
@@ -166,7 +168,7 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     values : (n, ...) or (..., n), any unit; the result has a mean for each interval there
     pitch_um : of the cells
     edges_um : (intervals + 1,) rising
-    degree : 0 is piecewise constant, 1 linear, 3 the cubic spline
+    degree : 0 is piecewise constant, 1 linear, 3 the cubic and 5 the quintic spline
     axis : 0 or 1, along which
     """
     edges = (edges_um - low_um) / pitch_um - 0.5
@@ -205,6 +207,33 @@ def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
     kept = (value <= last[:, None]) & (weight != 0)
     rows = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
     return csr_array((weight[kept], value[kept], rows), shape=(edges.size - 1, n))
+
+
+def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpolation: str) -> Array:
+    """MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
+
+    With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline sinc⁴ x · 3/(2 + cos 2πx). In
+    general the transform of the B-spline over that of its samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal
+    Process. 41 (1993) 821.
+
+    A component below the pixels' Nyquist frequency is shown with this contrast, its images around each multiple of 1/pitch
+    with that of their own frequencies.
+
+    pitch_um : of the pixels
+    interpolation : nearest, linear, cubic or quintic
+
+    Raises PixsimError for another interpolation.
+
+    >>> interpolation_mtf(50.0, 10.0, "linear").round(6).item()  # at the Nyquist frequency: (2/π)²
+    0.405285
+    """
+    if interpolation not in SPLINE_DEGREE:
+        raise refuse("interpolation", f"'{interpolation}'", ", ".join(SPLINE_DEGREE))
+    degree = SPLINE_DEGREE[interpolation]
+    x = np.asarray(frequency_cy_per_mm, float) * pitch_um * 1e-3
+    middle, *others = B_SPLINE_SAMPLES[degree]
+    samples = middle + sum(2 * each * np.cos(2 * np.pi * k * x) for k, each in enumerate(others, 1))
+    return np.asarray(np.abs(np.sinc(x)) ** (degree + 1) / samples)
 
 
 def ideal_luminance(

@@ -53,6 +53,10 @@ LOOKS = (
     Look("#D55E00", (0, (1, 3)), "p"),
 )
 COLOURS = tuple(look.colour for look in LOOKS)
+# Of the terms of the blur, in every figure; not the first looks, which are those of pixel sizes.
+TERM_NAMES = ("lens (diffraction)", "photodiode", "{} interpolation on the display", "dot of the display")
+TERM_LOOKS = LOOKS[4:8]
+MANY_POINTS = 50  # of a line: not each gets a marker
 ISO_SMOOTHING_DOTS = 8.0  # about a cycle of the middle frequencies: ΔE peaks in each dark bar
 
 
@@ -125,3 +129,13 @@ def label_axes(axes: Axes, irradiance: SpectralImage, border_um: Border = NO_BOR
     if is_csf(irradiance):
         axes.set_xticks(*zip(*across.ticks, strict=True))
         axes.set_yticks(*zip(*down.ticks, strict=True))
+
+
+def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str) -> Array:
+    """The terms of `merit.mtf_terms` against x, with a legend; returns their product, which is drawn too."""
+    for mtf, name, look in zip(terms.values(), TERM_NAMES, TERM_LOOKS, strict=False):
+        axes.plot(x, mtf, markevery=1 if x.size < MANY_POINTS else x.size // 5, ms=4, label=name.format(interpolation), **look.line)
+    product = np.prod(list(terms.values()), axis=0)
+    axes.plot(x, product, lw=2.5, color="black", label="all together")
+    axes.legend(frameon=False, fontsize=8, loc="lower left", handlelength=LEGEND_LINE)
+    return product

@@ -8,11 +8,12 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
-from pixsim.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, extent, new_figure
-from pixsim.merit import dr_and_snr_db, system_mtf
+from pixsim.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, extent, new_figure
+from pixsim.merit import dr_and_snr_db, study_mtf_terms, system_mtf
 from pixsim.paper import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
+    OPTIMUM_UM,
     REFERENCE_TECHNOLOGY,
     Evidence,
     frequency_contrast_table,
@@ -58,25 +59,39 @@ def figure_2a() -> Plate:
 
 
 def figure_2b(result: StudyResult) -> Plate:
-    """System MTF against frequency over the Nyquist frequency of 6 µm pixels."""
+    """System MTF of four pixels against frequency over the Nyquist frequency of 6 µm ones; all terms for the paper's optimum."""
     relative = np.linspace(0.0, 1.0, 101)
-    figure = new_figure(6.0, 3.8)
-    axes = figure.subplots()
-    table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist()}
+    frequency = relative * SIX_UM_NYQUIST_CY_PER_MM
+    figure = new_figure(9.0, 3.9)
+    axes, terms_axes = figure.subplots(1, 2, sharey=True)
+    table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist(), "frequency_lp_per_mm": frequency.tolist()}
     for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
         physics = derive(pixel_of(result.study, REFERENCE_TECHNOLOGY, pitch_um))
-        mtf = system_mtf(result, physics, relative * SIX_UM_NYQUIST_CY_PER_MM)
+        mtf = system_mtf(result, physics, frequency)
         axes.plot(relative, mtf, markevery=20, ms=4, label=f"{pitch_um:g} µm", **look.line)
         nyquist = 6.0 / pitch_um
         axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=look.colour, lw=1)
         table[f"mtf_{pitch_um:g}um"] = mtf.tolist()
-    axes.set_xlabel("spatial frequency over the Nyquist frequency of 6 µm pixels (83.3 lp/mm)")
-    axes.set_ylabel("system MTF: contrast on the sensor over the scene's")
+    axes.set_title("system MTF: scene to sensor")
+    axes.set_xlabel("frequency over the Nyquist frequency of\n6 µm pixels (83.3 lp/mm)")
+    axes.set_ylabel("MTF: contrast over the scene's")
     axes.set_ylim(0, 1)
-    axes.legend(frameon=False, handlelength=LEGEND_LINE)
+    axes.legend(title="pixel size", frameon=False, handlelength=LEGEND_LINE)
+
+    physics = derive(pixel_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM))
+    terms = study_mtf_terms(result, physics, frequency)
+    shown = draw_terms(terms_axes, frequency, terms, result.study.display.interpolation)
+    table |= {f"{name}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
+    nyquist = 1e3 / (2 * OPTIMUM_UM)
+    terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
+    terms_axes.set_title(f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
+    terms_axes.set_xlabel("frequency on the sensor (lp/mm)")
+    terms_axes.set_xlim(0, SIX_UM_NYQUIST_CY_PER_MM)
     caption = (
-        "Figure 2b. System MTF: white-light diffraction times the photodiode's sinc. Dotted: the Nyquist frequency of each "
-        "pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch suggests."
+        "Figure 2b. Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
+        "frequency of each pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch "
+        f"suggests. Right: every term from the scene to the viewer's display, for {OPTIMUM_UM:g} µm pixels, and their product. "
+        "The interpolation between pixels and the mean over a dot belong to the display."
     )
     return Plate("figure_2b_mtf", caption, figure, table)
 

@@ -172,20 +172,29 @@ def is_csf(irradiance: SpectralImage) -> bool:
     return bool(header.get("scene") == "csf.xml" and "chart" not in header.get("parameters", {}))
 
 
+def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float]:
+    """Lowest and highest frequency of the CSF chart within a border: it fills the die, so another die than its own scales them."""
+    left, right, _, _ = extent(irradiance, border_um)
+    width_mm = extent(irradiance)[1]
+    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(at / width_mm)) for at in (left, right))
+    return lowest, highest
+
+
 def axes_of(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[Axis, Axis]:
     """Across and down: frequency and contrast for the CSF chart, else the position on the sensor; marks within the border."""
-    height_um, width_um = picture_size_um(irradiance)
+    height_um, _ = picture_size_um(irradiance)
     left, right, bottom, top = extent(irradiance, border_um)
     if is_csf(irradiance):
-        return _csf_axes(1e-3 * width_um, 1e-3 * height_um, (left, right), (top, bottom))
+        return _csf_axes(irradiance, 1e-3 * height_um, border_um, (left, right), (top, bottom))
     across = Axis("x on the sensor (mm)", _even_ticks(left, right))
     return across, Axis("y on the sensor (mm)", _even_ticks(top, bottom))
 
 
-def _csf_axes(width_mm: float, height_mm: float, x_mm: tuple[float, float], y_mm: tuple[float, float]) -> tuple[Axis, Axis]:
-    """Of a chart that fills a die, between two places across and two down; the ends have marks of their own."""
-    # Another die than the chart's own scales its frequencies.
-    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(at / width_mm)) for at in x_mm)
+def _csf_axes(
+    irradiance: SpectralImage, height_mm: float, border_um: Border, x_mm: tuple[float, float], y_mm: tuple[float, float]
+) -> tuple[Axis, Axis]:
+    """Between two places across and two down, of a chart that fills a die; the ends have marks of their own."""
+    lowest, highest = csf_range_lp_per_mm(irradiance, border_um)
     inner = np.array([1, 2, 5, 10, 20, 50, 100, 200])
     frequencies = np.array([lowest, *inner[(inner > 1.4 * lowest) & (inner < 0.75 * highest)], highest])
     at_x_mm = x_mm[0] + np.log(frequencies / lowest) / np.log(highest / lowest) * (x_mm[1] - x_mm[0])

@@ -14,10 +14,12 @@ from pixsim.curve_plates import delta_e_against_pitch, light_against_detail, opt
 from pixsim.details import scale
 from pixsim.engine import Workers, results_of
 from pixsim.files import output_folder, replacing, versions, write_json
+from pixsim.merit import blur_words
 from pixsim.pages import text_uri, write_page
 from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.paper_figures import map_plates, scene_plates
-from pixsim.parameters import Record
+from pixsim.parameters import Record, pixel_of
+from pixsim.pixel import derive
 from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.plates import SENSORS_SHOWN, Drawn, Plate, pictures
 from pixsim.study_result import Curve, StudyResult
@@ -149,10 +151,15 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in curves])
         return Light.of(result.irradiance, result.study.display, times_s)
 
+    def blur_of(curve: Curve) -> str:
+        physics = derive(pixel_of(result.study, curve.technology, curve.optimum.pitch_um))
+        return blur_words(result.irradiance, result.camera, physics, result.study.display)
+
     light = light_of(result.curves)
     page = {
         "study": result.study,
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
+        "blurs": [(curve, blur_of(curve)) for curve in result.curves],
         "plates": shown,
         "views": views,
         "scale_bar": scale(),

@@ -8,6 +8,7 @@ from typing import Any
 from pixsim.assumed import FILLED, Light, only_sheets, record_rows, scene_rows
 from pixsim.details import Picture, crops, factor_for, reduced, scale, worst_window
 from pixsim.labels import label_of
+from pixsim.merit import blur_words
 from pixsim.pages import write_page
 from pixsim.parameters import Camera, Display, Exposure
 from pixsim.pictures import extent, grey_codes
@@ -88,6 +89,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in told.items()],
         "notes": dark_note(summary),
+        "blur": blur_words(irradiance, camera, physics, display),
         "budget": budget_lines(summary),
         "light": light,
         "settings": [

@@ -138,12 +138,12 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
         return f"{size} ΔE" + ("" if each["optimum_um"] is None else f", {each['optimum_um']:.1e} µm of the optimum")
 
     chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
-    lines = [f"  {name:20} {told(each)}" for name, each in budget["sources"].items()]
+    lines = [f"  {name:21} {told(each)}" for name, each in budget["sources"].items()]
     if not budget["bounded"]:
         lines.append("  for surfaces that the plan cannot know, the spectral quadrature is what it was asked for, not a bound")
     verdict = "met" if budget["met"] else "NOT met"
     return [
         f"error budget for {budget['tolerance_delta_e']:g} ΔE ({verdict}), with {chosen}:",
         *lines,
-        f"  {'all but the raster':20} {told(budget['total'])}",
+        f"  {'all but the display':21} {told(budget['total'])}",
     ]

@@ -22,11 +22,14 @@ from pixsim.accuracy.budget import (
     difference_of,
     effects,
     film_errors,
+    interpolation_effect,
     merges,
     total,
 )  # fmt: skip
 from pixsim.accuracy.choice import FINEST_NOISE, MOST_SENSORS, choose, options_of, rounded_down, widths_of
-from pixsim.accuracy.probe import Probe
+from pixsim.accuracy.probe import Probe, Setup, probe
+from pixsim.display import interpolation_mtf
+from pixsim.wording import budget_lines
 
 NO_OPTIMUM = math.nan
 
@@ -35,7 +38,8 @@ def calibration(**changes) -> Calibration:
     values = {
         "width": 512, "cells": 512 * 512, "noise": 0.1, "random": Effect(2e-4, 1e-3), "bias": Effect(1e-4, 1e-3),
         "per_e": Effect(0.5, 2.0), "films": (Effect(0.1, 0.5), Effect(0.02, 0.1), Effect(0.004, 0.02)), "order": 2.0,
-        "sensor": Effect(0.003, 0.05), "raster": Effect(0.01, 0.02), "work": 8.4e6, "planes": 1, "dots": 512,
+        "sensor": Effect(0.003, 0.05), "raster": Effect(0.01, 0.02), "interpolation": Effect(0.03, 0.04),
+        "work": 8.4e6, "planes": 1, "dots": 512,
         "mean_delta_e": 0.5, "optimum_um": 5.5,
     }  # fmt: skip
     return Calibration(**values | changes)
@@ -44,7 +48,9 @@ def calibration(**changes) -> Calibration:
 BLIND = Effect(0.02, NO_OPTIMUM)
 CALIBRATIONS = {
     "usual": calibration(),
-    "no optimum": calibration(random=BLIND, sensor=BLIND, raster=Effect(math.nan, math.nan), optimum_um=NO_OPTIMUM),
+    "no optimum": calibration(
+        random=BLIND, sensor=BLIND, raster=Effect(math.nan, math.nan), interpolation=BLIND, optimum_um=NO_OPTIMUM
+    ),
     "no noise": calibration(noise=0.0, random=Effect(0.0, 0.0), bias=Effect(0.0, 0.0)),
     "nothing errs": calibration(
         noise=0.0,
@@ -176,7 +182,36 @@ def test_a_budget_scales_as_its_sources_do():
     assert other["seeds"].optimum_um == pytest.approx(one["seeds"].optimum_um / 2)
     assert other["oversampling"].delta_e == 0.02
     assert effects(found, 2048, 0.1, 1e-3, 1)["oversampling"].delta_e == pytest.approx(0.004 / 16)
-    assert total(one).delta_e == pytest.approx(sum(each.delta_e for name, each in one.items() if name != "display raster"))
+    assert (one["display raster"], one["display interpolation"]) == (found.raster, found.interpolation)
+    of_computing = [each for name, each in one.items() if not name.startswith("display")]
+    assert len(of_computing) == 4
+    assert total(one).delta_e == pytest.approx(sum(each.delta_e for each in of_computing))
+
+
+def test_the_interpolation_is_compared_with_the_next_finer_one():
+    """A grating without noise: the changes of ΔE are in the ratio of the changes of its contrast."""
+    x = (np.arange(256) + 0.5) / 256
+    light = np.tile(1 + 0.5 * np.sin(2 * np.pi * 12 * x), (32, 1))
+    nm = np.arange(400.0, 701.0, 20.0)
+    # 12 cycles on 1 mm through pixels of 20 µm: a quarter of a cycle each.
+    grating = pixsim.SpectralImage(nm, 20.0, 1e3 / 256, factors=(np.full((1, nm.size), 1e-3), light[None]))
+    camera = pixsim.Camera(die_mm=1.0)
+    pixel = pixsim.Pixel(pitch_um=20.0, fill_factor=0.25, prnu=0, reset_noise_factor=0, read_noise_e=0, bits=14)
+    white = float(np.quantile(grating.illuminance_lx(), 0.9)) * 65 / np.pi
+
+    def changed_by(**display) -> Effect:
+        shown = pixsim.Display(dots=100, bits=16, white_cd_per_m2=2 * white, **display)
+        setup = Setup(camera, pixel, pixsim.Exposure(), shown)
+        return interpolation_effect(grating, setup, probe(grating, setup))
+
+    nearest, linear, cubic = (changed_by(interpolation=each).delta_e for each in ("nearest", "linear", "cubic"))
+    left = {each: float(interpolation_mtf(12.0, 20.0, each)) for each in ("linear", "cubic", "quintic")}
+    gained = (left["cubic"] - left["linear"]) / (left["quintic"] - left["cubic"])
+    # So small a ΔE goes with the contrast that is lost, but for the images (0.5 %) and the eye's cube root.
+    assert linear / cubic == pytest.approx(gained, rel=0.03)  # 15.2
+    # Cells that stay flat lose less contrast than lines do, and show images instead: the two nearly cancel.
+    assert 0 < nearest < linear
+    assert math.isnan(changed_by(raster="one_to_one").delta_e)
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
@@ -241,6 +276,17 @@ def test_rounding_down():
     for value in np.geomspace(1e-5, 2, 300):
         assert 0 <= value - rounded_down(value) < 0.011 * value
         assert float(f"{rounded_down(value):.3g}") == rounded_down(value)
+
+
+def test_the_lines_of_a_budget_stand_in_one_column():
+    sources = {
+        name: {"delta_e": each.delta_e, "optimum_um": None} for name, each in effects(calibration(), 512, 0.1, 1e-3, 1).items()
+    }
+    told = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
+    _, *lines = budget_lines({"error_budget": told | {"total": {"delta_e": 0.5, "optimum_um": None}}})
+    assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "all but the display"]
+    assert lines[-2][23:] == " 3.0e-02 ΔE"
+    assert {line[23] for line in lines} == {" "}
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)

@@ -9,6 +9,7 @@ import pixsim
 from pixsim import display as displays
 from pixsim import sensor as sensors
 from pixsim.errors import PixsimError
+from pixsim.optics import square_aperture_mtf
 from pixsim.parameters import Camera, Display, Exposure, Pixel
 from pixsim.pixel import derive
 from pixsim.score import bench_of, evaluate, project
@@ -177,6 +178,54 @@ def test_frames_are_mapped_by_position_on_the_die(pitch_um):
     tolerance = 1e-6 if pitch_um > 5.3 else pitch_um / 4000  # pixels cut by a dot's border count as constant
     np.testing.assert_allclose(shown[64, inside], (500 + dots_um[inside]) / 1000, atol=tolerance)
     assert shown[64].mean() == pytest.approx((500 + 339.2) / 1000, abs=1e-6)  # centred
+
+
+# --- What the display blurs ---
+
+
+def shown_contrast(frequency_cy_per_mm: float, pitch_um: float, display: Display) -> float:
+    """Amplitude that a grating on the pixels has on the dots over its own, at its frequency.
+
+    A mean over eight phases of the grating, so that images of the spectrum that fall close by on the dots' raster cancel.
+    """
+    die_um, mean, amplitude = 2713.6, 1000.0, 500.0
+    pixels = int(die_um / pitch_um * (1 + 1e-9))
+    x_um = (np.arange(pixels) - (pixels - 1) / 2) * pitch_um
+    dots_um = ((np.arange(display.dots) + 0.5) / display.dots - 0.5) * die_um
+    window = np.sin(np.pi * (np.arange(display.dots) + 0.5) / display.dots) ** 4  # keeps the borders and the mean out
+    found = []
+    for phase in np.arange(8) * np.pi / 4:
+        grating = mean + amplitude * np.cos(2e-3 * np.pi * frequency_cy_per_mm * x_um + phase)
+        frame = noise_free(np.tile(grating, (8, 1)), pitch_um)
+        shown = on_dots(frame, (8 * pitch_um, die_um), mean, display)[0]
+        wave = np.exp(-1j * (2e-3 * np.pi * frequency_cy_per_mm * dots_um + phase))
+        found.append((window * (shown - 1) * wave).sum() / window.sum() * 2 * mean / amplitude)
+    return float(np.abs(np.mean(found)))
+
+
+@pytest.mark.parametrize("interpolation", ["nearest", "linear", "cubic", "quintic"])
+@pytest.mark.parametrize("pitch_um", [3.3, 6.5, 9.7, 15.0])
+@pytest.mark.parametrize("of_nyquist", [0.2, 0.5, 0.8])
+def test_a_grating_is_shown_with_the_contrast_of_the_closed_forms(interpolation, pitch_um, of_nyquist):
+    frequency = of_nyquist * 1e3 / (2 * pitch_um)
+    display = Display(dots=512).model_copy(update={"interpolation": interpolation})
+    dot_um = 2713.6 / 512
+    expected = displays.interpolation_mtf(frequency, pitch_um, interpolation) * square_aperture_mtf(frequency, dot_um)
+    # Images at a multiple of 1/pitch plus the frequency keep the phase: beside the grating on the dots they leave up to 2e-4.
+    assert shown_contrast(frequency, pitch_um, display) == pytest.approx(float(expected), abs=5e-4)
+
+
+def test_interpolations_pass_a_flat_field_and_never_gain():
+    frequency = np.linspace(0, 1e3 / 6.5, 200)
+    curves = [displays.interpolation_mtf(frequency, 6.5, each) for each in ("linear", "cubic", "quintic")]
+    for mtf in curves:
+        assert mtf[0] == pytest.approx(1, abs=1e-12)
+        assert mtf[-1] == pytest.approx(0, abs=1e-12)  # a grating of one cycle a pixel is a flat field on the pixels
+        assert (np.diff(mtf) < 1e-12).all()
+    below = frequency < 1e3 / 13
+    assert (np.diff(curves, axis=0)[:, below] >= -1e-12).all(), "a higher degree is nearer to the ideal low-pass"
+    with pytest.raises(PixsimError, match="interpolation: got 'sinc'; allowed: nearest, linear, cubic"):
+        displays.interpolation_mtf(10.0, 6.5, "sinc")
 
 
 @pytest.mark.parametrize("samples", [256, 200])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
@@ -9,14 +10,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.merit import (
     FIGURE_2_INTEGRATION_S,
+    blur_words,
     dr_and_snr_db,
     growth_exponent,
     mpe30_lx_s,
     mtf50_cy_per_mm,
+    mtf_terms,
     sensitivity_e_per_lx_s_um2,
+    shown_mtf,
+    study_mtf_terms,
     system_mtf,
 )
 from pixsim.optics import diffraction_otf
@@ -31,10 +36,10 @@ from pixsim.paper import (
     modes,
     threshold_contrast,
 )
-from pixsim.parameters import Camera, Pixel, Study
+from pixsim.parameters import Camera, Pixel, Study, pixel_of
 from pixsim.pixel import derive, fill_factor_law
 from pixsim.spectral import SpectralImage, d65
-from pixsim.sweep import Curve, StudyResult
+from pixsim.sweep import Curve, StudyResult, load_study
 from pixsim.technology import load_technology
 
 Array = np.ndarray
@@ -165,6 +170,66 @@ def test_a_flat_field_is_passed_whole_and_detail_never_gains(pitch_um: float) ->
     mtf = system_mtf(daylight(), derive(Pixel(pitch_um=pitch_um)), np.linspace(0.0, 1e3 / 12, 101))
     assert mtf[0] == pytest.approx(1.0, abs=1e-12)
     assert (np.diff(mtf) < 0).all()
+
+
+def chen2000(spectrum: Array | None = None, **display: object) -> tuple[Known, Pixel]:
+    """The paper's study in daylight, or in light of a spectrum from 400 to 720 nm, (65,), and its pixel of 6.5 µm."""
+    study = load_study("chen2000")
+    nm = np.arange(400.0, 721.0, 5.0)
+    light = SpectralImage(
+        nm, 5.0, 1e3 * DIE_MM / 4, factors=((d65(nm) if spectrum is None else spectrum)[None], np.ones((1, 4, 4)))
+    )
+    shown = study.model_copy(update={"display": study.display.model_copy(update=display)})
+    return Known(shown, (), light, Camera()), pixel_of(study, "0.35um", 6.5)
+
+
+def test_the_terms_of_the_blur_at_33_lp_per_mm() -> None:
+    """By hand: f/4 at 555 nm; sinc of a side of √0.3106 · 6.5 µm; sinc² of 6.5 µm; sinc of a dot of 5.3 µm."""
+    result, pixel = chen2000(np.where(np.arange(65) == 31, 1.0, 0.0))
+    at = np.array(33.0)
+    terms = study_mtf_terms(result, derive(pixel), at)
+    expected = {"lens": 0.906, "photodiode": 0.977, "interpolation": 0.858, "dot": 0.950}
+    assert {name: round(float(each), 3) for name, each in terms.items()} == expected
+    # Products of numbers of three digits.
+    assert float(system_mtf(result, derive(pixel), at)) == pytest.approx(0.906 * 0.977, abs=1e-3)
+    assert float(shown_mtf(result, derive(pixel), at)) == pytest.approx(0.906 * 0.977 * 0.858 * 0.950, abs=2e-3)
+    # Silicon sees the red of daylight, which is diffracted more; about 0.25 % of contrast for 10 nm.
+    assert 0.895 < float(study_mtf_terms(chen2000()[0], derive(pixel), at)["lens"]) < 0.905
+
+
+@pytest.mark.parametrize(("interpolation", "left"), [("nearest", 0.9261), ("linear", 0.8577), ("cubic", 0.9931)])
+def test_the_display_s_interpolation_decides_its_share(interpolation: str, left: float) -> None:
+    """sinc, sinc², and sinc⁴ · 3/(2 + cos 2πx) at x = 0.2145, by hand."""
+    result, pixel = chen2000(interpolation=interpolation)
+    terms = study_mtf_terms(result, derive(pixel), np.array(33.0))
+    assert float(terms["interpolation"]) == pytest.approx(left, abs=2e-4)
+
+
+def test_the_words_for_the_blur_hold_the_numbers_of_the_terms() -> None:
+    result, pixel = chen2000()
+    light, camera, display = result.irradiance, result.camera, result.study.display
+    words = blur_words(light, camera, derive(pixel), display)
+    at = 1e3 / (4 * 6.5)  # no chart: half the Nyquist frequency
+    terms = mtf_terms(light, camera, derive(pixel), display, np.array(at))
+    assert words.startswith("At 38.5 lp/mm, half the Nyquist frequency of 6.5 µm pixels, ")
+    for each in terms.values():
+        assert f"{float(each):.3f}" in words
+    sensor, shown = 1 - float(terms["lens"] * terms["photodiode"]), 1 - float(terms["interpolation"] * terms["dot"])
+    assert re.findall(r"takes? (\d+) %", words) == [f"{100 * sensor:.0f}", f"{100 * shown:.0f}"]
+    light.header.update({"scene": "csf.xml"})
+    assert blur_words(light, camera, derive(pixel), display).startswith("At 33.3 lp/mm, the highest frequency of the chart, ")
+    pixels = blur_words(light, camera, derive(pixel), display.model_copy(update={"raster": "one_to_one"}))
+    assert pixels.endswith("takes nothing more.")
+
+
+def test_a_dark_picture_has_the_terms_of_equal_light() -> None:
+    result, pixel = chen2000()
+    nm = result.irradiance.wavelength_nm
+    dark, even = (
+        SpectralImage(nm, 5.0, 1e3 * DIE_MM / 4, factors=(np.full((1, nm.size), level), np.ones((1, 4, 4)))) for level in (0.0, 1.0)
+    )
+    found = [mtf_terms(each, result.camera, derive(pixel), result.study.display, np.array(33.0)) for each in (dark, even)]
+    assert found[0] == found[1]
 
 
 # --- maps -------------------------------------------------------------------------------------------------------------

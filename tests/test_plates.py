@@ -21,7 +21,7 @@ from pixsim.charts import DIE_MM
 from pixsim.curve_plates import delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics
 from pixsim.evaluations import pixel_of
 from pixsim.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
-from pixsim.merit import dr_and_snr_db, growth_exponent, mpe30_lx_s, mtf50_cy_per_mm, system_mtf
+from pixsim.merit import dr_and_snr_db, growth_exponent, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.optimum import Optimum
 from pixsim.paper import Evidence
 from pixsim.paper_figures import figure_2a, figure_2b, map_plates, scene_plates
@@ -111,8 +111,8 @@ def test_the_paper_s_figures_come_in_its_order(evidence: Evidence, plates: dict[
 UNITS = ("_um", "_db", "_mm", "_lx_s", "_lp_per_mm", "_delta_e", "_um2")
 # Ratios, names and counts; frequencies in a column's name are with their unit.
 WITHOUT_UNIT = re.compile(
-    r"technology|row|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|"
-    r"(delta_e|contrast)_at_[\d.]+_lp_per_mm|illuminance_lx_row_\d+"
+    r"technology|row|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|[a-z]+_mtf_6\.5um|"
+    r"(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm|illuminance_lx_row_\d+"
 )
 
 
@@ -140,13 +140,13 @@ def column(plate: Plate, name: str) -> np.ndarray:
     return np.array(plate.table[name])
 
 
-def lines(plate: Plate) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(x, y) of every line of the first axes."""
-    return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in plate.figure.axes[0].lines]
+def lines(plate: Plate, panel: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(x, y) of every line of an axes, the first if nothing else is asked for."""
+    return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in plate.figure.axes[panel].lines]
 
 
-def is_drawn(plate: Plate, x: np.ndarray, y: np.ndarray) -> bool:
-    return any(len(a) == len(x) and np.array_equal(a, x) and np.array_equal(b, y) for a, b in lines(plate))
+def is_drawn(plate: Plate, x: np.ndarray, y: np.ndarray, panel: int = 0) -> bool:
+    return any(len(a) == len(x) and np.array_equal(a, x) and np.array_equal(b, y) for a, b in lines(plate, panel))
 
 
 def test_figure_2a_is_equations_1_and_2() -> None:
@@ -173,6 +173,34 @@ def test_figure_2b_is_the_system_mtf_up_to_83_lp_per_mm(result: StudyResult) -> 
         assert is_drawn(plate, relative, mtf)
         curves.append(mtf)
     assert (np.diff(curves, axis=0)[:, 1:] < 0).all(), "a larger photodiode blurs more"
+
+
+TERMS = ("lens", "photodiode", "interpolation", "dot")
+
+
+def test_figure_2b_draws_every_term_and_their_product(result: StudyResult) -> None:
+    """At the Nyquist frequency of 6.5 µm pixels the linear interpolation leaves (2/π)²; a dot here is 2713.6/120 µm."""
+    plate = figure_2b(result)
+    frequency = column(plate, "frequency_lp_per_mm")
+    assert frequency[[0, -1]] == pytest.approx([0, 1e3 / 12])
+    terms = {name: column(plate, f"{name}_mtf_6.5um") for name in TERMS}
+    shown = column(plate, "shown_mtf_6.5um")
+    for values in (*terms.values(), shown):
+        assert is_drawn(plate, frequency, values, panel=1)
+    np.testing.assert_allclose(shown, np.prod(list(terms.values()), axis=0), rtol=1e-12)
+    physics = pixsim.derive(pixel_of(result.study, "0.35um", 6.5))
+    np.testing.assert_allclose(terms["lens"] * terms["photodiode"], system_mtf(result, physics, frequency), rtol=1e-12)
+    # Drawn lines between 101 points of a curve whose second derivative is at most 5e-4 mm²: 5e-5.
+    assert np.interp(1e3 / 13, frequency, terms["interpolation"]) == pytest.approx((2 / np.pi) ** 2, abs=1e-4)
+    np.testing.assert_allclose(terms["dot"], np.abs(np.sinc(frequency * 1e-3 * DIE_MM * 1e3 / 120)), atol=1e-9)
+
+
+def test_a_display_of_one_dot_a_pixel_blurs_nothing(result: StudyResult) -> None:
+    display = result.study.display.model_copy(update={"raster": "one_to_one"})
+    as_is = replace(result, study=result.study.model_copy(update={"display": display}))
+    assert not {name for name in figure_2b(as_is).table if name.startswith(("interpolation", "dot"))}
+    plate = light_against_detail(as_is, result.curves[0])
+    np.testing.assert_allclose(column(plate, "shown_mtf50_lp_per_mm"), column(plate, "mtf50_lp_per_mm"), rtol=1e-12)
 
 
 def test_the_scene_is_that_of_the_irradiance(plates: dict[str, Plate], result: StudyResult) -> None:
@@ -228,7 +256,34 @@ def test_light_and_detail_are_bought_with_each_other(plates: dict[str, Plate], r
     assert (np.diff(mpe30) < 0).all()
     physics = pixsim.derive(pixel_of(result.study, "0.35um", 7.0))
     assert mtf50[2] == pytest.approx(mtf50_cy_per_mm(result, physics), rel=1e-12)
+    shown50 = column(plate, "shown_mtf50_lp_per_mm")
+    # MTF50 is read off lines between frequencies 0.01 lp/mm apart: far less than 1e-6 off.
+    for at, mtf in ((mtf50[2], system_mtf), (shown50[2], shown_mtf)):
+        assert mtf(result, physics, np.array(at)) == pytest.approx(0.5, abs=1e-6)
+    assert (shown50 < mtf50).all()
+    for values in (mtf50, shown50):
+        assert is_drawn(plate, np.array(PITCHES_UM), values)
     assert mpe30[2] == pytest.approx(mpe30_lx_s(result, physics), rel=1e-12)
+
+
+def test_light_against_detail_draws_what_each_term_leaves_at_the_chart_s_highest_frequency(
+    plates: dict[str, Plate], result: StudyResult
+) -> None:
+    plate = plates["light_against_detail"]
+    terms = [column(plate, f"{name}_mtf_at_33.3_lp_per_mm") for name in TERMS]
+    shown = column(plate, "shown_mtf_at_33.3_lp_per_mm")
+    np.testing.assert_allclose(shown, np.prod(terms, axis=0), rtol=1e-12)
+    for values in (*terms, shown):
+        assert is_drawn(plate, np.array(PITCHES_UM), values, panel=1)
+    np.testing.assert_allclose(terms[2], np.sinc(np.array(PITCHES_UM) / 30) ** 2, rtol=1e-12)  # f p at 1000/30 lp/mm
+    assert np.ptp(terms[0]) == np.ptp(terms[3]) == 0, "neither the lens nor the dots know the pixel"
+    light = result.irradiance
+    header = light.header | {"scene": "mine.xml"}
+    mine = SpectralImage(light.wavelength_nm, light.band_width_nm, light.pitch_um, factors=light.factors, header=header)
+    elsewhere = replace(result, irradiance=mine)
+    curve = result.curves[0]
+    nyquist = 1e3 / (2 * curve.optimum.pitch_um)
+    assert f"lens_mtf_at_{nyquist / 2:.3g}_lp_per_mm" in light_against_detail(elsewhere, curve).table
 
 
 def test_the_line_is_proportional_to_technology_through_the_largest(plates: dict[str, Plate]) -> None:

@@ -97,6 +97,18 @@ def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]
             assert f"{delta_e:.4f}" in words
 
 
+def test_the_report_names_what_blurs_at_the_best_size_of_each_technology(made: tuple[StudyResult, Path]) -> None:
+    """96 dots on 2713.6 µm and lines between pixels, at 1000/30 lp/mm."""
+    words = " ".join("".join(Elements(text_of(made[1])).words).split())
+    for curve in made[0].curves:
+        best_um = curve.optimum.pitch_um
+        interpolation, dot = np.sinc(best_um / 30) ** 2, np.sinc(2713.6 / 96 / 30)
+        assert (
+            f"What blurs with {best_um:.2f} µm pixels, {curve.label}. At 33.3 lp/mm, the highest frequency of the chart, " in words
+        )
+        assert f"leaves {interpolation:.3f} of that, and the dots {dot:.3f}: " in words
+
+
 def test_a_minimum_at_the_end_is_not_sold_as_the_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     curve = result.curves[0]

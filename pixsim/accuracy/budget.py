@@ -10,6 +10,10 @@ A short calibration renders a scene twice at its own settings and moves each sou
   order is to be believed (Roache, J. Fluids Eng. 116 (1994) 405).
 * seeds: sensors scatter.
 * display raster: a display of twice the dots at the same angle.
+* display interpolation: the next finer one between pixel centres, linear for nearest, cubic for linear. No display is finer
+  than cubic, which is compared with the quintic spline.
+
+The last two are properties of the display that the user asks about. Their lines stand next to the sum, not in it.
 
 A difference of ΔE is the RMS over the set-up's pixel and the pitches around the optimum: one of them alone may change its
 sign just there and look small.
@@ -47,7 +51,9 @@ NORMAL_95 = 1.96
 STUDENT_95 = float(student_t.ppf(0.975, SENSORS - 1))  # of a scatter that so few sensors tell: 2.8
 MOST_DOTS = 4096
 FEWEST_CELLS = 4
-SOURCES = ("render noise", "spectral quadrature", "oversampling", "seeds", "display raster")
+OF_DISPLAY = ("display raster", "display interpolation")
+SOURCES = ("render noise", "spectral quadrature", "oversampling", "seeds", *OF_DISPLAY)
+FINER_INTERPOLATION = {"nearest": "linear", "linear": "cubic", "cubic": "quintic"}
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,7 @@ class Calibration:
     per_e : of a relative error of the mean electrons, for each unit
     films : error of films of a quarter and a half of that width, and of its own, which goes on with width^-order
     sensor : standard deviation between sensors; raster : between the display and one of twice the dots
+    interpolation : between the display's and the next finer one
     work : samples of the two renders; planes : pictures that an image of the scene holds, of its bands or pulses
     """
 
@@ -86,6 +93,7 @@ class Calibration:
     order: float
     sensor: Effect
     raster: Effect
+    interpolation: Effect
     work: float
     planes: int
     dots: int
@@ -144,6 +152,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
         order=order,
         sensor=Effect(spread(sensors.delta_e), spread(np.array([sensors.optimum_of(k) for k in range(SENSORS)]))),
         raster=raster_effect(image, setup, own),
+        interpolation=interpolation_effect(image, setup, own),
         work=2.0 * spp * plan.passes * job.size[0] * job.size[1],
         planes=len(image.factors[0]) if image.factors else image.wavelength_nm.size,
         dots=setup.display.dots,
@@ -182,6 +191,15 @@ def raster_effect(image: SpectralImage, setup: Setup, own: Probe) -> Effect:
     if setup.display.raster != "fixed_size" or 2 * setup.display.dots > MOST_DOTS:
         return Effect(math.nan, math.nan)
     return difference_of(probe(image, replace(setup, display=finer(setup.display, 2 * setup.display.dots))), own)
+
+
+def interpolation_effect(image: SpectralImage, setup: Setup, own: Probe) -> Effect:
+    """What the next finer interpolation changes; unknown where the dots are the pixels."""
+    display = setup.display
+    if display.raster != "fixed_size":
+        return Effect(math.nan, math.nan)
+    better = display.model_copy(update={"interpolation": FINER_INTERPOLATION[display.interpolation]})
+    return difference_of(probe(image, replace(setup, display=better)), own)
 
 
 def merges(shape: tuple[int, int], factor: int) -> bool:
@@ -226,13 +244,14 @@ def effects(found: Calibration, width: int, noise: float, bound_e: float, sensor
         found.film(width),
         found.sensor.times(STUDENT_95 / math.sqrt(sensors)),
         found.raster,
+        found.interpolation,
     )
     return dict(zip(SOURCES, values, strict=True))
 
 
 def total(budget: dict[str, Effect]) -> Effect:
-    """The sum of what computing adds. The display's raster is told beside it: its dots are what the viewer has."""
+    """The sum of what computing adds: all but the display's raster and interpolation, which are what the viewer has."""
     whole = Effect(0.0, 0.0)
     for name, each in budget.items():
-        whole = whole if name == "display raster" else whole.plus(each)
+        whole = whole if name in OF_DISPLAY else whole.plus(each)
     return whole

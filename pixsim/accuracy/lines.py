@@ -42,7 +42,7 @@ def accuracy_lines(found: Accuracy) -> list[str]:
         orders = [f"{SHORT[metric]} {order}" for metric in METRICS if (order := found.order(name, metric))]
         lines += [f"  {name:10} {', '.join(orders)}"] if orders else []
     lines.append("error budget as shipped, one sensor:")
-    lines += [f"  {name:20} {effect_told(each)}" for name, each in found.budget.items()]
+    lines += [f"  {name:21} {effect_told(each)}" for name, each in found.budget.items()]
     slowest = max(found.stage_seconds, key=lambda name: found.stage_seconds[name])
     lines.append("stages: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in found.stage_seconds.items()))
     lines.append(f"  speed up next: {slowest}")

@@ -201,7 +201,7 @@ def budget(found: Accuracy) -> Plate:
     """The error budget, in ΔE and in µm."""
     names = list(found.budget)
     columns = {"delta_e": "mean ΔE", "optimum_um": "optimal pitch (µm)"}
-    figure = new_figure(8.4, 2.4)
+    figure = new_figure(8.4, 2.7)
     for axes, (key, label) in zip(figure.subplots(1, 2, sharey=True), columns.items(), strict=True):
         values = np.array([getattr(found.budget[name], key) for name in names])
         axes.barh(names, np.where(np.isfinite(values), values, 0.0), color=COLOURS[0])
@@ -212,7 +212,8 @@ def budget(found: Accuracy) -> Plate:
     figure.axes[0].invert_yaxis()
     caption = (
         "What the error of one result is made of, with the shipped settings. Render noise and seeds: 95 % of renders and of "
-        "individual sensors lie so near their mean. Display raster: what a display of twice the dots would change."
+        "individual sensors lie so near their mean. Display raster: what a display of twice the dots would change. Display "
+        "interpolation: what the next finer one would change, linear for nearest, cubic for linear, quintic for cubic."
     )
     return Plate(
         "budget", caption, figure, {"source": names, **{key: [getattr(found.budget[n], key) for n in names] for key in columns}}
