@@ -17,7 +17,7 @@ from pixsim.parameters import Camera, Study
 from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
-from pixsim.technology import load_technology
+from pixsim.technology import technology_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -166,8 +166,8 @@ def found_words(curve: Curve) -> str:
     return f"{curve.label}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm, ΔE {best.mean_delta_e:.3f}"
 
 
-def curve_of(technology: str, rows: list[Row]) -> Curve:
-    """The rows of one technology as a curve with its optimum."""
+def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
+    """The rows of one technology of a study as a curve with its optimum."""
     own = [row for row in rows if row["technology"] == technology]
     pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
     place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
@@ -181,5 +181,5 @@ def curve_of(technology: str, rows: list[Row]) -> Curve:
         for name, values in statistics.items():
             values[index, int(row["repeat"])] = float(row[name])
         fill_factor[index] = float(row["fill_factor"])
-    feature_um = load_technology(technology).feature_size_um
+    feature_um = technology_of(study, technology).feature_size_um
     return Curve(technology, feature_um, pitches, fill_factor, statistics, find_optimum(pitches, statistics["mean_delta_e"]))
