@@ -54,10 +54,10 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
 
     Raises PixsimError for files that no single run could use, and for an option that sets the pitch or the technology.
     """
-    for name, instead in OF_A_STUDY.items():
-        if name in (options or {}).get("pixel", {}):
-            allowed = f"other fields of the pixel: a study's file gives {instead}"
-            raise refuse(f"pixel.{name}", f"'{(options or {})['pixel'][name]}' for a study", allowed, "Set it in a copy of the file.")
+    asked = (options or {}).get("pixel", {})
+    for name in (each for each in OF_A_STUDY if each in asked):
+        allowed = f"other fields of the pixel: a study's file gives {OF_A_STUDY[name]}"
+        raise refuse(f"pixel.{name}", f"'{asked[name]}' for a study", allowed, "Set it in a copy of the file.")
     files = [settings_layer(path) for path in paths]
     below: dict[str, Any] = {}
     over: list[Layer] = []
