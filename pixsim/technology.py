@@ -124,7 +124,7 @@ class Technology(Record):
     def with_numbers(self, values: dict[str, float], source: str) -> Technology:
         """The technology with other values of some of its `numbers`.
 
-        source : where they come from, for messages and for `sources`
+        source : where they come from, for messages
 
         Raises PixsimError for a name that it does not have, and for a value out of bounds.
         """
@@ -132,7 +132,8 @@ class Technology(Record):
             if name not in self.numbers:
                 raise refuse(source, f"'{name}'", ", ".join(self.numbers), did_you_mean(name, self.numbers))
         told = {
-            name: f"set by {source}; the file has {self.numbers[name]:g} ({self.sources.get(name, 'no source')})" for name in values
+            name: f"set by the study; the file has {self.numbers[name]:g} ({self.sources.get(name, 'no source')})"
+            for name in values
         }
         own = {name: value for name, value in values.items() if name not in Junction.model_fields}
         junction = {name: value for name, value in values.items() if name in Junction.model_fields}

@@ -44,7 +44,9 @@ def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str
             ranges.setdefault(case["variation"], [optimum(base["curves"])]).append(optimum(case["technologies"]))
     ends = {name: [(min(each), max(each)) for each in zip(*found, strict=True)] for name, found in ranges.items()}
     widest_first = sorted(ends.items(), key=lambda item: item[1][0][0] - item[1][0][1])
-    lines = [f"| {name} | {size[0]:.2f} to {size[1]:.2f} | {least[0]:.3f} to {least[1]:.3f} |" for name, (size, least) in widest_first]
+    lines = [
+        f"| {name} | {size[0]:.2f} to {size[1]:.2f} | {least[0]:.3f} to {least[1]:.3f} |" for name, (size, least) in widest_first
+    ]
     return ["| assumption | optimum (µm) | best mean ΔE |", "|---|---|---|", *lines]
 
 
