@@ -103,9 +103,9 @@ class Technology(Record):
         for name, (low, high) in self.ranges.items():
             value = self.numbers.get(name)
             if value is None:
-                raise ValueError(f"range of {name}: there is no such number; allowed: {', '.join(self.numbers)}")
+                raise refuse("range", f"'{name}'", f"numbers of this process: {', '.join(self.numbers)}")
             if not low <= value <= high:
-                raise ValueError(f"{name}: got range [{low:g}, {high:g}]; allowed: low <= {value:g} (the value) <= high")
+                raise refuse(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
             for end in (low, high):
                 self.with_numbers({name: end}, f"range of {name}")  # it has the bounds of the value
         return self
@@ -124,6 +124,7 @@ class Technology(Record):
     def with_numbers(self, values: dict[str, float], source: str) -> Technology:
         """The technology with other values of some of its `numbers`.
 
+        values : name of a number -> its value, each in its unit
         source : where they come from, for messages
 
         Raises PixsimError for a name that it does not have, and for a value out of bounds.

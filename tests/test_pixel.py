@@ -315,9 +315,9 @@ def test_ranges_are_no_content():
 @pytest.mark.parametrize(
     ("written", "told"),
     [
-        ("[0.4, 0.6]", r"dsnu: got range \[0\.4, 0\.6\]; allowed: low <= 0\.3"),
-        ("[0.1, 0.2]", r"dsnu: got range \[0\.1, 0\.2\]; allowed: low <= 0\.3"),
-        ("[0.6, 0.1]", r"dsnu: got range \[0\.6, 0\.1\]"),
+        ("[0.4, 0.6]", r"range of dsnu: got \[0\.4, 0\.6\]; allowed: low <= 0\.3"),
+        ("[0.1, 0.2]", r"range of dsnu: got \[0\.1, 0\.2\]; allowed: low <= 0\.3"),
+        ("[0.6, 0.1]", r"range of dsnu: got \[0\.6, 0\.1\]"),
         ("[-0.1, 0.6]", r"range of dsnu: dsnu: got -0\.1; allowed: greater than or equal to 0"),
         ("[0.1, 101]", r"range of dsnu: dsnu: got 101.*less than or equal to 100"),
         ("[0.1, inf]", r"dsnu\.1: got inf; allowed: a finite number"),
