@@ -49,7 +49,7 @@ def render_until(
     scene: Scene,
     camera: Camera,
     plan: Plan,
-    pixels: Sequence[Pixel],
+    pixels: Sequence[Pixel | PixelPhysics],
     exposure: Exposure,
     seed: int = 0,
     *,
@@ -80,7 +80,9 @@ def render_until(
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0, 0, 0.0, 0
     found = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
-    limits = content_hash([[each.model_dump() for each in pixels], exposure.model_dump(), render_noise, max_seconds])
+    derived = [derive(each) if isinstance(each, Pixel) else each for each in pixels]
+    sensed = [[each.pixel.model_dump(), each.technology.content] for each in derived]
+    limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds])
     in_time = job.kept.runs_in_time(limits) if job.kept else None
     ended: Literal["target", "max_seconds", "runs"] | None = None
     while ended is None:
@@ -92,7 +94,7 @@ def render_until(
             del pictures  # beside the halves it would be the third picture in memory
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
-        fraction, relative = noise_of(job, halves, weight, pixels, exposure)
+        fraction, relative = noise_of(job, halves, weight, derived, exposure)
         much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
         up = much and at_level >= PAIRS_A_LEVEL and spp < MOST_SPP
         level, at_level = (level + 1, 0) if up else (level, at_level)
@@ -140,15 +142,14 @@ def _header(noise: RenderNoise) -> dict[str, Any]:
 
 
 def noise_of(
-    job: Renderer, halves: list[list[Array]], weight: float, pixels: Sequence[Pixel], exposure: Exposure
+    job: Renderer, halves: list[list[Array]], weight: float, pixels: Sequence[PixelPhysics], exposure: Exposure
 ) -> tuple[float, float]:
     """(fraction of sensor noise, relative), the greatest over the pixels, of the mean of two halves of that weight each.
 
     Diffraction is left out: it would average over a little more than a pixel, and so lower the noise a little.
     """
     worst = worst_relative = 0.0
-    for pixel in pixels:
-        physics = derive(pixel)
+    for physics in pixels:
         side = physics.pitch_um, physics.photodiode_side_um
         units = _electrons_of_pulses(job, halves[0], physics)
         even, odd = (integrate_pixels(_rate(job, half, units), job.pitch_um, *side) / weight for half in halves)

@@ -11,9 +11,8 @@ import numpy as np
 from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, Look, draw_terms, literal, new_figure
 from pixsim.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.optimum import fitted_curve, mean_and_ci95, window
-from pixsim.parameters import pixel_of
 from pixsim.pictures import is_csf
-from pixsim.pixel import derive
+from pixsim.pixel import physics_of
 from pixsim.plates import Column, Plate
 
 if TYPE_CHECKING:
@@ -171,7 +170,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
 
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     """MTF50 and MPE30 of each pitch, the two sides of the trade-off; and what each term of the blur leaves of fine detail."""
-    pixels = [derive(pixel_of(result.study, curve.technology, pitch)) for pitch in curve.pitch_um.tolist()]
+    pixels = [physics_of(result.study, curve.technology, pitch) for pitch in curve.pitch_um.tolist()]
     mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
     shown50 = [mtf50_cy_per_mm(result, physics, shown_mtf) for physics in pixels]
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]

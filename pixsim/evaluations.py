@@ -22,11 +22,11 @@ from pixsim.errors import refuse
 from pixsim.ledger import Ledger, Row
 from pixsim.parameters import Camera, Study, content_hash
 from pixsim.parameters import pixel_of as pixel_of
-from pixsim.pixel import derive, pitch_for_fill_factor_um
+from pixsim.pixel import physics_of, pitch_for_fill_factor_um
 from pixsim.score import Bench, Projection, Score, bench_of, project
 from pixsim.sensor import pixels_along
 from pixsim.spectral import Array, SpectralImage
-from pixsim.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.technology import Technology, technology_of, with_fill_factor_law
 
 COLUMNS = (
     "key",
@@ -61,7 +61,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         return pitches
     low, told = study.pitch.min_um, "pitch.min_um"
     if low is None:
-        process = with_fill_factor_law(load_technology(technology), study.pixel.fill_factor_law)
+        process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         told = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= study.pitch.max_um:
@@ -83,7 +83,7 @@ class Lights:
             if len(self._kept) >= self.room:
                 self._kept.clear()
             any_um = float(study_pitches_um(self.study, technology).max())
-            physics = derive(pixel_of(self.study, technology, any_um))
+            physics = physics_of(self.study, technology, any_um)
             border_um = self.study.pitch.largest_um
             self._kept[technology] = project(self.irradiance, self.camera, physics, self.study.display, border_um=border_um)
         return self._kept[technology]
@@ -104,7 +104,7 @@ def bench_at(
     study: Study, light: Light, camera: Camera, technology: str, pitch_um: float, process: Technology | None = None
 ) -> Bench:
     """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
-    physics = derive(pixel_of(study, technology, pitch_um), process)
+    physics = physics_of(study, technology, pitch_um, process)
     if not isinstance(light, Projection):
         light = project(light, camera, physics, study.display, border_um=study.pitch.largest_um)
     return bench_of(light, physics, study.exposure, study.display)
@@ -209,7 +209,7 @@ class Content:
         return content_hash([self.picture, self.display, self.process(technology), self.study.pixel.model_dump()])
 
     def process(self, technology: str) -> dict[str, Any]:
-        return load_technology(technology).model_dump(exclude={"sources"})
+        return technology_of(self.study, technology).content
 
     def pixel(self, technology: str, pitch_um: float) -> str:
         """Of all that the frames of a pitch depend on."""
@@ -260,7 +260,7 @@ def block_key(frames_key: str, block: int) -> str:
 
 def tasks_of(content: Content, technology: str, done: Container[str]) -> Iterator[Task]:
     """What is missing of a technology, small pixels first, since they take longest."""
-    study, light_key, process = content.study, content.light(technology), load_technology(technology)
+    study, light_key, process = content.study, content.light(technology), technology_of(content.study, technology)
     for pitch_um, keys in content.rows(technology, study.repeats):
         frames = content.frames(technology, pitch_um)
         for block in range(-(-study.repeats // REPEATS_A_TASK)):

@@ -14,6 +14,7 @@ from pixsim.pictures import csf_range_lp_per_mm, is_csf
 from pixsim.pixel import PixelPhysics, derive
 from pixsim.sensor import M2_PER_UM2, electrons_per_joule
 from pixsim.spectral import Array, SpectralImage
+from pixsim.technology import Technology
 
 if TYPE_CHECKING:
     from pixsim.study_result import StudyResult
@@ -23,9 +24,13 @@ FIGURE_2_INTEGRATION_S = 0.030
 FIGURE_2_WELL_FRACTION = 0.20
 
 
-def dr_and_snr_db(pitch_um: Array, capacitance: str) -> tuple[Array, Array]:
-    """Figure 2a: eq. (1), and eq. (2) at 20 % of the well, at 30 ms, for the reference technology."""
-    pixels = [derive(Pixel.model_validate({"pitch_um": p, "capacitance": capacitance})) for p in pitch_um.tolist()]
+def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | None = None) -> tuple[Array, Array]:
+    """Figure 2a: eq. (1), and eq. (2) at 20 % of the well, at 30 ms, in dB, (P,) each; for the reference technology.
+
+    technology : that technology as a study has it; None takes the packaged one
+    """
+    options = ({"pitch_um": p, "capacitance": capacitance} for p in pitch_um.tolist())
+    pixels = [derive(Pixel.model_validate(each), technology) for each in options]
     dr = [pixel.dynamic_range_db(FIGURE_2_INTEGRATION_S) for pixel in pixels]
     snr = [pixel.snr_db(FIGURE_2_WELL_FRACTION * pixel.full_well_e, FIGURE_2_INTEGRATION_S) for pixel in pixels]
     return np.array(dr), np.array(snr)

@@ -29,6 +29,8 @@ class Optimum:
     mean_delta_e : there
     ci95_um : half width of the 95 % interval that the sensors allow (jackknife over repeats, Student's t)
     fit_um : half of the range of minima that other degrees and windows of the fit give, or one pitch less
+    interval_um : 95 % interval of the optimal pitch; None where it reaches an end of the pitches
+    mean_delta_e_interval : 95 % interval of the least mean ΔE
     inside : whether the fit has a minimum within its window; False where the error is least at an end of the pitches
     within_1_percent_um, within_2_percent_um : pitches whose fitted mean ΔE is so close to the best
     """
@@ -40,6 +42,8 @@ class Optimum:
     inside: bool
     within_1_percent_um: tuple[float, float]
     within_2_percent_um: tuple[float, float]
+    interval_um: tuple[float | None, float | None] = (None, None)
+    mean_delta_e_interval: tuple[float, float] = (0.0, 0.0)
 
     def as_dict(self) -> dict[str, Any]:
         """As summary.json tells it."""
@@ -113,14 +117,21 @@ def find_optimum(pitch_um: Array, delta_e: Array) -> Optimum:
     for percent in (1, 2):
         near = grid[curve <= curve[best] + abs(curve[best]) * percent / 100]
         ranges.append((float(near[0]), float(near[-1])))
+    ci95_um = float(student_t(repeats - 1) * standard_error)
+    fit_um = fit_spread_um(pitch_um, delta_e.mean(axis=1))
+    half_um = ci95_um + fit_um
+    low_um, high_um = float(grid[best]) - half_um, float(grid[best]) + half_um
+    half = float(mean_and_ci95(delta_e)[1][delta_e.mean(axis=1).argmin()])
     return Optimum(
         pitch_um=float(grid[best]),
-        ci95_um=float(student_t(repeats - 1) * standard_error),
-        fit_um=fit_spread_um(pitch_um, delta_e.mean(axis=1)),
+        ci95_um=ci95_um,
+        fit_um=fit_um,
         mean_delta_e=float(curve[best]),
         inside=0 < best < len(grid) - 1,
         within_1_percent_um=ranges[0],
         within_2_percent_um=ranges[1],
+        interval_um=(low_um if low_um > pitch_um[0] else None, high_um if high_um < pitch_um[-1] else None),
+        mean_delta_e_interval=(float(curve[best]) - half, float(curve[best]) + half),
     )
 
 

@@ -5,6 +5,7 @@ A row that does not agree stays in, with its reason.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -15,11 +16,12 @@ from scipy.ndimage import gaussian_filter1d
 from pixsim.charts import csf_contrast, csf_frequency_lp_per_mm
 from pixsim.display import picture_size_um
 from pixsim.merit import dr_and_snr_db, growth_exponent
+from pixsim.parameters import Study
 from pixsim.pictures import NO_BORDER, Border
-from pixsim.pixel import fill_factor_law
+from pixsim.pixel import fill_factor_law, physics_of
 from pixsim.spectral import Array
 from pixsim.sweep import Curve, StudyResult
-from pixsim.technology import load_technology
+from pixsim.technology import Technology, technology_of, with_fill_factor_law
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.
 REFERENCE_TECHNOLOGY = "0.35um"
@@ -35,6 +37,8 @@ FINE_DISPLAY_BITS = 16
 FREQUENCY_BINS, CONTRAST_BINS = 6, 8
 CONTRAST_SMOOTHING_DOTS = 4.0
 HISTOGRAM_BINS, MODE_PROMINENCE = 1000, 0.02  # prominence of the highest mode
+Interval = tuple[float | None, float | None]
+UNKNOWN: Interval = (None, None)
 
 
 @dataclass(frozen=True)
@@ -167,17 +171,45 @@ def modes(delta_e: Array) -> int:
 
 def findings(evidence: Evidence) -> list[Finding]:
     """One row for each statement that the study has the data for."""
+    return [*reference_rows(evidence), *scaling_rows(list(evidence.curves.values()))]
+
+
+def reference_rows(evidence: Evidence) -> list[Finding]:
+    """The rows that depend on no process but the paper's own, 0.35 µm."""
     checks: list[Callable[[Evidence], Iterator[Finding]]] = [_pixel_rows]
     if REFERENCE_TECHNOLOGY in evidence.curves:
         checks += [_optimum_rows, _iso_rows, _map_rows]
-    if len(evidence.curves) > 1:
-        checks.append(_scaling_rows)
     return [finding for check in checks for finding in check(evidence)]
 
 
-def _pixel_rows(_: Evidence) -> Iterator[Finding]:
+def reference_process(study: Study) -> Technology:
+    """The paper's own process with the numbers and the fill-factor law of a study."""
+    return with_fill_factor_law(technology_of(study, REFERENCE_TECHNOLOGY), study.pixel.fill_factor_law)
+
+
+def response_note(study: Study) -> str:
+    """How the quantum efficiency of a study compares with what its reference process states, for a report."""
+    stated = reference_process(study)
+    wavelength_nm = np.arange(300.0, 1101.0)
+    used = float(physics_of(study, REFERENCE_TECHNOLOGY, study.pitch.max_um).quantum_efficiency(wavelength_nm).max())
+    told = f"{stated.peak_quantum_efficiency:g} ({stated.sources.get('peak_quantum_efficiency', 'no source')})"
+    apart = not math.isclose(used, stated.peak_quantum_efficiency, rel_tol=0.01)
+    verdict = "The two contradict each other" if apart else "The two agree"
+    if study.pixel.quantum_efficiency is not None:
+        return f"The quantum efficiency of this study peaks at {used:.3g}. The process {stated.name} states {told}. {verdict}."
+    reading, other = ("literally, as a quantum efficiency", "scaled") if study.pixel.response == "literal" else (
+        "as A/W, scaled to the process", "literal"
+    )  # fmt: skip
+    return (
+        f"The response file is read {reading}: it peaks at {used:.3g}. The process {stated.name} states {told}. {verdict}. "
+        f"For the optimum by the other reading add `--pixel.response {other} --out FOLDER` to the command."
+    )
+
+
+def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
+    process = reference_process(evidence.result.study)
     for size_um, given in FILL_FACTORS.items():
-        found = float(fill_factor_law(size_um, load_technology(REFERENCE_TECHNOLOGY)))
+        found = float(fill_factor_law(size_um, process))
         yield Finding(
             f"Fill factor at {size_um:g} µm",
             f"{given:.0%}",
@@ -187,7 +219,7 @@ def _pixel_rows(_: Evidence) -> Iterator[Finding]:
         )
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = FIGURE_2_RANGE_DB
-    for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper"), strict=True):
+    for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True):
         inside = low <= db.min() and db.max() <= high
         yield Finding(
             f"{name} from 5.3 to 15 µm (Fig. 2a)",
@@ -275,32 +307,61 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-def _scaling_rows(evidence: Evidence) -> Iterator[Finding]:
-    """Section 5. "Slower" and "worse" are asked of the smallest process against the paper's own, 0.35 µm."""
-    curves = sorted(evidence.curves.values(), key=lambda curve: -curve.feature_size_um)
-    own = next((index for index, curve in enumerate(curves) if curve.technology == REFERENCE_TECHNOLOGY), 0)
-    size = np.array([curve.optimum.pitch_um for curve in curves])
-    ratio = size / [curve.feature_size_um for curve in curves]
-    best = np.array([curve.optimum.mean_delta_e for curve in curves])
-    names = ", ".join(f"{curve.feature_size_um:g}" for curve in curves)
+def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
+    """Section 5, from the largest to the smallest process; none for a single one. `rise` says what counts as a trend."""
+    if len(curves) < 2:
+        return []
+    curves = sorted(curves, key=lambda curve: -curve.feature_size_um)
+    names = [f"{curve.feature_size_um:g}" for curve in curves]
+    optima = [curve.optimum for curve in curves]
+    size_um = [best.pitch_um for best in optima]
+    # A minimum at the end of the pitches is none: nothing is known of the optimum, nor of the least error.
+    size_intervals = [best.interval_um if best.inside else UNKNOWN for best in optima]
+    ratio = [best.pitch_um / curve.feature_size_um for best, curve in zip(optima, curves, strict=True)]
+    ratio_intervals = [
+        (low and low / curve.feature_size_um, high and high / curve.feature_size_um)
+        for (low, high), curve in zip(size_intervals, curves, strict=True)
+    ]
+    least = [best.mean_delta_e for best in optima]
+    least_intervals = [best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima]
 
-    def listed(values: Array, digits: int) -> str:
-        return ", ".join(f"{value:.{digits}f}" for value in values) + f" at {names} µm"
+    def row(statement: str, given: str, values: Sequence[float], digits: int, verdict: tuple[bool, str]) -> Finding:
+        found = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
+        agrees, why = verdict
+        if not agrees and "0.25" in why:
+            why += "; the 0.25 µm junction is unusually capacitive"
+        return Finding(statement, given, found, agrees, why)
 
-    shrinks, slower, worse = bool((np.diff(size) < 0).all()), bool(ratio[-1] > ratio[own]), bool(best[-1] > best[own])
-    yield Finding("The optimum shrinks with technology", "yes", listed(size, 2), shrinks, unless(shrinks))
-    yield Finding(
-        "… but slower than the technology", "optimum/F rises", listed(ratio, 1), slower, unless(slower, steps(ratio, curves))
-    )
-    statement = "The best mean ΔE gets worse as technology shrinks"
-    yield Finding(statement, "rises", listed(best, 3), worse, unless(worse, steps(best, curves)))
+    shrinks = rise(size_um[::-1], size_intervals[::-1], names[::-1])
+    return [
+        row("The optimum shrinks with technology", "yes", size_um, 2, shrinks),
+        row("… but slower than the technology", "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals, names)),
+        row("The best mean ΔE gets worse as technology shrinks", "rises", least, 3, rise(least, least_intervals, names)),
+    ]
 
 
-def steps(values: Array, curves: Sequence[Curve]) -> str:
-    """A remark on values that rise from the paper's process to the smallest, but not at every step."""
-    falls = np.flatnonzero(np.diff(values) <= 0)
-    if not falls.size:
-        return ""
-    pairs = ", ".join(f"{curves[i].feature_size_um:g} to {curves[i + 1].feature_size_um:g} µm" for i in falls.tolist())
-    odd = "; the 0.25 µm junction is unusually capacitive" if any(curve.technology == "0.25um" for curve in curves) else ""
-    return f"from 0.35 µm to the smallest, but not at every step: not from {pairs}{odd}"
+def rise(values: Sequence[float], intervals: Sequence[Interval], names: Sequence[str]) -> tuple[bool, str]:
+    """Whether values rise from the first process to the last, and why or why not.
+
+    They do where no step falls and the whole rise exceeds its 95 % interval, whose half width is √((b - b_low)² +
+    (a_high - a)²) for a first value a and a last value b of independent sensors.
+
+    Parameters
+    ----------
+    values : one for each process, in one unit
+    intervals : 95 %, low and high; None for an end that is open. A rise that depends on an open end is not known, and neither
+        is one of a value with both ends open.
+    names : of the processes, their feature sizes in µm
+    """
+    unknown = [name for name, interval in zip(names, intervals, strict=True) if interval == UNKNOWN]
+    falls = [f"{names[i]} to {names[i + 1]}" for i in range(len(values) - 1) if values[i + 1] < values[i]]
+    low, high = intervals[-1][0], intervals[0][1]
+    if not unknown:
+        if falls:
+            return False, f"it falls from {', from '.join(falls)} µm"
+        unknown = [name for name, end in ((names[0], high), (names[-1], low)) if end is None]
+    if unknown or low is None or high is None:
+        return False, f"not known: the 95 % interval is open at {', '.join(unknown)} µm"
+    whole, half = values[-1] - values[0], math.hypot(values[-1] - low, high - values[0])
+    agrees = whole > half
+    return agrees, f"the whole rise, {whole:.3g}, {'exceeds' if agrees else 'is within'} its 95 % interval, ±{half:.2g}"

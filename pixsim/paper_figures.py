@@ -17,10 +17,10 @@ from pixsim.paper import (
     REFERENCE_TECHNOLOGY,
     Evidence,
     frequency_contrast_table,
+    reference_process,
 )
-from pixsim.parameters import pixel_of
 from pixsim.pictures import CONTRAST_LABEL, DELTA_E_SHOWN
-from pixsim.pixel import derive
+from pixsim.pixel import physics_of
 from pixsim.plates import Column, Plate, coarse_table, draw_iso, pictures
 from pixsim.sweep import StudyResult
 
@@ -30,7 +30,7 @@ SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 def scene_plates(result: StudyResult) -> list[Plate]:
     """The paper's Figures 2 and 4: pixels and scene."""
-    return [figure_2a(), figure_2b(result), figure_4(result)]
+    return [figure_2a(result), figure_2b(result), figure_4(result)]
 
 
 def map_plates(evidence: Evidence) -> list[Plate]:
@@ -38,15 +38,15 @@ def map_plates(evidence: Evidence) -> list[Plate]:
     return [figure_5(evidence), figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
 
 
-def figure_2a() -> Plate:
+def figure_2a(result: StudyResult) -> Plate:
     """DR, and SNR at 20 % well, against pitch, at 30 ms, for both capacitances."""
-    pitch_um = np.geomspace(5.3, 15.0, 40)
+    pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
     figure = new_figure(6.0, 3.8)
     axes = figure.subplots()
     table: dict[str, Column] = {"pitch_um": pitch_um.tolist()}
     looks = iter(LOOKS)
     for capacitance in ("paper", "mosis"):
-        for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, capacitance), strict=True):
+        for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, capacitance, process), strict=True):
             look = next(looks)
             axes.plot(pitch_um, db, ms=4, markevery=6, label=f"{name}, capacitance '{capacitance}'", **look.line)
             table[f"{name.split()[0].lower()}_{capacitance}_db"] = db.tolist()
@@ -66,7 +66,7 @@ def figure_2b(result: StudyResult) -> Plate:
     axes, terms_axes = figure.subplots(1, 2, sharey=True)
     table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist(), "frequency_lp_per_mm": frequency.tolist()}
     for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
-        physics = derive(pixel_of(result.study, REFERENCE_TECHNOLOGY, pitch_um))
+        physics = physics_of(result.study, REFERENCE_TECHNOLOGY, pitch_um)
         mtf = system_mtf(result, physics, frequency)
         axes.plot(relative, mtf, markevery=20, ms=4, label=f"{pitch_um:g} µm", **look.line)
         nyquist = 6.0 / pitch_um
@@ -78,7 +78,7 @@ def figure_2b(result: StudyResult) -> Plate:
     axes.set_ylim(0, 1)
     axes.legend(title="pixel size", frameon=False, handlelength=LEGEND_LINE)
 
-    physics = derive(pixel_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM))
+    physics = physics_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM)
     terms = study_mtf_terms(result, physics, frequency)
     shown = draw_terms(terms_axes, frequency, terms, result.study.display.interpolation)
     table |= {f"{name}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}

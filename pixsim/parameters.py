@@ -203,6 +203,9 @@ class Study(Effort):
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         ("0.35um",), description="packaged technologies, or paths of TOML files; each is a curve"
     )
+    process: dict[str, dict[str, float]] = Field(
+        default_factory=dict, description="technology -> number of its file -> value in this study, in the number's unit"
+    )
     pitch: PitchRange = Field(PitchRange(), description="pixel sizes that are tried")
     repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="individual sensors for each pitch")
     target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
@@ -243,8 +246,10 @@ class Study(Effort):
 
     @cached_property
     def quickened(self) -> Study:
-        """This study with its `quick` table merged in."""
-        return Study.model_validate(merge(self.model_dump(exclude={"quick"}, mode="json"), self.quick))
+        """This study with its `quick` table merged in; numbers of technologies that the table leaves out go with them."""
+        table = merge(self.model_dump(exclude={"quick"}, mode="json"), self.quick)
+        table["process"] = {name: own for name, own in table["process"].items() if name in table["technologies"]}
+        return Study.model_validate(table)
 
 
 class Run(Effort):

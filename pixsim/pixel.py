@@ -16,10 +16,10 @@ from pixsim.junction import BOLTZMANN_J_PER_K as BOLTZMANN_J_PER_K
 from pixsim.junction import C_PER_FF_V as C_PER_FF_V
 from pixsim.junction import ELECTRON_C as ELECTRON_C
 from pixsim.junction import Diode
-from pixsim.parameters import Pixel
+from pixsim.parameters import Pixel, Study, pixel_of
 from pixsim.quantum_efficiency import Curve
 from pixsim.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S, Array
-from pixsim.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.technology import Technology, load_technology, technology_of, with_fill_factor_law
 from pixsim.wells import mean_junction_ff as mean_junction_ff
 from pixsim.wells import photodiode_capacitance_ff as photodiode_capacitance_ff
 from pixsim.wells import reset_capacitance_ff as reset_capacitance_ff
@@ -293,3 +293,17 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         column_fpn_e=given(pixel.column_fpn, technology.column_fpn) * full_well_e,
         diode=None if kept.diode is None else kept.diode.scaled(full_well_e / kept.full_well_e),
     )
+
+
+def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:
+    """A pixel of a study, with the numbers of its processes that the study sets (`Study.process`).
+
+    Parameters
+    ----------
+    technology : a name or path as in `Study.technologies`
+    pitch_um : centre to centre, µm
+    process : of that technology in that study, where it is at hand; None takes `technology_of`
+
+    Raises PixsimError as `derive` and `technology_of` do.
+    """
+    return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))

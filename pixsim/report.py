@@ -16,14 +16,14 @@ from pixsim.engine import Workers, results_of
 from pixsim.files import output_folder, replacing, versions, write_json
 from pixsim.merit import blur_words
 from pixsim.pages import text_uri, write_page
-from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
+from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.paper_figures import map_plates, scene_plates
-from pixsim.parameters import Record, pixel_of
-from pixsim.pixel import derive
+from pixsim.parameters import Record
+from pixsim.pixel import physics_of
 from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.plates import SENSORS_SHOWN, Drawn, Plate, pictures
 from pixsim.study_result import Curve, StudyResult
-from pixsim.technology import load_technology
+from pixsim.technology import Technology, technology_of
 from pixsim.views import Views, best_place, study_views
 from pixsim.wording import study_dark_notes
 
@@ -152,7 +152,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         return Light.of(result.irradiance, result.study.display, times_s)
 
     def blur_of(curve: Curve) -> str:
-        physics = derive(pixel_of(result.study, curve.technology, curve.optimum.pitch_um))
+        physics = physics_of(result.study, curve.technology, curve.optimum.pitch_um)
         return blur_words(result.irradiance, result.camera, physics, result.study.display)
 
     light = light_of(result.curves)
@@ -165,12 +165,16 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "scale_bar": scale(),
         "findings": rows,
         "notes": study_dark_notes(result),
+        "response_note": response_note(result.study) if result.study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,
         "settings": settings(result, light),
         "filled": FILLED,
         "sheets": NO_TECHNOLOGY in result.study.technologies,
-        "technologies": [load_technology(name) for name in result.study.technologies if name != NO_TECHNOLOGY],
+        "technologies": [
+            (process.name, technology_rows(process))
+            for process in (technology_of(result.study, name) for name in result.study.technologies if name != NO_TECHNOLOGY)
+        ],
         "provenance": provenance,
     }
     return write_page(folder / "report.html", "report.html.j2", page)
@@ -203,3 +207,10 @@ def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
     sheets = only_sheets(study.technologies)
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
+
+
+def technology_rows(process: Technology) -> list[tuple[str, float | str, str, str]]:
+    """Name, value, plausible range and source of each number of a process, for the report's table."""
+    values = process.content | process.numbers
+    ranges = {name: f"{low:g} to {high:g}" for name, (low, high) in process.ranges.items()}
+    return [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]

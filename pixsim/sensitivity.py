@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import Field
 
 from pixsim.config import merge
-from pixsim.engine import workers_for
+from pixsim.engine import Workers, results_of, workers_for
+from pixsim.errors import did_you_mean, refuse
 from pixsim.evaluations import Progress
 from pixsim.files import output_folder
+from pixsim.paper import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.parameters import Camera, PitchRange, Record, Study, content_hash
 from pixsim.spectral import SpectralImage
 from pixsim.sweep import Curve, StudyResult, load_study, refuse_bad_pitches, render_for, scene_for, sweep_pitches
+from pixsim.technology import load_technology
 
 
 class Setting(Record):
@@ -44,45 +47,70 @@ class Sensitivity(Record):
     repeats: Annotated[int, Field(ge=2, le=10000)] = 8
     pitch: PitchRange = PitchRange(count=14)
     vary: Annotated[tuple[Variation, ...], Field(min_length=1)]
+    ranges: dict[str, str] = Field(
+        default_factory=dict,
+        description="name -> number of the technologies' files that goes to both ends of its range, in all and in one alone",
+    )
     quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
 
     def base_study(self) -> Study:
         """The base with this record's technologies, sensors and pitches. All cases share its random streams."""
-        own = {"technologies": self.technologies, "repeats": self.repeats, "pitch": self.pitch.model_dump()}
+        own = {"technologies": self.technologies, "repeats": self.repeats, "pitch": self.pitch.model_dump(), "target_ci_um": None}
         table = load_study(self.base).model_dump(mode="json", exclude={"pitch", "quick"})
-        return Study.model_validate(table | own | {"paper": False, "target_ci_um": None})
+        return Study.model_validate(table | own | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
+
+
+@dataclass(frozen=True)
+class Move:
+    """A number of one technology at an end of its range."""
+
+    variation: str
+    number: str
+    end: int
+    technology: str
+    value: float
+
+    def study(self, base: Study) -> Study:
+        """The base with that technology alone."""
+        table = base.model_dump(mode="json") | {"technologies": [self.technology], "paper": False}
+        own = base.process.get(self.technology, {}) | {self.number: self.value}
+        return Study.model_validate(table | {"process": {self.technology: own}})
+
+    def __str__(self) -> str:
+        return f"{self.technology} {self.value:g}"
 
 
 @dataclass(frozen=True)
 class Case:
-    """One setting and what came out of it."""
+    """One setting and what came out of it.
+
+    curves : one for each technology
+    rows : what it makes of the paper's statements; of another base, of those on scaling only
+    alone : the technology that was moved while the others stayed, or nothing
+    """
 
     variation: str
     label: str
     curves: tuple[Curve, ...] = field(repr=False)
+    rows: tuple[Finding, ...] = field(default=(), repr=False)
+    alone: str = ""
 
     @property
-    def first(self) -> Curve:
-        return self.curves[0]
+    def reference(self) -> Curve:
+        """The curve of the paper's own process, or the first."""
+        return next((curve for curve in self.curves if curve.technology == REFERENCE_TECHNOLOGY), self.curves[0])
 
-    def scaling(self) -> dict[str, bool] | None:
-        """How the optima move along the technologies as given (largest first), or None for a single one."""
-        if len(self.curves) < 2:
-            return None
-        size = np.array([curve.optimum.pitch_um for curve in self.curves])
-        ratio = size / [curve.feature_size_um for curve in self.curves]
-        best = [curve.optimum.mean_delta_e for curve in self.curves]
-        return {
-            "optimum_shrinks_at_every_step": bool((np.diff(size) < 0).all()),
-            "slower_than_technology": bool(ratio[-1] > ratio[0]),
-            "best_delta_e_gets_worse": bool(best[-1] > best[0]),
-        }
+    @property
+    def agrees(self) -> dict[str, bool]:
+        """Statement -> verdict."""
+        return {row.statement: row.agrees for row in self.rows}
 
     def as_dict(self) -> dict[str, Any]:
         return {
             "variation": self.variation,
             "label": self.label,
-            "scaling": self.scaling(),
+            "alone": self.alone,
+            "agrees": self.agrees,
             "technologies": [
                 {
                     "technology": curve.technology,
@@ -100,29 +128,42 @@ class SensitivityResult:
 
     sensitivity: Sensitivity
     base: StudyResult
+    base_rows: tuple[Finding, ...]
     cases: tuple[Case, ...]
 
     @property
     def base_case(self) -> Case:
-        return Case("base", self.sensitivity.base, self.base.curves)
+        return Case("base", self.sensitivity.base, self.base.curves, self.base_rows)
+
+    def turning(self, statement: str) -> list[Case]:
+        """The cases whose verdict on a statement is not the base's."""
+        base = self.base_case.agrees[statement]
+        return [case for case in self.cases if case.agrees[statement] != base]
 
     def by_variation(self) -> dict[str, list[Case]]:
-        """Variation -> its cases; the widest range of the first technology's optimum comes first."""
+        """Variation -> its cases but those of one technology alone; the widest range of the reference's optimum comes first."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
-            groups.setdefault(case.variation, []).append(case)
+            if not case.alone:
+                groups.setdefault(case.variation, []).append(case)
 
         def width(cases: list[Case]) -> float:
-            sizes = [case.first.optimum.pitch_um for case in (*cases, self.base_case)]
+            sizes = [case.reference.optimum.pitch_um for case in (*cases, self.base_case)]
             return max(sizes) - min(sizes)
 
         return dict(sorted(groups.items(), key=lambda item: -width(item[1])))
 
     def as_dict(self) -> dict[str, Any]:
         """summary.json."""
+        claims = [
+            row.as_dict()
+            | {"turned_by": [{"variation": case.variation, "label": case.label} for case in self.turning(row.statement)]}
+            for row in self.base_rows
+        ]
         return {
             "sensitivity": self.sensitivity.model_dump(mode="json", exclude={"quick"}),
-            "base": self.base.as_dict() | {"scaling": self.base_case.scaling()},
+            "base": self.base.as_dict(),
+            "claims": claims,
             "cases": [case.as_dict() for case in self.cases],
         }
 
@@ -133,6 +174,26 @@ def cases_of(sensitivity: Sensitivity) -> Iterator[tuple[str, str, Study]]:
     for variation in sensitivity.vary:
         for setting in variation.settings:
             yield variation.name, setting.label, Study.model_validate(merge(base, setting.set))
+
+
+def moves_of(sensitivity: Sensitivity) -> list[Move]:
+    """Every number of `ranges` at both ends, in each technology whose file has a range for it.
+
+    Raises PixsimError for a number that no technology has.
+    """
+    processes = {name: load_technology(name) for name in sensitivity.technologies}
+    moves = []
+    for variation, number in sensitivity.ranges.items():
+        known = dict.fromkeys(name for process in processes.values() for name in process.numbers)
+        if number not in known:
+            raise refuse(f"ranges.{variation}", f"'{number}'", ", ".join(known), did_you_mean(number, known))
+        for end in (0, 1):
+            for name, process in processes.items():
+                # An A-grade number has no range, and one at the end of its range stays.
+                value = process.ranges.get(number, (process.numbers.get(number),) * 2)[end]
+                if value is not None and value != process.numbers[number]:
+                    moves.append(Move(variation, number, end, name, value))
+    return moves
 
 
 def run_sensitivity(
@@ -152,32 +213,102 @@ def run_sensitivity(
     if quick:
         table = merge(sensitivity.model_dump(mode="json", exclude={"quick"}), sensitivity.quick)
         sensitivity = Sensitivity.model_validate(table)
-    base = sensitivity.base_study()
+    base, moves = sensitivity.base_study(), moves_of(sensitivity)
+    moved = [move.study(base) for move in moves]
     cases = list(cases_of(sensitivity))
-    for each in (base, *(study for _, _, study in cases)):
+    for each in (base, *(study for _, _, study in cases), *moved):
         refuse_bad_pitches(each)
+    for each in (base, *(study for _, _, study in cases)):
         scene_for(each, variant)
     stage = progress or (lambda _: lambda *_: None)
     renders: dict[str, tuple[SpectralImage, Camera]] = {}
 
-    def run(study: Study, name: str) -> StudyResult:
+    def render(study: Study) -> tuple[SpectralImage, Camera]:
         light = study.model_dump(mode="json", include={"scene", "camera", "seed", "tolerance_e", "render_noise", "max_seconds"})
         key = content_hash(
             [light, study.exposure.model_dump(), study.pixel.model_dump(), study.technologies[0], study.pitch.max_um]
         )
         if key not in renders:
             renders[key] = render_for(study, variant, stage("render"))
-        results = folder / "cases" / f"{name}.csv"
-        return sweep_pitches(study, *renders[key], results, workers, lambda: stage(name))
+        return renders[key]
+
+    def run(study: Study, name: str, light: tuple[SpectralImage, Camera]) -> StudyResult:
+        result = sweep_pitches(study, *light, folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
+        return StudyResult(study, result.curves, *light)  # without its lights: many results stay until the end
 
     with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         (folder / "cases").mkdir(exist_ok=True)
-        first = run(base, "base")
-        done = [
-            Case(variation, label, run(study, file_name(number, variation, label)).curves)
-            for number, (variation, label, study) in enumerate(cases)
+        # A process moves no light: the base's render, so that a technology that stays has the base's rows.
+        results = [run(base, "base", render(base))]
+        results += [run(study, file_name(n, name, label), render(study)) for n, (name, label, study) in enumerate(cases)]
+        results += [
+            run(study, file_name(len(cases) + n, move.variation, str(move)), render(base))
+            for n, (move, study) in enumerate(zip(moves, moved, strict=True))
         ]
-    return SensitivityResult(sensitivity, first, tuple(done))
+        rows: list[tuple[Finding, ...]] = [()] * len(results)
+        if base.paper:
+            rows = claims(results, workers, stage("claims"))
+    return assemble(sensitivity, results, rows, moves)
+
+
+def claims(results: list[StudyResult], workers: Workers, progress: Progress) -> list[tuple[Finding, ...]]:
+    """What each result says of the paper's own process; nothing where it does not have it."""
+    found: list[tuple[Finding, ...]] = [()] * len(results)
+    with_reference = [
+        (number, result)
+        for number, result in enumerate(results)
+        if any(c.technology == REFERENCE_TECHNOLOGY for c in result.curves)
+    ]
+    calls = [(number, partial(itself, result)) for number, result in with_reference]
+    for done, (number, rows) in enumerate(results_of(claims_task, calls, workers), 1):
+        found[number] = rows
+        progress(done / len(calls))
+    return found
+
+
+def itself(result: StudyResult) -> StudyResult:
+    """What a worker shares with no other."""
+    return result
+
+
+def claims_task(number: int, result: StudyResult) -> tuple[int, tuple[Finding, ...]]:
+    """The rows of one result, with its number."""
+    return number, tuple(reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves})))
+
+
+def assemble(
+    sensitivity: Sensitivity, results: list[StudyResult], rows: list[tuple[Finding, ...]], moves: list[Move]
+) -> SensitivityResult:
+    """The cases from results and their rows, each the base's, then those of `vary`, then one for each of `moves`.
+
+    Technologies do not depend on each other, so that a case of several that are moved is put together from those of one.
+    """
+    base, base_rows = results[0], rows[0]
+    named = [(variation.name, setting.label) for variation in sensitivity.vary for setting in variation.settings]
+    cases = [
+        Case(*names, result.curves, (*own, *scaling_rows(result.curves)))
+        for names, result, own in zip(named, results[1:], rows[1:], strict=False)
+    ]
+    ends: dict[tuple[str, int], list[tuple[Move, Curve, tuple[Finding, ...]]]] = {}
+    for move, result, own in zip(moves, results[1 + len(named) :], rows[1 + len(named) :], strict=True):
+        ends.setdefault((move.variation, move.end), []).append((move, result.curves[0], own))
+    for (variation, end), group in ends.items():
+        together = [(f"all {('low', 'high')[end]}", "", group)] if len(group) > 1 else []
+        alone = [(str(each[0]), each[0].technology if together else "", [each]) for each in group]
+        for label, technology, part in (*together, *alone):
+            own_curves = {move.technology: curve for move, curve, _ in part}
+            curves = tuple(own_curves.get(curve.technology, curve) for curve in base.curves)
+            own_rows = next((found for move, _, found in part if move.technology == REFERENCE_TECHNOLOGY), base_rows)
+            cases.append(Case(variation, label, curves, (*own_rows, *scaling_rows(curves)), technology))
+    return SensitivityResult(sensitivity, base, (*base_rows, *scaling_rows(base.curves)), tuple(cases))
+
+
+def turned_words(settings: Sequence[tuple[str, str]]) -> str:
+    """(variation, label) of each setting that turns a verdict, by variation, for people."""
+    groups: dict[str, list[str]] = {}
+    for variation, label in settings:
+        groups.setdefault(variation, []).append(label)
+    return "; ".join(f"{variation} ({', '.join(labels)})" for variation, labels in groups.items()) or "none"
 
 
 def file_name(number: int, variation: str, label: str) -> str:

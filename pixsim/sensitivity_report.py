@@ -10,21 +10,23 @@ from pixsim.files import versions, write_json
 from pixsim.pages import write_page
 from pixsim.plates import Column, Plate
 from pixsim.report import write_plates
-from pixsim.sensitivity import Case, SensitivityResult
+from pixsim.sensitivity import Case, SensitivityResult, turned_words
 
 
 def tornado(result: SensitivityResult) -> Plate:
     """Range of the optimum and of the best mean ΔE of each assumption, widest first."""
     groups = result.by_variation()
-    base = result.base_case.first.optimum
+    reference = result.base_case.reference
+    base = reference.optimum
     figure = new_figure(9.5, 0.42 * len(groups) + 1.4)
     left, right = figure.subplots(1, 2, sharey=True)
     for row, cases in enumerate(groups.values()):
-        draw_bar(left, row, base.pitch_um, [(case.label, case.first.optimum.pitch_um, case.first.optimum.inside) for case in cases])
-        draw_bar(right, row, base.mean_delta_e, [(case.label, case.first.optimum.mean_delta_e, True) for case in cases])
+        optima = [(case.label, case.reference.optimum) for case in cases]
+        draw_bar(left, row, base.pitch_um, [(label, best.pitch_um, best.inside) for label, best in optima])
+        draw_bar(right, row, base.mean_delta_e, [(label, best.mean_delta_e, True) for label, best in optima])
     for axes, at, label in ((left, base.pitch_um, "optimal pixel size (µm)"), (right, base.mean_delta_e, "best mean ΔE")):
         axes.axvline(at, color="0.2", lw=1)
-        axes.set_xlabel(f"{label}, {literal(result.base_case.first.label)}")
+        axes.set_xlabel(f"{label}, {literal(reference.label)}")
         axes.grid(axis="x", alpha=0.25)
         axes.use_sticky_edges = False
         axes.margins(x=0.15, y=0.03)
@@ -62,13 +64,9 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
     }
 
 
-def meets(case: Case) -> str:
-    """Which of the paper's statements on scaling a case meets, for people."""
-    scaling = case.scaling()
-    if scaling is None:
-        return ""
-    missed = [name.replace("_", " ") for name, met in scaling.items() if not met]
-    return "all" if not missed else "not: " + ", ".join(missed)
+def differing(case: Case, base: Case) -> list[str]:
+    """The statements of the paper whose verdict is not the base's."""
+    return [statement for statement, agrees in case.agrees.items() if agrees != base.agrees[statement]]
 
 
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
@@ -83,7 +81,11 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
         "plate": plate,
         "image": image,
         "data": data,
-        "cases": [(case, meets(case), [c.optimum_fill_factor for c in case.curves]) for case in (result.base_case, *result.cases)],
+        "claims": [
+            (row, len(turning), turned_words([(case.variation, case.label) for case in turning]))
+            for row, turning in ((row, result.turning(row.statement)) for row in result.base_rows)
+        ],
+        "cases": [(case, differing(case, result.base_case)) for case in (result.base_case, *result.cases)],
         "header": result.base.irradiance.header,
         "provenance": provenance,
     }

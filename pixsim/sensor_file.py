@@ -13,6 +13,8 @@ from pixsim.parameters import Run
 from pixsim.pixel_record import DATA_SHEET, NO_TECHNOLOGY
 
 OF_AN_AREA = ("full_well_e", "dark_current_e_per_s")  # what a data sheet tells of its own pitch only
+# Of a pixel, what a study sets itself, and how it is said there.
+OF_A_STUDY = {"pitch_um": "pitch.min_um, pitch.max_um or pitch.values_um", "technology": "technologies"}
 PITCHES_TRIED = 4.0  # times smaller and larger than the pixel of a data sheet
 
 
@@ -50,8 +52,12 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     the study says from where to where; a technology becomes the study's only one, whatever pitch the file has. What the study
     says for --quick, and where its values come from, goes where a file or an option says something else.
 
-    Raises PixsimError for files that no single run could use.
+    Raises PixsimError for files that no single run could use, and for an option that sets the pitch or the technology.
     """
+    asked = (options or {}).get("pixel", {})
+    for name in (each for each in OF_A_STUDY if each in asked):
+        allowed = f"other fields of the pixel: a study's file gives {OF_A_STUDY[name]}"
+        raise refuse(f"pixel.{name}", f"'{asked[name]}' for a study", allowed, "Set it in a copy of the file.")
     files = [settings_layer(path) for path in paths]
     below: dict[str, Any] = {}
     over: list[Layer] = []
@@ -59,7 +65,7 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
         settings: Run = checked(Run, files)  # a sensor's file in its own words first
         told = {name for layer in files for name in layer.table.get("pixel", {})}
         own: dict[str, Any] = {}
-        if is_data_sheet(files, {}):
+        if is_data_sheet(files, options or {}):
             own = {"technologies": [NO_TECHNOLOGY], "paper": False}
             ends_um = settings.pixel.pitch_um / PITCHES_TRIED, settings.pixel.pitch_um * PITCHES_TRIED
             below = {"pitch": dict(zip(("min_um", "max_um"), ends_um, strict=True))}

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.display import white_rate
-from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_at, block_key, pixel_of, scores_of
+from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_at, block_key, scores_of
 from pixsim.expected_frames import dark_clip
 from pixsim.labels import file_label, label_of, labels_of
 from pixsim.ledger import Row
 from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
 from pixsim.parameters import Camera, Study
-from pixsim.pixel import derive
+from pixsim.pixel import physics_of
 from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
-from pixsim.technology import load_technology
+from pixsim.technology import technology_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,7 +131,7 @@ class StudyResult:
         """`pixsim.expected_frames.dark_clip` of a curve's pitches, a list for each of its numbers."""
         clips = []
         for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.statistics["integration_s"][:, 0].tolist(), strict=True):
-            physics = derive(pixel_of(self.study, curve.technology, pitch_um))
+            physics = physics_of(self.study, curve.technology, pitch_um)
             rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
             clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
         return {name: [clip[name] for clip in clips] for name in clips[0]}
@@ -178,8 +178,8 @@ def found_words(curve: Curve) -> str:
     return f"{curve.label}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm, ΔE {best.mean_delta_e:.3f}"
 
 
-def curve_of(technology: str, rows: list[Row]) -> Curve:
-    """The rows of one technology as a curve with its optimum."""
+def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
+    """The rows of one technology of a study as a curve with its optimum."""
     own = [row for row in rows if row["technology"] == technology]
     pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
     place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
@@ -193,5 +193,5 @@ def curve_of(technology: str, rows: list[Row]) -> Curve:
         for name, values in statistics.items():
             values[index, int(row["repeat"])] = float(row[name])
         fill_factor[index] = float(row["fill_factor"])
-    feature_um = load_technology(technology).feature_size_um
+    feature_um = technology_of(study, technology).feature_size_um
     return Curve(technology, feature_um, pitches, fill_factor, statistics, find_optimum(pitches, statistics["mean_delta_e"]))

@@ -21,20 +21,19 @@ from pixsim.evaluations import (
     Lights,
     Progress,
     evaluate_all,
-    pixel_of,
     study_pitches_um,
 )
 from pixsim.files import output_folder
 from pixsim.messages import checked
 from pixsim.parameters import Camera, Study, content_hash
-from pixsim.pixel import derive
+from pixsim.pixel import physics_of
 from pixsim.sensor import pixels_along
 from pixsim.sensor_file import study_layers
 from pixsim.spectral import SpectralImage
 from pixsim.study_result import Curve as Curve
 from pixsim.study_result import StudyResult as StudyResult
 from pixsim.study_result import curve_of
-from pixsim.technology import load_technology
+from pixsim.technology import technology_of
 
 if TYPE_CHECKING:
     from pixsim.accuracy.settle import Settled
@@ -61,6 +60,8 @@ def _name_files(table: dict[str, Any], path: Path) -> None:
     """Technologies, scene and quantum efficiency of a study's table as files beside it, where there are such."""
     if isinstance(names := table.get("technologies"), list):
         table["technologies"] = [beside(path, each) for each in names]
+    if isinstance(numbers := table.get("process"), dict):
+        table["process"] = {beside(path, each): own for each, own in numbers.items()}
     for room, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
         if isinstance(own := table.get(room), dict) and key in own:
             own[key] = beside(path, own[key])
@@ -70,6 +71,7 @@ def load_study(
     name: str | os.PathLike[str],
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
+    pixel: Mapping[str, Any] | None = None,
 ) -> Study:
     """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it.
 
@@ -78,9 +80,11 @@ def load_study(
     config : a TOML file, or several, of a sensor, its camera, exposure and display, as `pixsim run` takes them; later files
         win. The well and the dark current of a data sheet go with the photodiode's area.
     parameters : of the scene, over those of the study
+    pixel : fields of the study's pixels, over those of the study and of the files, each in its unit; no pitch, no technology
     """
     paths = [config] if isinstance(config, str | os.PathLike) else config
-    own = {"scene": {"parameters": dict(parameters)}} if parameters else {}
+    own: dict[str, Any] = {"scene": {"parameters": dict(parameters)}} if parameters else {}
+    own |= {"pixel": dict(pixel)} if pixel else {}
     return checked_study(study_layers(read_study(name), [Path(each) for each in paths], own))
 
 
@@ -106,14 +110,17 @@ def repeats_for_target(study: Study, curves: Sequence[Curve]) -> int:
 def refuse_bad_pitches(study: Study) -> None:
     """PixsimError for a pitch that a technology cannot have, before any work is done."""
     processes: dict[str, str] = {}
+    for name in study.process:
+        if name not in study.technologies:
+            raise refuse("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
     for name in study.technologies:
-        content = content_hash(load_technology(name).model_dump(exclude={"sources"}))
+        content = content_hash(technology_of(study, name).content)
         if content in processes:
             raise refuse("technologies", f"{name} beside {processes[content]}, the same process", "each process once")
         processes[content] = name
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
-            derive(pixel_of(study, technology, pitch_um))
+            physics_of(study, technology, pitch_um)
 
 
 def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
@@ -138,7 +145,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     from pixsim.plan import make_render_plan
 
     scene, camera = scene_for(study, variant)
-    largest = [pixel_of(study, study.technologies[0], study.pitch.max_um)]
+    largest = [physics_of(study, study.technologies[0], study.pitch.max_um)]
     plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
     image, _ = render_until(
         scene,
@@ -168,7 +175,7 @@ def sweep_pitches(
     while True:
         lights = Lights(study, irradiance, camera)
         rows = evaluate_all(lights, results, workers, progress())
-        curves = tuple(curve_of(technology, rows) for technology in study.technologies)
+        curves = tuple(curve_of(study, technology, rows) for technology in study.technologies)
         repeats = repeats_for_target(study, curves)
         if repeats <= study.repeats:
             result = StudyResult(study, curves, irradiance, camera)
@@ -183,6 +190,7 @@ def study(
     *,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
+    pixel: Mapping[str, Any] | None = None,
     quick: bool = False,
     jobs: int | None = None,
     scheduler: Any = None,
@@ -197,6 +205,7 @@ def study(
     out : folder, made if need be
     config : a TOML file, or several, of a sensor, its camera, exposure and display, over a named study; later ones win
     parameters : of the scene, over those of a named study, each in its unit
+    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, over those of a named study, each in its unit
     quick : with the study's `quick` table
     jobs : processes; None takes one a core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers take the place of
@@ -214,9 +223,9 @@ def study(
     >>> result.curves[0].delta_e.shape, bool(result.curves[0].delta_e.mean(axis=1).argmin() == 0)  # (pitches, sensors)
     ((5, 2), True)
     """
-    if isinstance(plan, Study) and (config or parameters):
-        raise refuse("config, parameters", "with a Study", "the name or the file of one", "Put them into the Study.")
-    chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters)
+    if isinstance(plan, Study) and (config or parameters or pixel):
+        raise refuse("config, parameters, pixel", "with a Study", "the name or the file of one", "Put them into the Study.")
+    chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
     if quick and not chosen.quick:
         warnings.warn(f"the study {chosen.name} has no [quick] table: it is done in full", stacklevel=2)
     chosen = chosen.quickened if quick else chosen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -12,7 +12,7 @@ from pixsim import bounds
 from pixsim.config import Layer, packaged, read_toml
 from pixsim.errors import PixsimError, did_you_mean, refuse
 from pixsim.messages import checked
-from pixsim.parameters import Record
+from pixsim.parameters import Record, Study
 from pixsim.pixel_record import NO_TECHNOLOGY
 
 Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
@@ -79,6 +79,9 @@ class Technology(Record):
         0.0, description="s of the law, in feature sizes: width that is lost at every pitch"
     )
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
+    ranges: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, description="field -> lowest and highest plausible value, in the field's unit"
+    )
 
     @model_validator(mode="after")
     def _one_kind_of_well(self) -> Self:
@@ -94,6 +97,52 @@ class Technology(Record):
                 f"{self.fill_factor_zero_pitch_features:g}: larger pixels would have negative photodiodes"
             )
         return self
+
+    @model_validator(mode="after")
+    def _ranges_hold_their_values(self) -> Self:
+        for name, (low, high) in self.ranges.items():
+            value = self.numbers.get(name)
+            if value is None:
+                raise refuse("range", f"'{name}'", f"numbers of this process: {', '.join(self.numbers)}")
+            if not low <= value <= high:
+                raise refuse(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
+            for end in (low, high):
+                self.with_numbers({name: end}, f"range of {name}")  # it has the bounds of the value
+        return self
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Each number of the process by its name, those of the junction among them, in the unit that the name ends in."""
+        table = self.model_dump(exclude={"junction"}) | (self.junction.model_dump() if self.junction else {})
+        return {name: value for name, value in table.items() if isinstance(value, float)}
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """All that a result depends on: the record without sources and ranges."""
+        return self.model_dump(exclude={"sources", "ranges"})
+
+    def with_numbers(self, values: dict[str, float], source: str) -> Technology:
+        """The technology with other values of some of its `numbers`.
+
+        values : name of a number -> its value, each in its unit
+        source : where they come from, for messages
+
+        Raises PixsimError for a name that it does not have, and for a value out of bounds.
+        """
+        for name in values:
+            if name not in self.numbers:
+                raise refuse(source, f"'{name}'", ", ".join(self.numbers), did_you_mean(name, self.numbers))
+        told = {
+            name: f"set by the study; the file has {self.numbers[name]:g} ({self.sources.get(name, 'no source')})"
+            for name in values
+        }
+        own = {name: value for name, value in values.items() if name not in Junction.model_fields}
+        junction = {name: value for name, value in values.items() if name in Junction.model_fields}
+        over = own | ({"junction": junction} if junction else {})
+        # A value may lie out of its range: that is what a study can ask.
+        base = self.model_dump() | {"sources": self.sources | told, "ranges": {}}
+        technology: Technology = checked(Technology, [Layer(base), Layer(over, source)])
+        return technology.model_copy(update={"ranges": self.ranges})
 
 
 # Of a sensor that is known by its data sheet (`pixsim.pixel_record.DATA_SHEET`). What that leaves open is absent or ideal: no
@@ -134,7 +183,7 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
 def load_technology(name: str) -> Technology:
     """A packaged technology by name, a user's by the path of its TOML file, or none.
 
-    Every number is a table `{value, confidence, source}`.
+    Every number is a table `{value, confidence, source}`, with `range = [low, high]` where other values are plausible too.
 
     Raises PixsimError for an unknown name, naming the known ones, and for a file that is damaged or lacks something.
 
@@ -152,6 +201,20 @@ def load_technology(name: str) -> Technology:
     return _read(path, (about.st_mtime_ns, about.st_size) if about else ())
 
 
+def technology_of(study: Study, name: str) -> Technology:
+    """A technology of a study, with the numbers that `Study.process` gives in place of its file's; the fill-factor law is its own.
+
+    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for numbers of a data sheet, which has none.
+    """
+    technology, values = load_technology(name), study.process.get(name)
+    if not values:
+        return technology
+    if name == NO_TECHNOLOGY:
+        mend = "Put them into [pixel]."
+        raise refuse(f"process.{name}", ", ".join(values), "technologies: a data sheet has no numbers of a process", mend)
+    return technology.with_numbers(values, f"process.{name}")
+
+
 @lru_cache
 def _read(path: Path, _: tuple[int, ...]) -> Technology:
     """The technology of a file; one that was written anew is read anew."""
@@ -161,7 +224,9 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
         sources = {key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()}
-        own = {"name": table.get("name", path.stem), "sources": sources} | ({"junction": junction} if junction else {})
+        ranges = {key: entry["range"] for key, entry in numbers.items() if "range" in entry}
+        own = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges}
+        own |= {"junction": junction} if junction else {}
         technology: Technology = checked(Technology, [Layer(values | own, str(path))])
         return technology
     except KeyError as missing:

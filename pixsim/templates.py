@@ -37,6 +37,7 @@ EXAMPLES: dict[str, Any] = {
     "name": "my-study",
     "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"],
+    "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
     "values_um": [4.0, 5.0, 6.0, 8.0, 12.0],
     "tolerance_delta_e": 0.01,
     "target_ci_um": 0.1,

@@ -12,9 +12,9 @@ from pixsim import display as displays
 from pixsim.contact_sheet import Tile, contact_sheet_png
 from pixsim.details import Picture, Window, crops, factor_for, reduced, window_at, worst_window
 from pixsim.evaluations import bench_at, block_key, stream_key
-from pixsim.parameters import Exposure, pixel_of
+from pixsim.parameters import Exposure
 from pixsim.pictures import grey_codes
-from pixsim.pixel import derive
+from pixsim.pixel import physics_of
 from pixsim.score import Projection, Score
 from pixsim.sensor import frame_of, pixels_along
 from pixsim.spectral import Array
@@ -112,7 +112,7 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
         frame = bench.capture(*stream_key(study, bench.physics.technology.name, pitch_um, 0))
         white_e, size_um, edges_um = bench.white_e_per_s * frame.integration_s, bench.size_um, bench.dot_edges_um
     else:
-        physics, time_s = derive(pixel_of(study, curve.technology, pitch_um)), float(curve.statistics["integration_s"][place, 0])
+        physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.statistics["integration_s"][place, 0])
         white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
         edges_um = light.dot_edges_um
         # Nothing that is shown depends on the saturated fraction or on the mean signal.

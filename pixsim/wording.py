@@ -39,10 +39,10 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
 
 def sensitivity_lines(outcome: Any) -> list[str]:
     """The base, then each assumption with the range that it gives, widest first."""
-    lines = ["base: " + found_line(outcome.base.curves[0])]
+    lines = ["base: " + found_line(outcome.base_case.reference)]
     for name, cases in outcome.by_variation().items():
-        sizes = sorted(case.first.optimum.pitch_um for case in (*cases, outcome.base_case))
-        best = sorted(case.first.optimum.mean_delta_e for case in (*cases, outcome.base_case))
+        sizes = sorted(case.reference.optimum.pitch_um for case in (*cases, outcome.base_case))
+        best = sorted(case.reference.optimum.mean_delta_e for case in (*cases, outcome.base_case))
         lines.append(f"{name}: {sizes[0]:.2f} to {sizes[-1]:.2f} µm, best mean ΔE {best[0]:.3f} to {best[-1]:.3f}")
     return lines
 

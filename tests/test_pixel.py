@@ -275,16 +275,102 @@ def test_the_packaged_technologies():
 def test_every_number_has_a_source_and_a_confidence(name):
     table = read_toml(packaged("data/technologies")[name])
     numbers = {key: value for key, value in table.items() if key != "name"}
-    common = set(Technology.model_fields) - {"name", "sources", "junction", "full_well_e_per_um2", *OPTIONAL}
+    common = set(Technology.model_fields) - {"name", "sources", "ranges", "junction", "full_well_e_per_um2", *OPTIONAL}
     assert set(numbers) - OPTIONAL == common | (set(Junction.model_fields) if name in TECHNOLOGIES else {"full_well_e_per_um2"})
     for key, entry in numbers.items():
-        assert set(entry) == {"value", "confidence", "source"}, key
+        assert set(entry) - {"range"} == {"value", "confidence", "source"}, key
         assert entry["confidence"] in ("A", "B", "C", "D"), key
+        if entry["confidence"] in "CD" and isinstance(entry["value"], float | int):
+            assert "range" in entry, f"{key} is derived or assumed, and does not say how far it may be wrong"
+        assert not ("range" in entry and entry["confidence"] == "A"), key
         assert len(entry["source"]) > 8, key
     loaded = load_technology(name)
     if name in TECHNOLOGIES:
         assert loaded.feature_size_um == pytest.approx(float(name.removesuffix("um")))
     assert set(loaded.sources) == set(numbers)
+    assert loaded.ranges == {key: tuple(entry["range"]) for key, entry in numbers.items() if "range" in entry}
+
+
+def test_plausible_ranges_hold_what_is_known():
+    """The 0.37 measured at 0.35 µm is plausible for every 3T process; dark current is known to a factor of 3, a node to 40 %."""
+    for name in TECHNOLOGIES:
+        ranges = load_technology(name).ranges
+        values = load_technology(name).numbers
+        low, high = ranges.get("peak_quantum_efficiency", (0.37, 0.37))
+        assert low <= 0.37 <= high
+        dark = np.array(ranges["dark_current_na_per_cm2"]) / values["dark_current_na_per_cm2"]
+        np.testing.assert_allclose(dark, [1 / 3, 3], rtol=0.01)  # written with three digits
+        node = np.array(ranges["node_capacitance_ff"]) / values["node_capacitance_ff"]
+        np.testing.assert_allclose(node, [0.6, 1.4], rtol=1e-9)
+
+
+def test_ranges_are_no_content():
+    """Another range changes no result, so no row's key; another value does."""
+    bare = T035.model_copy(update={"ranges": {}, "sources": {}})
+    assert bare.content == T035.content
+    assert T035.with_numbers({"dsnu": 0.2}, "here").content == T035.content | {"dsnu": 0.2}
+    assert set(T035.content) == set(Technology.model_fields) - {"ranges", "sources"}
+
+
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [
+        ("[0.4, 0.6]", r"range of dsnu: got \[0\.4, 0\.6\]; allowed: low <= 0\.3"),
+        ("[0.1, 0.2]", r"range of dsnu: got \[0\.1, 0\.2\]; allowed: low <= 0\.3"),
+        ("[0.6, 0.1]", r"range of dsnu: got \[0\.6, 0\.1\]"),
+        ("[-0.1, 0.6]", r"range of dsnu: dsnu: got -0\.1; allowed: greater than or equal to 0"),
+        ("[0.1, 101]", r"range of dsnu: dsnu: got 101.*less than or equal to 100"),
+        ("[0.1, inf]", r"dsnu\.1: got inf; allowed: a finite number"),
+        ("[0.1]", r"ranges\.dsnu"),
+        ('"wide"', r"ranges\.dsnu: got 'wide'"),
+    ],
+)
+def test_a_range_that_cannot_be_is_refused(written, told, tmp_path):
+    text = packaged("data/technologies")["0.35um"].read_text(encoding="utf-8")
+    assert "range = [0.1, 0.6]" in text
+    (tmp_path / "mine.toml").write_text(text.replace("range = [0.1, 0.6]", f"range = {written}"), encoding="utf-8")
+    with pytest.raises(PixsimError, match=told) as caught:
+        load_technology(str(tmp_path / "mine.toml"))
+    assert "mine.toml" in str(caught.value) or "ranges.dsnu" in str(caught.value)
+
+
+def test_a_range_between_numbers_is_checked_too(tmp_path):
+    """A swing above the reset voltage would turn the diode forward."""
+    text = packaged("data/technologies")["0.35um"].read_text(encoding="utf-8").replace("range = [0.9, 1.5]", "range = [0.9, 2.3]")
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(PixsimError, match=r"range of voltage_swing_v: .*2\.3 exceeds reset_voltage_v = 2\.2"):
+        load_technology(str(tmp_path / "mine.toml"))
+
+
+@pytest.mark.parametrize("name", [*TECHNOLOGIES, *PINNED])
+def test_a_technology_with_other_numbers(name):
+    """Every number with a range can go to both ends; nothing else changes, and the source says what was there."""
+    technology = load_technology(name)
+    for number, ends in technology.ranges.items():
+        for end in ends:
+            moved = technology.with_numbers({number: end}, "process.x")
+            assert moved.numbers == technology.numbers | {number: end}
+            assert (moved.name, moved.ranges) == (technology.name, technology.ranges)
+            assert moved.sources[number].startswith(f"set by the study; the file has {technology.numbers[number]:g} (")
+            assert {key: told for key, told in moved.sources.items() if key != number} == {
+                key: told for key, told in technology.sources.items() if key != number
+            }
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"dark_currnt": 1.0}, r"process\.x: got 'dark_currnt'; allowed: .*node_capacitance_ff.* Did you mean"),
+        ({"name": 1.0}, r"process\.x: got 'name'"),
+        ({"full_well_e_per_um2": 1.0}, r"process\.x: got 'full_well_e_per_um2'"),  # of a 4T process
+        ({"dsnu": -1.0}, r"process\.x: dsnu: got -1\.0; allowed: greater than or equal to 0"),
+        ({"peak_quantum_efficiency": 1.1}, r"process\.x: peak_quantum_efficiency: got 1\.1"),
+        ({"voltage_swing_v": 2.3}, r"process\.x: junction: voltage_swing_v = 2\.3 exceeds reset_voltage_v = 2\.2"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(values, told):
+    with pytest.raises(PixsimError, match=told):
+        T035.with_numbers(values, "process.x")
 
 
 def test_an_unknown_technology_lists_the_known_ones():

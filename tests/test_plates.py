@@ -149,8 +149,8 @@ def is_drawn(plate: Plate, x: np.ndarray, y: np.ndarray, panel: int = 0) -> bool
     return any(len(a) == len(x) and np.array_equal(a, x) and np.array_equal(b, y) for a, b in lines(plate, panel))
 
 
-def test_figure_2a_is_equations_1_and_2() -> None:
-    plate = figure_2a()
+def test_figure_2a_is_equations_1_and_2(result: StudyResult) -> None:
+    plate = figure_2a(result)
     pitch_um = column(plate, "pitch_um")
     assert pitch_um[[0, -1]] == pytest.approx([5.3, 15.0])
     for capacitance in ("paper", "mosis"):

@@ -276,7 +276,7 @@ def any_technology() -> st.SearchStrategy[Technology]:
     def of_a_kind(drawn: dict[str, Any], junction: dict[str, Any], pinned: bool) -> dict[str, Any]:
         well = drawn.pop("full_well_e_per_um2", 3e3)
         kind = {"full_well_e_per_um2": well, "junction": None} if pinned else {"junction": junction, "full_well_e_per_um2": None}
-        return usual["0.35um"].model_dump() | drawn | kind
+        return usual["0.35um"].content | drawn | kind
 
     return st.builds(of_a_kind, fields.map(dict), junctions, st.booleans())
 

@@ -255,6 +255,21 @@ def text_of_a_process(folder: Path) -> str:
     return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
 
 
+def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_turn_it(tmp_path: Path) -> None:
+    """0.0415 is the largest number of the response file, 0.37 that of the process's."""
+    own = {"name": "paper", "technologies": ["0.35um"], "title": "", "paper": True, "pixel": {"response": "literal"}}
+    result = pixsim.study(pixsim.Study.model_validate(STUDY | own), tmp_path, jobs=1)
+    write_report(result, tmp_path)
+    words = words_of(tmp_path)
+    assert "read literally, as a quantum efficiency: it peaks at 0.0415. The process 0.35um states 0.37 (A: measured" in words
+    assert "add --pixel.response scaled --out FOLDER to the command" in words
+    table = text_of(tmp_path).partition('<h2 id="paper">')[2].partition("</table>")[0]
+    found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
+    assert "what would turn it" in table
+    assert f'<td rowspan="{len(found)}"><code>pixsim study chen2000-sensitivity</code>' in table
+    assert "peaks at" not in text_of_a_process(tmp_path)
+
+
 @needs_browser
 def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     found = assert_fits(made[1] / "report.html", tmp_path)

@@ -8,10 +8,12 @@ import json
 import shlex
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.paper_table import claims_table, counts, tornado_table
 from browser import BROWSER, assert_fits, assert_prints
 
 import pixsim
@@ -19,10 +21,20 @@ from pixsim import cli
 from pixsim.config import packaged, read_toml
 from pixsim.evaluations import study_pitches_um
 from pixsim.optimum import find_optimum
+from pixsim.paper import Evidence, findings, scaling_rows
 from pixsim.plates import Plate
 from pixsim.score import Bench
-from pixsim.sensitivity import Case, Sensitivity, SensitivityResult, cases_of, file_name, run_sensitivity
-from pixsim.sensitivity_report import meets, tornado
+from pixsim.sensitivity import (
+    Case,
+    Sensitivity,
+    SensitivityResult,
+    cases_of,
+    file_name,
+    moves_of,
+    run_sensitivity,
+    turned_words,
+)
+from pixsim.sensitivity_report import differing, tornado, write_sensitivity_report
 from pixsim.sensor import Frame
 from pixsim.sweep import Curve, StudyResult, load_study, refuse_bad_pitches
 from pixsim.technology import load_technology
@@ -117,12 +129,12 @@ def test_a_setting_that_the_base_has_changes_nothing(done: tuple[SensitivityResu
     result, folder = done
     same, half, fast = result.cases
     assert rows(next((folder / "cases").glob("*-PRNU-2_.csv"))) == rows(folder / "cases/base.csv")
-    assert same.first.optimum == result.base_case.first.optimum
-    base = result.base_case.first.delta_e
-    np.testing.assert_array_equal(same.first.delta_e, base)
+    assert same.reference.optimum == result.base_case.reference.optimum
+    base = result.base_case.reference.delta_e
+    np.testing.assert_array_equal(same.reference.delta_e, base)
     # The smallest pixel lacks light: half of it makes more noise, 2 (4/2.8)² less.
-    assert (half.first.delta_e[0] > 1.05 * base[0]).all()
-    assert (fast.first.delta_e[0] < 0.95 * base[0]).all()
+    assert (half.reference.delta_e[0] > 1.05 * base[0]).all()
+    assert (fast.reference.delta_e[0] < 0.95 * base[0]).all()
 
 
 def test_the_widest_range_comes_first(done: tuple[SensitivityResult, Path]) -> None:
@@ -164,7 +176,7 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
     code, told, _ = command("study sensitivity.toml --out command --jobs 2")
     assert code == 0
     base, light, prnu, report = told.splitlines()
-    best = result.base_case.first.optimum
+    best = result.base_case.reference.optimum
     assert base.startswith(f"base: 0.35um: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm")
     assert light.startswith("light: ")
     assert prnu.startswith(f"PRNU: {best.pitch_um:.2f} to {best.pitch_um:.2f} µm")
@@ -211,11 +223,16 @@ def curve(feature_um: float, optimum_um: float, best: float) -> Curve:
     return Curve(f"{feature_um}um", feature_um, pitch_um, fill_factor, {"mean_delta_e": delta_e}, find_optimum(pitch_um, delta_e))
 
 
+FEATURE_UM = (0.35, 0.25, 0.18)
+
+
 def case(sizes_um: list[float], best: list[float], variation: str = "v", label: str = "l") -> Case:
-    return Case(variation, label, tuple(map(curve, (0.35, 0.25, 0.18), sizes_um, best)))
+    curves = tuple(map(curve, FEATURE_UM, sizes_um, best))
+    return Case(variation, label, curves, tuple(scaling_rows(curves)))
 
 
-SHRINKS, SLOWER, WORSE = "optimum_shrinks_at_every_step", "slower_than_technology", "best_delta_e_gets_worse"
+SHRINKS, SLOWER = "The optimum shrinks with technology", "… but slower than the technology"
+WORSE = "The best mean ΔE gets worse as technology shrinks"
 PAPER = [6.5, 5.2, 4.1], [0.5, 0.55, 0.6]  # 18.6, 20.8 and 22.8 features
 
 
@@ -223,22 +240,21 @@ PAPER = [6.5, 5.2, 4.1], [0.5, 0.55, 0.6]  # 18.6, 20.8 and 22.8 features
     ("sizes_um", "best", "missed"),
     [
         (*PAPER, set()),
-        ([6.5, 6.6, 4.1], PAPER[1], {SHRINKS}),
+        ([6.5, 6.6, 4.1], PAPER[1], {SHRINKS, SLOWER}),  # 26.4 features in the middle
         ([6.5, 4.6, 3.0], PAPER[1], {SLOWER}),  # 16.7 features at last
         (PAPER[0], [0.5, 0.6, 0.4], {WORSE}),
+        (PAPER[0], [0.5, 0.65, 0.6], {WORSE}),  # worse on the whole, better at one step
         ([6.5, 6.6, 3.0], [0.5, 0.6, 0.4], {SHRINKS, SLOWER, WORSE}),
     ],
 )
 def test_what_the_optima_say_about_scaling(sizes_um: list[float], best: list[float], missed: set[str]) -> None:
     found = case(sizes_um, best)
-    assert found.scaling() == {name: name not in missed for name in (SHRINKS, SLOWER, WORSE)}
-    assert (meets(found) == "all") is (not missed)
-    assert all(name.replace("_", " ") in meets(found) for name in missed)
+    assert found.agrees == {name: name not in missed for name in (SHRINKS, SLOWER, WORSE)}
+    assert set(differing(found, case(*PAPER))) == missed
 
 
 def test_one_technology_says_nothing_about_scaling() -> None:
-    assert Case("v", "l", (curve(0.35, 6.5, 0.5),)).scaling() is None
-    assert meets(Case("v", "l", (curve(0.35, 6.5, 0.5),))) == ""
+    assert scaling_rows([curve(0.35, 6.5, 0.5)]) == []
 
 
 def synthetic() -> SensitivityResult:
@@ -246,9 +262,136 @@ def synthetic() -> SensitivityResult:
     moved = [("narrow", "a", 6.4), ("wide", "b", 6.0), ("one-sided", "c", 7.0), ("wide", "d", 8.0)]
     settings = {"name": "x", "settings": [{"label": "y", "set": {}}]}
     sensitivity = Sensitivity.model_validate({"name": "synthetic", "vary": [settings]})
-    base = StudyResult(pixsim.Study(name="base"), case(*PAPER).curves, None, pixsim.Camera())
+    light = pixsim.SpectralImage([550.0], 10.0, 5.3, data=np.ones((2, 2, 1)))
+    base = StudyResult(pixsim.Study(name="base"), case(*PAPER).curves, light, pixsim.Camera())
     found = tuple(case([size, *PAPER[0][1:]], PAPER[1], *names) for *names, size in moved)
-    return SensitivityResult(sensitivity, base, found)
+    alone = replace(case([12.0, *PAPER[0][1:]], PAPER[1], "narrow", "0.35um"), alone="0.35um")
+    return SensitivityResult(sensitivity, base, tuple(scaling_rows(base.curves)), (*found, alone))
+
+
+def test_what_turns_a_verdict_is_found_by_hand() -> None:
+    """At 8 µm, 22.9 features of 0.35 µm, the optimum no longer shrinks slower: 20.8 and 22.8 follow. At 12 µm neither."""
+    result = synthetic()
+    assert {name: [each.label for each in result.turning(name)] for name in (SHRINKS, SLOWER, WORSE)} == {
+        SHRINKS: [],
+        SLOWER: ["d", "0.35um"],
+        WORSE: [],
+    }
+    claims = {row["statement"]: row for row in result.as_dict()["claims"]}
+    assert claims[SLOWER]["agrees"] is True
+    turned_by = claims[SLOWER]["turned_by"]
+    assert turned_by == [{"variation": "wide", "label": "d"}, {"variation": "narrow", "label": "0.35um"}]
+    assert turned_words([(each["variation"], each["label"]) for each in turned_by]) == "wide (d); narrow (0.35um)"
+    assert turned_words([("a", "1"), ("b", "2"), ("a", "3")]) == "a (1, 3); b (2)"
+
+
+def test_the_tables_of_the_documents() -> None:
+    """`tests/benchmarks/paper_table.py`: against the study's own verdicts, which need not be the base's."""
+    summary = json.loads(json.dumps(synthetic().as_dict()))
+    rows = [{"statement": SLOWER, "given": "g", "found": "f", "agrees": agrees, "why": "w"} for agrees in (True, False)]
+    yes, no = claims_table(rows[:1], summary["cases"])[-1], claims_table(rows[1:], summary["cases"])[-1]
+    assert yes == f"| {SLOWER} | g | f | yes | 2 of 5: wide (d); narrow (0.35um) |"
+    assert no == f"| {SLOWER} | g | f | **does not agree**: w | 3 of 5: narrow (a); wide (b); one-sided (c) |"
+    assert claims_table(rows[:1], []) == [
+        "| the paper says | given | pixsim finds | agrees |",
+        "|---|---|---|---|",
+        f"| {SLOWER} | g | f | yes |",
+    ]
+    lines = tornado_table(summary["base"], summary["cases"])[2:]
+    assert [line.split("|")[1:3] for line in lines] == [
+        [" wide ", " 6.00 to 8.00 "],
+        [" one-sided ", " 6.50 to 7.00 "],
+        [" narrow ", " 6.40 to 6.50 "],
+    ]
+    *_, every = counts([{"statement": name, "agrees": True} for name in (SHRINKS, SLOWER, WORSE)], summary["cases"])
+    assert every == "3 of 5 have every verdict of the table"
+
+
+# --- numbers of the technologies over their ranges --------------------------------------------------------------------
+
+RANGED = SENSITIVITY | {
+    "name": "ranged",
+    "base": "paper.toml",
+    "technologies": ["0.35um", "0.25um"],
+    "vary": SENSITIVITY["vary"][:1],
+    "ranges": {"dark current": "dark_current_na_per_cm2", "peak": "peak_quantum_efficiency"},
+}
+
+
+@pytest.fixture(scope="module")
+def ranged(desk: Path) -> tuple[SensitivityResult, Path]:
+    """So noisy a render that its number of runs depends on no sensor: the base's is that of every study."""
+    text = BASE_TOML.replace("target_ci_um = 1e-6", "paper = true\nrender_noise = 10.0")
+    (desk / "paper.toml").write_text(text, encoding="utf-8")
+    return run_sensitivity(Sensitivity.model_validate(RANGED), desk / "ranged", jobs=1), desk / "ranged"
+
+
+def test_numbers_go_to_both_ends_together_and_alone(ranged: tuple[SensitivityResult, Path]) -> None:
+    """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its upper end is 0.37."""
+    assert [(each.variation, each.label, each.alone) for each in ranged[0].cases[1:]] == [
+        ("dark current", "all low", ""),
+        ("dark current", "0.35um 0.333", "0.35um"),
+        ("dark current", "0.25um 1", "0.25um"),
+        ("dark current", "all high", ""),
+        ("dark current", "0.35um 3", "0.35um"),
+        ("dark current", "0.25um 9", "0.25um"),
+        ("peak", "0.25um 0.2", ""),
+        ("peak", "0.25um 0.37", ""),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("label", "process"),
+    [
+        ("all high", {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}),
+        ("0.35um 0.333", {"0.35um": {"dark_current_na_per_cm2": 0.333}}),
+        ("0.25um 0.2", {"0.25um": {"peak_quantum_efficiency": 0.2}}),
+    ],
+)
+def test_a_case_is_the_study_with_those_numbers(
+    label: str, process: dict[str, dict[str, float]], ranged: tuple[SensitivityResult, Path], desk: Path
+) -> None:
+    """Put together from single technologies, it has the curves and the verdicts of the whole study, made apart."""
+    result = ranged[0]
+    (found,) = [each for each in result.cases if each.label == label]
+    study = result.sensitivity.base_study().model_copy(update={"process": process})
+    whole = pixsim.study(study, desk / f"whole {label}", jobs=1)
+    for mine, theirs in zip(found.curves, whole.curves, strict=True):
+        assert mine.technology == theirs.technology
+        np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
+        assert mine.optimum == theirs.optimum
+    assert list(found.rows) == findings(Evidence(whole, {each.technology: each for each in whole.curves}))
+    assert len(found.rows) == 17, "every statement of the paper"
+
+
+def test_a_technology_that_stays_is_not_computed_again(ranged: tuple[SensitivityResult, Path]) -> None:
+    """Base and one setting with two technologies, then one technology for each number and end."""
+    result, folder = ranged
+    technologies = [{row["technology"] for row in rows(path)} for path in sorted((folder / "cases").glob("*.csv"))]
+    assert sorted(map(len, technologies)) == [1] * 6 + [2] * 2
+    (alone,) = [each for each in result.cases if each.label == "0.25um 9"]
+    assert alone.curves[0] is result.base.curves[0]
+    assert alone.rows[: len(alone.rows) - 3] == result.base_rows[: len(alone.rows) - 3]
+
+
+def test_the_page_and_the_summary_say_what_turns_each_verdict(ranged: tuple[SensitivityResult, Path], desk: Path) -> None:
+    result = ranged[0]
+    (desk / "page").mkdir()
+    path = write_sensitivity_report(result, desk / "page", {})
+    summary = json.loads((desk / "page/summary.json").read_text(encoding="utf-8"))
+    page = path.read_text(encoding="utf-8")
+    for row in summary["claims"]:
+        turning = [each for each in result.cases if each.agrees[row["statement"]] != row["agrees"]]
+        assert row["turned_by"] == [{"variation": each.variation, "label": each.label} for each in turning]
+        assert f"{len(turning)} of {len(result.cases)}" in page
+    assert "what would turn it" in page
+
+
+def test_a_number_that_no_technology_has_is_refused(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    wrong = Sensitivity.model_validate(SENSITIVITY | {"ranges": {"dark": "dark_current"}})
+    with pytest.raises(pixsim.PixsimError, match=r"ranges\.dark: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"):
+        run_sensitivity(wrong, desk / "wrong", jobs=1)
 
 
 def test_ranges_reach_from_the_base() -> None:
@@ -264,10 +407,10 @@ def test_ranges_reach_from_the_base() -> None:
 def test_the_tornado_draws_its_table() -> None:
     plate: Plate = tornado(synthetic())
     header, *table = csv.reader(io.StringIO(plate.csv))
-    assert len(table) == 3 * 5
+    assert len(table) == 3 * 6
     size = {row[header.index("variation")] + row[header.index("setting")]: float(row[header.index("optimum_um")])
             for row in table if row[header.index("technology")] == "0.35um"}  # fmt: skip
-    assert list(size.values()) == pytest.approx([6.5, 6.4, 6.0, 7.0, 8.0], rel=2e-4)
+    assert list(size.values()) == pytest.approx([6.5, 6.4, 6.0, 7.0, 8.0, 12.0], rel=2e-4)
     left = plate.figure.axes[0]
     bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in left.patches]
     np.testing.assert_allclose(bars, [(6.0, 8.0), (6.5, 7.0), (6.4, 6.5)], rtol=2e-4)
@@ -289,7 +432,7 @@ def test_every_case_that_is_shipped_can_run_and_differs_from_the_base(shipped: S
         refuse_bad_pitches(study)
         assert study.model_dump(exclude={"quick"}) != base.model_dump(exclude={"quick"}), f"{variation}, {label} is the base"
         assert (study.seed, study.name) == (base.seed, base.name), "its random streams are others"
-        assert study.technologies == ("0.35um", "0.25um", "0.18um")
+        assert study.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
     assert len({file_name(0, variation, label) for variation, label, _ in found}) == len(found), "labels read alike"
     assert len({study.content_hash for *_, study in found}) == len(found), "two cases are the same"
 
@@ -325,6 +468,27 @@ def test_what_the_paper_does_not_tell_is_moved_over_its_range(name: str, shipped
     if ASSUMED[name]:
         given = values - {None}  # None: the technology's own
         assert (min(given), max(given)) == ASSUMED[name]
+
+
+def test_the_base_that_is_shipped_is_the_study_of_the_table(shipped: Sensitivity) -> None:
+    """Beside each verdict of chen2000 stands what would turn it: the base must have that verdict, so those rows."""
+    base, own = shipped.base_study(), load_study("chen2000")
+    left_out = {"quick", "target_ci_um"}  # 8 sensors meet the target
+    assert base.model_dump(exclude=left_out) == own.model_dump(exclude=left_out)
+
+
+def test_the_numbers_that_are_shipped_move_in_every_process(shipped: Sensitivity) -> None:
+    moves = moves_of(shipped)
+    assert {each.number for each in moves} == {
+        *("dark_current_na_per_cm2", "dsnu", "column_fpn"),
+        *("peak_quantum_efficiency", "node_capacitance_ff", "voltage_swing_v"),
+    }
+    assert len(moves) == 6 * 2 * 4 - 2, "all but the measured peak at 0.35 µm"
+    base = shipped.base_study()
+    for each in moves:
+        refuse_bad_pitches(each.study(base))
+        low, high = load_technology(each.technology).ranges[each.number]
+        assert each.value == (low, high)[each.end]
 
 
 def test_the_quick_table_leaves_a_sensitivity_study() -> None:

@@ -132,7 +132,7 @@ def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
     study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
     assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
     assert study.technologies == ("none",)
-    with pytest.raises(pixsim.PixsimError, match=r"config, parameters: got with a Study"):
+    with pytest.raises(pixsim.PixsimError, match=r"config, parameters, pixel: got with a Study"):
         pixsim.study(study, tmp_path / "out", config=[path])
 
 
@@ -202,7 +202,7 @@ def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
     [
         ("study {path}", ["the file of a sensor", "pixsim study pixel-size --config"]),
         ("run {path}", ["a TOML file", "pixsim run csf --config"]),
-        ("study chen2000-sensitivity --config {path}", ["--config, -D", "varies another study"]),
+        ("study chen2000-sensitivity --config {path}", ["--config, -D, --pixel", "varies another study"]),
         ("study pixel-size --config {path} --render-noise 0", ["render_noise", "1e-06"]),
     ],
 )

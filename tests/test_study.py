@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import shlex
 import signal
 import subprocess
@@ -15,10 +16,15 @@ import pytest
 
 import pixsim
 from pixsim import cache, cli
-from pixsim.config import merge
+from pixsim.accuracy.probe import Setup
+from pixsim.config import merge, packaged, read_toml
+from pixsim.curve_plates import light_against_detail
+from pixsim.evaluations import pixel_of
+from pixsim.report import write_report
 from pixsim.score import Bench, stream
 from pixsim.sensor import Frame
-from pixsim.sweep import StudyResult
+from pixsim.sweep import StudyResult, load_study
+from pixsim.technology import technology_of
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
@@ -189,6 +195,159 @@ def test_rows_of_another_content_are_not_taken_for_finished(done: tuple[StudyRes
     assert len(set.union(*everything)) == sum(map(len, everything)), "two contents share a key"
     pixsim.study(tiny(**few, title="another", iso_delta_e=2.0), tmp_path / "words", jobs=1)
     assert set(keys(tmp_path / "words")) < own
+
+
+NUMBERS = {
+    "dark_current_na_per_cm2": 30.0,
+    "dsnu": 0.6,
+    "column_fpn": 0.003,
+    "peak_quantum_efficiency": 0.2,
+    "node_capacitance_ff": 2.5,
+    "voltage_swing_v": 0.9,
+    "fill_factor_limit": 0.8,
+    "feature_size_um": 0.34,
+}
+
+
+def test_numbers_of_a_study_are_those_of_a_file_that_has_them(tmp_path: Path) -> None:
+    """Bit for bit, from the pitches to the pictures of the report: a technology of the same name has the same random streams."""
+    table = read_toml(packaged("data/technologies")["0.35um"])
+    lines = ['name = "0.35um"']
+    for name, entry in table.items():
+        if isinstance(entry, dict):
+            lines += [
+                f"[{name}]",
+                f"value = {json.dumps(NUMBERS.get(name, entry['value']))}",
+                'confidence = "D"',
+                'source = "here"',
+            ]
+    (tmp_path / "own.toml").write_text("\n".join(lines), encoding="utf-8")
+    few = {"repeats": 2, "pitch": {"min_fill_factor": 0.1, "count": 5, "values_um": None}}
+    by_file = pixsim.study(tiny(**few, technologies=(str(tmp_path / "own.toml"),)), tmp_path / "file", jobs=1)
+    study = tiny(**few, process={"0.35um": NUMBERS})
+    by_study = pixsim.study(study, tmp_path / "study", jobs=1)
+    one, other = by_file.curves[0], by_study.curves[0]
+    np.testing.assert_array_equal(one.pitch_um, other.pitch_um)
+    np.testing.assert_array_equal(one.fill_factor, other.fill_factor)
+    assert one.feature_size_um == other.feature_size_um == 0.34
+    for name, values in one.statistics.items():
+        np.testing.assert_array_equal(values, other.statistics[name])
+    pitch_um = float(one.pitch_um[2])
+    mine, theirs = (r.scores(c.technology, pitch_um, 1)[0] for r, c in ((by_study, other), (by_file, one)))
+    np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
+    assert light_against_detail(by_study, other).csv == light_against_detail(by_file, one).csv
+    setup = Setup(by_study.camera, pixel_of(study, "0.35um", pitch_um), study.exposure, study.display,
+                  process=technology_of(study, "0.35um"))  # fmt: skip
+    assert setup.physics().full_well_e == mine.physics.full_well_e == theirs.physics.full_well_e
+    # And it is another study than the one without them.
+    pixsim.study(tiny(**few), tmp_path / "plain", jobs=1)
+    assert not set(keys(tmp_path / "plain")) & set(keys(tmp_path / "study"))
+    page = write_report(by_study, tmp_path / "study").read_text(encoding="utf-8")
+    assert "set by the study; the file has 0.3 (D: assumed" in page
+    assert "<td>voltage_swing_v</td><td>0.9</td><td>0.9 to 1.5</td>" in page
+
+
+def test_numbers_of_one_technology_leave_the_others_rows_alone(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """Neither keys nor random streams of 0.35 µm depend on what 0.25 µm has."""
+    study = tiny(technologies=("0.35um", "0.25um"), process={"0.25um": {"dsnu": 0.6}})
+    pixsim.study(study, tmp_path, jobs=1)
+    assert [row for row in rows(tmp_path) if row["technology"] == "0.35um"] == rows(done[1])
+    assert tiny(process={}).content_hash == tiny().content_hash
+
+
+@pytest.mark.parametrize(
+    ("process", "told"),
+    [
+        ({"0.25um": {"dsnu": 0.1}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
+        ({"0.35um": {"dsn": 0.1}}, r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'"),
+        ({"0.35um": {"dsnu": -0.1}}, r"process\.0\.35um: dsnu: got -0\.1; allowed: greater"),
+        ({"0.35um": {"voltage_swing_v": 9.0}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
+        ({"0.35um": {"fill_factor_zero_pitch_features": 16.0}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
+        ({"0.35um": {"dsnu": float("nan")}}, r"(?s)process.*dsnu.*finite"),
+    ],
+)
+def test_numbers_that_a_technology_cannot_have_are_refused_before_the_render(
+    process: dict[str, dict[str, float]], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pixsim.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    with pytest.raises(ValueError, match=told):
+        pixsim.study(tiny(process=process), tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_data_sheet_has_no_numbers_of_a_process() -> None:
+    sheet = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1, "quantum_efficiency": 0.5, "data_sheet_pitch_um": 3}
+    study = tiny(technologies=("none",), pixel=sheet, process={"none": {"dsnu": 0.1}})
+    with pytest.raises(pixsim.PixsimError, match=r"process\.none: got dsnu; .*Put them into \[pixel\]"):
+        pixsim.study(study, "out")
+
+
+def test_a_study_s_file_names_technologies_beside_it(tmp_path: Path) -> None:
+    """And `[quick]`, which leaves one out, leaves its numbers out too."""
+    (tmp_path / "mine.toml").write_bytes(packaged("data/technologies")["0.35um"].read_bytes())
+    text = (
+        'name = "own"\ntechnologies = ["mine.toml", "0.25um"]\nprocess."mine.toml".dsnu = 0.1\n[quick]\ntechnologies = ["0.25um"]\n'
+    )
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    study = load_study(tmp_path / "study.toml")
+    assert technology_of(study, str(tmp_path / "mine.toml")).dsnu == 0.1
+    assert technology_of(study, "0.25um").dsnu == 0.3
+    assert (study.quickened.technologies, study.quickened.process) == (("0.25um",), {})
+
+
+# --- Fields of the pixel as options ------------------------------------------------------------------------------------
+
+
+def test_pixel_options_are_the_file_s_own_table_bit_for_bit(tmp_path: Path) -> None:
+    (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
+    (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
+    told = "--pixel.response scaled --pixel.prnu 0.01"
+    for line in (f"plain.toml {told} --out option", "scaled.toml --out file", "plain.toml --out plain"):
+        name, *words = line.split()
+        out = tmp_path / words.pop()
+        with redirect_stdout(io.StringIO()), pytest.raises(SystemExit, match="0"):
+            cli.main(["study", str(tmp_path / name), *words, str(out), "--jobs", "1"])
+    pixsim.study(tmp_path / "plain.toml", tmp_path / "python", pixel={"response": "scaled", "prnu": 0.01}, jobs=1)
+    results = {name: (tmp_path / name / "results.csv").read_bytes() for name in ("option", "file", "plain", "python")}
+    assert results["option"] == results["file"] == results["python"]
+    assert results["plain"] != results["file"]
+    for name in ("summary.json", "figures/delta_e_against_pitch.svg"):
+        assert (tmp_path / "option" / name).read_bytes() == (tmp_path / "file" / name).read_bytes()
+
+
+def test_pixel_options_go_over_files_and_over_quick_and_are_no_longer_the_study_s(tmp_path: Path) -> None:
+    table = '[sources]\n"pixel.bits" = "assumed"\n"pixel.prnu" = "stated"\n[quick]\npixel = { bits = 9 }\n'
+    text = f'name = "own"\n[pixel]\nbits = 8\n{table}'
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "sensor.toml").write_text("[pixel]\nbits = 11\nprnu = 0.02\n", encoding="utf-8")
+    study = load_study(tmp_path / "own.toml", tmp_path / "sensor.toml", pixel={"bits": "12"}).quickened
+    assert (study.pixel.bits, study.pixel.prnu, study.sources) == (12, 0.02, {})
+
+
+def test_an_option_completes_a_data_sheet(tmp_path: Path) -> None:
+    """As with `pixsim run`."""
+    text = "[pixel]\npitch_um = 4\nfull_well_e = 12000\ndark_current_e_per_s = 1\nquantum_efficiency = 0.6\n"
+    (tmp_path / "sensor.toml").write_text(text, encoding="utf-8")
+    study = load_study("pixel-size", tmp_path / "sensor.toml", pixel={"read_noise_e": 2.0})
+    assert (study.technologies, study.pixel.read_noise_e, study.pixel.data_sheet_pitch_um) == (("none",), 2.0, 4.0)
+    with pytest.raises(pixsim.PixsimError, match="read_noise_e"):
+        load_study("pixel-size", tmp_path / "sensor.toml")
+
+
+@pytest.mark.parametrize(
+    ("pixel", "told"),
+    [
+        ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: .*pitch\.values_um"),
+        ({"technology": "0.25um"}, r"pixel\.technology: got '0\.25um' for a study; allowed: .* technologies"),
+        ({"response": "scald"}, r"pixel\.response: got 'scald'; allowed: 'scaled' or 'literal'"),
+        ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
+    ],
+)
+def test_pixel_options_that_a_study_cannot_take(pixel: dict[str, object], told: str) -> None:
+    with pytest.raises(pixsim.PixsimError, match=told):
+        load_study("chen2000", pixel=pixel)
+    with pytest.raises(pixsim.PixsimError, match="config, parameters, pixel: got with a Study"):
+        pixsim.study(tiny(), "out", pixel=pixel)
 
 
 def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, evaluations: list[Frame]) -> None:

@@ -41,7 +41,6 @@ from pixsim.plan import Plan
 from pixsim.renderer import Renderer
 from pixsim.scene import Scene
 from pixsim.spectral import SpectralImage
-from pixsim.technology import load_technology
 
 SENSORS, PITCHES = 5, 5  # of the calibration: the scatter of five is known to 35 %, and the tolerance takes 95 %
 SCALED_BY = 1e-2
@@ -117,7 +116,7 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
     """Measure the calibration, or take it from the cache."""
     key = content_hash(
         [scene.content_hash, scene.parameters, scene.sensor_id, scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
-         load_technology(setup.pixel.technology).model_dump(exclude={"sources"}), setup.exposure.model_dump(),
+         setup.technology.content, setup.exposure.model_dump(),
          setup.display.model_dump(), setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
          plan.passes, cache.made_by("mitsuba", "drjit")]
     )  # fmt: skip
@@ -128,7 +127,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     job = Renderer(scene, camera, plan, setup.seed)
     (first, spp), (second, _) = job.run(0), job.run(1)
     both = [[each.astype(float) for each in half] for half in (first, second)]
-    noise = noise_of(job, both, 1.0, [setup.pixel], setup.exposure)[0]
+    noise = noise_of(job, both, 1.0, [setup.physics()], setup.exposure)[0]
     image = job.image([(one + other) / 2 for one, other in zip(*both, strict=True)], 2 * spp)
     parts = [job.image(half, spp) for half in (first, second)]
     with unheard():  # the run itself says so

@@ -16,10 +16,10 @@ from scipy.special import ndtr
 
 from pixsim.optimum import DEGREE, fitted_curve
 from pixsim.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run
-from pixsim.pixel import derive, pitch_for_fill_factor_um
-from pixsim.score import Bench, Projection, bench_of, make_bench, project, stream
+from pixsim.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
+from pixsim.score import Bench, Projection, bench_of, project, stream
 from pixsim.spectral import Array, SpectralImage
-from pixsim.technology import load_technology, with_fill_factor_law
+from pixsim.technology import Technology, load_technology, with_fill_factor_law
 
 SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
@@ -32,6 +32,7 @@ FEWEST_PIXELS, MOST_PIXELS = 16, 1024  # across the die, of the largest and the 
 class Setup:
     """What stays the same while settings of the render move: the camera, the pixel, the viewer, and the noise.
 
+    process : of the pixel's technology; None takes that of its file
     pitches_um : at which the optimum is looked for; empty where none is wanted
     sensors : individual sensors; each pitch takes the same ones every time
     at_optimum : whether the pixel's pitch is the optimum's, whatever it says
@@ -47,6 +48,17 @@ class Setup:
     sensors: int = 1
     at_optimum: bool = False
     border_um: float | None = None
+    process: Technology | None = None
+
+    @property
+    def technology(self) -> Technology:
+        """The process, without the fill-factor law that the pixel may choose."""
+        return self.process or load_technology(self.pixel.technology)
+
+    def physics(self, pitch_um: float | None = None) -> PixelPhysics:
+        """The pixel, or one of another pitch."""
+        pixel = self.pixel if pitch_um is None else self.pixel.model_copy(update={"pitch_um": pitch_um})
+        return derive(pixel, self.technology)
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Setup:
@@ -183,10 +195,10 @@ def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()
     own_um = setup.pixel.pitch_um
 
     def at(pitch_um: float) -> Bench:
-        pixel = setup.pixel.model_copy(update={"pitch_um": pitch_um})
+        physics = setup.physics(pitch_um)
         if setup.display.raster == "one_to_one":
-            return make_bench(image, setup.camera, pixel, setup.exposure, setup.display)
-        physics = derive(pixel)
+            light = project(image, setup.camera, physics, setup.display)
+            return bench_of(light, physics, setup.exposure, setup.display)
         alone = pitch_um == own_um and not setup.at_optimum
         border_um = own_um if alone else setup.border_um or max(pitches_um, default=own_um)
         if border_um not in shared:
@@ -213,7 +225,7 @@ def pitch_range_um(setup: Setup) -> tuple[float, float]:
     largest, smallest = min(usual.max_um, die_um / FEWEST_PIXELS), die_um / MOST_PIXELS
     if setup.pixel.fill_factor is not None:  # the law does not bind it
         return max(smallest, min(setup.pixel.pitch_um / 3, largest / 3)), largest
-    process = with_fill_factor_law(load_technology(setup.pixel.technology), setup.pixel.fill_factor_law)
+    process = with_fill_factor_law(setup.technology, setup.pixel.fill_factor_law)
     return max(smallest, pitch_for_fill_factor_um(usual.min_fill_factor, process)), largest
 
 

@@ -14,6 +14,7 @@ from pixsim.evaluations import pixel_of
 from pixsim.parameters import Camera, Study
 from pixsim.plan import make_render_plan
 from pixsim.scene import Scene
+from pixsim.technology import technology_of
 
 FEWEST_REPEATS = 2  # of a study: fewer tell no interval
 
@@ -77,7 +78,16 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     """The study with the settings of least work for its tolerance, calibrated around the optimum of its first technology."""
     assert study.tolerance_delta_e
     pixel = pixel_of(study, study.technologies[0], study.pitch.max_um)
-    setup = Setup(camera, pixel, study.exposure, study.display, study.seed, at_optimum=True, border_um=study.pitch.largest_um)
+    setup = Setup(
+        camera,
+        pixel,
+        study.exposure,
+        study.display,
+        study.seed,
+        at_optimum=True,
+        border_um=study.pitch.largest_um,
+        process=technology_of(study, study.technologies[0]),
+    )
     settled = settle(scene, camera, setup, study.tolerance_delta_e)
     choice, parameters = settled.choice, dict(study.scene.parameters)
     if "resolution" in settled.scene.parameters:

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from pixsim.cli.base import DEFAULT_OUT, Config, Define, Json, Out, Variant, app, definitions, described, show, stages
+from pixsim.cli.base import DEFAULT_OUT, Config, Define, Json, Out, Variant, app, definitions, described, given, show, stages
+from pixsim.cli.tables import NO_PIXEL, PixelTable
 from pixsim.errors import refuse
 from pixsim.messages import checked
 from pixsim.sensor_file import study_layers
@@ -20,6 +21,7 @@ def study(
     *,
     config: Config = None,
     define: Define | None = None,
+    pixel: PixelTable = NO_PIXEL,
     quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
     jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
     scheduler: Annotated[
@@ -36,6 +38,8 @@ def study(
 
     Example: pixsim study chen2000 --quick
 
+    Example: pixsim study chen2000 --pixel.response scaled --out scaled
+
     Writes results.csv, summary.json, figures (with a contact sheet), provenance.json, report.html; an interrupted
     study goes on where it stopped when the same command is given again.
 
@@ -51,9 +55,11 @@ def study(
     options: dict[str, Any] = {name: value for name, value in effort.items() if value is not None}
     if define:
         options["scene"] = {"parameters": definitions(define)}
-    if "vary" in table.table and (config or define):
+    if own := given(pixel):
+        options["pixel"] = own
+    if "vary" in table.table and (config or define or own):
         mend = "Copy the study that it varies, set them there, and name the copy as its base."
-        raise refuse("--config, -D", f"with {study}, which varies another study", "studies of pixel sizes", mend)
+        raise refuse("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", mend)
     layers = study_layers(table, config or [], options)
     seconds: dict[str, float] = {}
     how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}

@@ -1,6 +1,8 @@
-"""The table of docs/studies.md "the paper says, pixsim finds", from the summary.json of `pixsim study chen2000`.
+"""The tables of docs/studies.md, from summary.json of `pixsim study chen2000` and, if given, of `chen2000-sensitivity`.
 
-python tests/benchmarks/paper_table.py pixsim-out/chen2000/summary.json
+python tests/benchmarks/paper_table.py pixsim-out/chen2000/summary.json [pixsim-out/chen2000-sensitivity/summary.json]
+
+With both: what would turn each verdict, the range of the optimum at 0.35 µm for each assumption, and how many cases agree.
 """
 
 from __future__ import annotations
@@ -8,15 +10,61 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
+
+from pixsim.paper import REFERENCE_TECHNOLOGY
+from pixsim.sensitivity import turned_words
+
+
+def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
+    """The statements; with cases, what would turn each verdict."""
+    ends = ("what would turn it |", "---|") if cases else ("", "")
+    lines = ["| the paper says | given | pixsim finds | agrees |" + f" {ends[0]}".rstrip(), "|---|---|---|---|" + ends[1]]
+    for row in rows:
+        verdict = "yes" if row["agrees"] else f"**does not agree**: {row['why']}"
+        cells = [row["statement"], row["given"], row["found"], verdict]
+        if cases:
+            turning = [case for case in cases if case["agrees"][row["statement"]] != row["agrees"]]
+            words = turned_words([(case["variation"], case["label"]) for case in turning])
+            cells.append(f"{len(turning)} of {len(cases)}" + (f": {words}" if turning else ""))
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str]:
+    """The range of the reference's optimum and least mean ΔE for each assumption, widest first; the base is in each."""
+
+    def optimum(technologies: list[dict[str, Any]]) -> tuple[float, float]:
+        (own,) = [each["optimum"] for each in technologies if each["technology"] == REFERENCE_TECHNOLOGY]
+        return own["pitch_um"], own["mean_delta_e"]
+
+    ranges: dict[str, list[tuple[float, float]]] = {}
+    for case in cases:
+        if not case["alone"]:
+            ranges.setdefault(case["variation"], [optimum(base["curves"])]).append(optimum(case["technologies"]))
+    ends = {name: [(min(each), max(each)) for each in zip(*found, strict=True)] for name, found in ranges.items()}
+    widest_first = sorted(ends.items(), key=lambda item: item[1][0][0] - item[1][0][1])
+    lines = [
+        f"| {name} | {size[0]:.2f} to {size[1]:.2f} | {least[0]:.3f} to {least[1]:.3f} |" for name, (size, least) in widest_first
+    ]
+    return ["| assumption | optimum (µm) | best mean ΔE |", "|---|---|---|", *lines]
+
+
+def counts(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
+    """How many cases agree with each statement that depends on the study, and how many have every verdict of the table."""
+    verdicts = {row["statement"]: row["agrees"] for row in rows}
+    same = sum(case["agrees"] == verdicts for case in cases)
+    lines = [f"{sum(case['agrees'][name] for case in cases)} of {len(cases)} agree: {name}" for name in verdicts]
+    return [*lines, f"{same} of {len(cases)} have every verdict of the table"]
 
 
 def main() -> None:
     rows = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))["paper"]
-    print("| the paper says | given | pixsim finds | agrees |")
-    print("|---|---|---|---|")
-    for row in rows:
-        verdict = "yes" if row["agrees"] else f"**does not agree**: {row['why']}"
-        print(f"| {row['statement']} | {row['given']} | {row['found']} | {verdict} |")
+    sensitivity = json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")) if len(sys.argv) > 2 else {"cases": []}
+    lines = claims_table(rows, sensitivity["cases"])
+    if cases := sensitivity["cases"]:
+        lines += ["", *tornado_table(sensitivity["base"], cases), "", *counts(rows, cases)]
+    print("\n".join(lines))
 
 
 if __name__ == "__main__":
