@@ -10,10 +10,11 @@ import numpy as np
 
 from pixsim.figures import COLOURS, LEGEND_LINE, LOOKS, Look, draw_terms, literal, new_figure
 from pixsim.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
-from pixsim.optimum import fitted_curve, mean_and_ci95, window
+from pixsim.optimum import mean_and_ci95
 from pixsim.pictures import is_csf
 from pixsim.pixel import physics_of
 from pixsim.plates import Column, Plate
+from pixsim.wording import interval_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,22 +30,29 @@ OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
-    """Mean ΔE of each pitch with its 95 % interval, the local fit and the optimum."""
+    """Mean ΔE of each pitch with its 95 % interval, the fitted curve with its own, and the optimum with its own."""
     colour = look.colour
     mean, ci95 = mean_and_ci95(curve.delta_e)
     best = curve.optimum
     name = literal(curve.label)
-    low, high = best.within_1_percent_um
-    label = f"{name}: {best.pitch_um:.2f} µm ({low:.2f} to {high:.2f} µm within 1 %)" if best.inside else name
+    label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
-    axes.fill_between(curve.pitch_um, mean - ci95, mean + ci95, color=colour, alpha=0.15, lw=0)
-    here = window(mean)
-    axes.plot(*fitted_curve(curve.pitch_um[here], mean[here]), lw=1.5, **look.stroke)
+    axes.fill_between(curve.fit.pitch_um, curve.fit.low, curve.fit.high, color=colour, alpha=0.15, lw=0)
+    axes.plot(curve.fit.pitch_um, curve.fit.delta_e, lw=1.5, **look.stroke)
     if best.inside:
+        low_um, high_um = with_ends(best.interval_um, curve)
+        axes.plot([low_um, high_um], [best.mean_delta_e] * 2, "|-", color=colour, lw=2.5, ms=9, mew=1.5)
         axes.plot(best.pitch_um, best.mean_delta_e, "v", ms=9, mfc="white", mec=colour, mew=1.5)
-    axes.axvspan(*best.within_1_percent_um, color=colour, alpha=0.12, lw=0)
+    axes.axvspan(*with_ends(best.within_1_percent_um, curve), color=colour, alpha=0.12, lw=0)
     for edge_um in best.within_1_percent_um:
-        axes.axvline(edge_um, lw=0.7, **look.stroke)
+        if edge_um is not None:
+            axes.axvline(edge_um, lw=0.7, **look.stroke)
+
+
+def with_ends(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
+    """A range of pitches whose open ends are drawn at the smallest and the largest tried."""
+    low, high = range_um
+    return float(curve.pitch_um[0]) if low is None else low, float(curve.pitch_um[-1]) if high is None else high
 
 
 def tell_the_story(axes: Axes, curve: Curve) -> None:
@@ -90,10 +98,17 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
     if len(curves) == 1:
         tell_the_story(axes, curves[0])
     caption = (
-        f"Mean S-CIELAB error of the picture against pixel size. Points: mean of {result.study.repeats} sensors with its 95 % "
-        "interval; line: the local fit; triangle: the optimum; band: sizes within 1 % of the best."
+        f"Mean S-CIELAB error of the picture against pixel size. Points: means of {sensors_words(curves)} with their 95 % "
+        "intervals; line: the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
+        "band: sizes within 1 % of the least error."
     )
     return Plate(name, caption, figure, curve_table(curves))
+
+
+def sensors_words(curves: Sequence[Curve]) -> str:
+    """How many sensors a point stands for."""
+    counts = sorted({int(each) for curve in curves for each in curve.sensors})
+    return f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
 
 
 def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
@@ -104,7 +119,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
         mean, ci95 = mean_and_ci95(curve.delta_e)
         table["technology"] += [curve.label] * mean.size
         columns = {"pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor, "mean_delta_e": mean, "ci95_delta_e": ci95}
-        columns |= {name: curve.statistics[name].mean(axis=1) for name in OTHER_STATISTICS}
+        columns |= {name: curve.mean(name) for name in OTHER_STATISTICS}
         for name, values in columns.items():
             table[name] += values.tolist()
     return dict(table)
@@ -115,7 +130,7 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
     for name, look in zip(("mean_delta_e", *OTHER_STATISTICS), LOOKS, strict=False):
-        values = curve.statistics[name].mean(axis=1)
+        values = curve.mean(name)
         label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
     axes.set_xlabel("pixel size (µm)")
@@ -136,16 +151,15 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
 
 
 def optimum_against_technology(result: StudyResult) -> Plate:
-    """Optima with both error bars, beside what 'proportional to technology' would give."""
+    """Optima with their intervals, next to what 'proportional to technology' would give."""
     curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
     feature_um = np.array([curve.feature_size_um for curve in curves])
     size_um = np.array([curve.optimum.pitch_um for curve in curves])
-    ci95_um = np.array([curve.optimum.ci95_um for curve in curves])
-    fit_um = np.array([curve.optimum.fit_um for curve in curves])
+    low_um, high_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in curves]).T
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
-    axes.errorbar(feature_um, size_um, ci95_um + fit_um, fmt="none", ecolor=COLOURS[1], lw=1, capsize=5, label="sensors and fit")
-    axes.errorbar(feature_um, size_um, ci95_um, fmt="o", color=COLOURS[0], lw=2, capsize=3, label="optimum, 95 % (sensors)")
+    bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
+    axes.errorbar(feature_um, size_um, bars, fmt="o", color=COLOURS[0], lw=2, capsize=4, label="optimum, 95 % interval")
     proportional = size_um[-1] / feature_um[-1] * feature_um
     axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
     axes.set_xlabel("feature size (µm)")
@@ -158,14 +172,19 @@ def optimum_against_technology(result: StudyResult) -> Plate:
         "technology": [curve.label for curve in curves],
         "feature_size_um": feature_um.tolist(),
         "optimum_um": size_um.tolist(),
-        "ci95_um": ci95_um.tolist(),
-        "fit_um": fit_um.tolist(),
+        **interval_columns(curves),
         "optimum_features": (size_um / feature_um).tolist(),
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
         "proportional_um": proportional.tolist(),
     }
     caption = "Optimal pixel size against technology, and the line that the largest process scaled in proportion would follow."
     return Plate("optimum_against_technology", caption, figure, table)
+
+
+def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
+    """Ends of the optima's 95 % intervals, for a table; empty where the tried pitches leave an end open."""
+    ends = {"interval_low_um": 0, "interval_high_um": 1}
+    return {name: ["" if (each := curve.optimum.interval_um[end]) is None else each for curve in curves] for name, end in ends.items()}
 
 
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Container, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ COLUMNS = (
 TEXTS = COLUMNS[:2]
 REPEATS_A_TASK = 8  # evaluations after which a worker reports
 LIGHTS_BYTES = 1 << 28  # of lights that are made at once
+Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order
 Progress = Callable[..., None]  # (fraction done, what to say beside it)
 # What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
 Light = Projection | SpectralImage
@@ -187,6 +189,8 @@ class Content:
     study: Study
     camera: Camera
     irradiance: SpectralImage
+    _ranges_um: dict[str, tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
+    _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def picture(self) -> str:
@@ -213,23 +217,31 @@ class Content:
 
     def pixel(self, technology: str, pitch_um: float) -> str:
         """Of all that the frames of a pitch depend on."""
-        pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # where its file lies is no content
-        return content_hash([self.picture, self.process(technology), pixel])
+        if (technology, pitch_um) not in self._pixels:
+            pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # its file's place is no content
+            self._pixels[technology, pitch_um] = content_hash([self.picture, self.process(technology), pixel])
+        return self._pixels[technology, pitch_um]
 
-    def rows(self, technology: str, repeats: int) -> Iterator[tuple[float, dict[int, str]]]:
-        """Each pitch with the key of each repeat's row."""
-        for pitch_um in study_pitches_um(self.study, technology).tolist():
-            pixel = self.pixel(technology, pitch_um)
-            yield pitch_um, {repeat: content_hash([pixel, self.display, repeat]) for repeat in range(repeats)}
+    def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:
+        """Repeat -> key of its row."""
+        pixel = self.pixel(technology, pitch_um)
+        return {repeat: content_hash([pixel, self.display, repeat]) for repeat in repeats}
 
-    def wanted(self, repeats: int) -> dict[str, Row]:
-        """The key of each row, and what it stands for."""
-        return {
-            key: {"technology": technology, "pitch_um": str(pitch_um), "repeat": str(repeat)}
-            for technology in self.study.technologies
-            for pitch_um, keys in self.rows(technology, repeats)
-            for repeat, key in keys.items()
-        }
+    def is_row(self, row: Row) -> bool:
+        """Whether a row of results.csv is one that the study may have, and says what its key stands for."""
+        technology, pitch_um, repeat = row["technology"], float(row["pitch_um"]), float(row["repeat"])
+        if technology not in self.study.technologies or not (repeat >= 0 and repeat.is_integer()):
+            return False
+        pitches_um = self._range_um(technology)
+        if not pitches_um[0] <= pitch_um <= pitches_um[1]:
+            return False
+        return self.keys(technology, pitch_um, [int(repeat)])[int(repeat)] == row["key"]
+
+    def _range_um(self, technology: str) -> tuple[float, float]:
+        if technology not in self._ranges_um:
+            pitches_um = study_pitches_um(self.study, technology)
+            self._ranges_um[technology] = float(pitches_um[0]), float(pitches_um[-1])
+        return self._ranges_um[technology]
 
     def frames(self, technology: str, pitch_um: float) -> str:
         """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
@@ -240,9 +252,11 @@ class Content:
         return frames_fit(self.study, self.camera)
 
 
-def most_repeats(study: Study) -> int:
-    """As many as the study may come to."""
-    return study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+def first_sampling(study: Study) -> Sampling:
+    """What a study begins with: `repeats` sensors of each of its pitches."""
+    return {
+        technology: dict.fromkeys(study_pitches_um(study, technology).tolist(), study.repeats) for technology in study.technologies
+    }
 
 
 def frames_fit(study: Study, camera: Camera) -> bool:
@@ -258,41 +272,66 @@ def block_key(frames_key: str, block: int) -> str:
     return frames_key and f"{frames_key}-{block}"
 
 
-def tasks_of(content: Content, technology: str, done: Container[str]) -> Iterator[Task]:
-    """What is missing of a technology, small pixels first, since they take longest."""
+def tasks_of(content: Content, technology: str, sensors: Mapping[float, int], done: Container[str]) -> Iterator[Task]:
+    """What is missing of a technology, small pixels first, since they take longest.
+
+    sensors : of each pitch in µm
+    """
     study, light_key, process = content.study, content.light(technology), technology_of(content.study, technology)
-    for pitch_um, keys in content.rows(technology, study.repeats):
-        frames = content.frames(technology, pitch_um)
-        for block in range(-(-study.repeats // REPEATS_A_TASK)):
-            repeats = range(block * REPEATS_A_TASK, min(study.repeats, (block + 1) * REPEATS_A_TASK))
+    for pitch_um, count in sensors.items():
+        keys, frames = content.keys(technology, pitch_um, range(count)), content.frames(technology, pitch_um)
+        for block in range(-(-count // REPEATS_A_TASK)):
+            repeats = range(block * REPEATS_A_TASK, min(count, (block + 1) * REPEATS_A_TASK))
             missing = {repeat: keys[repeat] for repeat in repeats if keys[repeat] not in done}
             if missing:
                 own = light_key, block_key(frames, block), missing
                 yield Task(study, content.camera, technology, process, pitch_um, *own)
 
 
-def evaluate_all(lights: Lights, results: Path, workers: Workers, progress: Progress | None = None) -> list[Row]:
-    """Bring results.csv up to date: rows that fit are kept, missing ones are appended as they come, then all are sorted.
+class Evaluations:
+    """The rows of a study in results.csv: those of an earlier run that fit are taken, missing ones are appended as they come."""
 
-    PixsimError where the file cannot be written (what is finished stays), or another process writes it.
-    """
-    study = lights.study
-    content = Content(study, lights.camera, lights.irradiance)
-    wanted = content.wanted(most_repeats(study))
-    ledger = Ledger(results, COLUMNS, TEXTS)
-    with ledger.alone():
-        done = ledger.begin(wanted)
-        tasks = {technology: list(tasks_of(content, technology, done)) for technology in study.technologies}
+    def __init__(self, lights: Lights, results: Path, workers: Workers) -> None:
+        self.study, self._lights, self._workers = lights.study, lights, workers
+        self.content = Content(lights.study, lights.camera, lights.irradiance)
+        self._ledger = Ledger(results, COLUMNS, TEXTS)
+        self._done: dict[str, Row] = {}
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """As the one writer of the file; PixsimError where another process is."""
+        with self._ledger.alone():
+            self._done = self._ledger.begin(self.content.is_row)
+            try:
+                yield
+            finally:
+                _recent.__dict__.clear()  # of this process; a worker keeps its last light until its next task
+
+    def of(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
+        """The rows of a sampling, in its order.
+
+        PixsimError where the file cannot be written; what is finished stays.
+        """
+        tasks = {
+            technology: list(tasks_of(self.content, technology, sensors, self._done)) for technology, sensors in sampling.items()
+        }
         missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
-        for group in lights.groups():
-            makers = {technology: partial(lights.of, technology) for technology in group}
+        for group in self._lights.groups():
+            makers = {technology: partial(self._lights.of, technology) for technology in group}
             calls = [(task, makers[technology]) for technology in group for task in tasks[technology]]
-            for rows in results_of(evaluate_task, calls, workers):
-                ledger.append(rows)
-                done |= {row["key"]: row for row in rows}
+            for rows in results_of(evaluate_task, calls, self._workers):
+                self._ledger.append(rows)
+                self._done |= {row["key"]: row for row in rows}
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
-        ledger.write([done[key] for key in wanted if key in done])
-    _recent.__dict__.clear()  # of this process; a worker keeps its last light until its next task
-    return [done[key] for key, row in wanted.items() if int(row["repeat"]) < study.repeats]
+        return [
+            self._done[key]
+            for technology, sensors in sampling.items()
+            for pitch_um, count in sensors.items()
+            for key in self.content.keys(technology, pitch_um, range(count)).values()
+        ]
+
+    def finish(self, rows: list[Row]) -> None:
+        """Leave these rows in the file, in their order."""
+        self._ledger.finish(rows)

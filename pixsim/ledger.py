@@ -11,7 +11,7 @@ import io
 import math
 import os
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -50,18 +50,24 @@ class Ledger:
         except (KeyError, TypeError, ValueError):
             return False
 
-    def begin(self, wanted: Mapping[str, Row]) -> dict[str, Row]:
-        """Rows of the wanted keys that are there; others, of another study, are kept in FILE.old and leave the file.
-
-        wanted : key -> what such a row says beside its results; one that says something else was changed by hand
-        """
+    def begin(self, is_wanted: Callable[[Row], bool]) -> dict[str, Row]:
+        """Rows that are there and wanted, by key; others, of another study, are kept in FILE.old and leave the file."""
         known = self.read()
-        done = {key: row for key, row in known.items() if key in wanted and self._says(row, wanted[key])}
+        done = {key: row for key, row in known.items() if is_wanted(row)}
         something = self.path.is_file() and self.path.stat().st_size > len(",".join(self.columns)) + 2
         if something and (len(done) < len(known) or not known):
-            shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
+            self._keep_old()
         self.write(done.values())
         return done
+
+    def finish(self, rows: Collection[Row]) -> None:
+        """Leave these rows in the file; where it holds others, it is kept in FILE.old."""
+        if set(self.read()) - {row[self.columns[0]] for row in rows}:
+            self._keep_old()
+        self.write(rows)
+
+    def _keep_old(self) -> None:
+        shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
 
     def write(self, rows: Collection[Row]) -> None:
         """The file anew, whole or not at all."""
@@ -79,9 +85,6 @@ class Ledger:
             except BaseException:
                 file.truncate(before)
                 raise
-
-    def _says(self, row: Row, wanted: Row) -> bool:
-        return all(row[name] == each if name in self.texts else float(row[name]) == float(each) for name, each in wanted.items())
 
     @contextmanager
     def alone(self) -> Iterator[None]:

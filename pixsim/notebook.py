@@ -16,6 +16,7 @@ from pixsim.curve_plates import delta_e_against_pitch
 from pixsim.figures import new_figure, svg_text
 from pixsim.files import data_uri, replacing
 from pixsim.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
+from pixsim.wording import interval_words, within_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,22 +54,13 @@ def score_html(score: Score) -> str:
 
 
 def study_html(result: StudyResult) -> str:
-    head = ("technology", "optimal pixel size (µm)", "± sensors", "± fit", "mean ΔE", "within 1 % (µm)")
+    head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
     rows = []
     for curve in result.curves:
         best = curve.optimum
         size = f"{best.pitch_um:.2f}" if best.inside else f"none between {curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
-        low, high = best.within_1_percent_um
-        rows.append(
-            (
-                curve.label,
-                size,
-                f"{best.ci95_um:.2f}",
-                f"{best.fit_um:.2f}",
-                f"{best.mean_delta_e:.3f}",
-                f"{low:.2f} to {high:.2f}",
-            )
-        )
+        within = within_words(best.within_1_percent_um, curve)
+        rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
     return _cell(result.study.title or result.study.name, head, rows, study_figure(result))
 
 
@@ -99,7 +91,7 @@ def study_rows(result: StudyResult) -> list[dict[str, Any]]:
         | {name: float(values[place, repeat]) for name, values in curve.statistics.items()}
         for curve in result.curves
         for place, pitch_um in enumerate(curve.pitch_um)
-        for repeat in range(curve.delta_e.shape[1])
+        for repeat in range(int(curve.sensors[place]))
     ]
 
 

@@ -22,6 +22,7 @@ from pixsim.pixel import fill_factor_law, physics_of
 from pixsim.spectral import Array
 from pixsim.sweep import Curve, StudyResult
 from pixsim.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.wording import interval_words
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.
 REFERENCE_TECHNOLOGY = "0.35um"
@@ -245,7 +246,7 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     yield Finding(
         "Optimal pixel size at 0.35 µm",
         f"about {OPTIMUM_UM:g} µm",
-        f"{best.pitch_um:.2f} µm ± {best.ci95_um:.2f} (sensors) ± {best.fit_um:.2f} (fit)",
+        f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)})",
         best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM,
         ASSUMED,
     )

@@ -209,9 +209,16 @@ class Study(Effort):
     pitch: PitchRange = Field(PitchRange(), description="pixel sizes that are tried")
     repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="individual sensors for each pitch")
     target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
-        None, description="add sensors until the 95 % interval of every optimum is this narrow (half width)"
+        None,
+        description="add pixel sizes near the optimum, and sensors, until half of the length of every optimum's 95 % interval is "
+        "at most this",
     )
-    max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(32, description="at most so many for target_ci_um")
+    max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(32, description="at most so many sensors at one pixel size, for target_ci_um")
+    max_evaluations: Annotated[int, Field(ge=1, le=10**9)] | None = Field(
+        None,
+        description="at most so many frames in all, for target_ci_um; None: as many for each technology as max_repeats at each of "
+        "the first pixel sizes would take",
+    )
     iso_delta_e: Annotated[float, Field(gt=0, le=1e6)] = Field(3.0, description="level of the iso-ΔE curves")
     detail: tuple[Part, Part] | None = Field(
         None,

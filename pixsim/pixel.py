@@ -307,3 +307,10 @@ def physics_of(study: Study, technology: str, pitch_um: float, process: Technolo
     Raises PixsimError as `derive` and `technology_of` do.
     """
     return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
+
+
+def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Array:
+    """Widths of the square photodiodes of a study's pixels, √fill factor · pitch, (n,) as the pitches."""
+    process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
+    fill_factor = study.pixel.fill_factor or np.maximum(fill_factor_law(pitch_um, process), SMALLEST_FRACTION)
+    return np.asarray(np.sqrt(fill_factor) * pitch_um)

@@ -25,7 +25,7 @@ from pixsim.plates import SENSORS_SHOWN, Drawn, Plate, pictures
 from pixsim.study_result import Curve, StudyResult
 from pixsim.technology import Technology, technology_of
 from pixsim.views import Views, best_place, study_views
-from pixsim.wording import study_dark_notes
+from pixsim.wording import interval_words, study_dark_notes, target_notes, within_words
 
 # Of the paper, for the curves that any study has.
 FIGURE_NUMBERS = {
@@ -148,7 +148,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     write_json(folder / "provenance.json", provenance)
 
     def light_of(curves: Sequence[Curve]) -> Light:
-        times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in curves])
+        times_s = np.concatenate([curve.mean("integration_s") for curve in curves])
         return Light.of(result.irradiance, result.study.display, times_s)
 
     def blur_of(curve: Curve) -> str:
@@ -158,13 +158,15 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     light = light_of(result.curves)
     page = {
         "study": result.study,
+        "interval": interval_words,
+        "within": within_words,
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
         "blurs": [(curve, blur_of(curve)) for curve in result.curves],
         "plates": shown,
         "views": views,
         "scale_bar": scale(),
         "findings": rows,
-        "notes": study_dark_notes(result),
+        "notes": [*target_notes(result), *study_dark_notes(result)],
         "response_note": response_note(result.study) if result.study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,

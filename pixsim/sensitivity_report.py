@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from pixsim.curve_plates import interval_columns
 from pixsim.figures import COLOURS, literal, new_figure
 from pixsim.files import versions, write_json
 from pixsim.pages import write_page
 from pixsim.plates import Column, Plate
 from pixsim.report import write_plates
 from pixsim.sensitivity import Case, SensitivityResult, turned_words
+from pixsim.wording import interval_words
 
 
 def tornado(result: SensitivityResult) -> Plate:
@@ -56,8 +58,7 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
         "setting": [case.label for case, _ in rows],
         "technology": [curve.technology for _, curve in rows],
         "optimum_um": [curve.optimum.pitch_um for _, curve in rows],
-        "ci95_um": [curve.optimum.ci95_um for _, curve in rows],
-        "fit_um": [curve.optimum.fit_um for _, curve in rows],
+        **interval_columns([curve for _, curve in rows]),
         "optimum_fill_factor": [curve.optimum_fill_factor for _, curve in rows],
         "mean_delta_e": [curve.optimum.mean_delta_e for _, curve in rows],
         "inside": [str(curve.optimum.inside) for _, curve in rows],
@@ -77,6 +78,7 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
     page = {
+        "interval": interval_words,
         "sensitivity": result.sensitivity,
         "plate": plate,
         "image": image,

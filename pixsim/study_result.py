@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +14,14 @@ from pixsim.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, bench_a
 from pixsim.expected_frames import dark_clip
 from pixsim.labels import file_label, label_of, labels_of
 from pixsim.ledger import Row
-from pixsim.optimum import Optimum, find_optimum, mean_and_ci95
+from pixsim.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.parameters import Camera, Study
-from pixsim.pixel import physics_of
+from pixsim.pixel import photodiode_widths_um, physics_of
 from pixsim.pixel_record import NO_TECHNOLOGY
 from pixsim.score import Score
 from pixsim.spectral import Array, SpectralImage
 from pixsim.technology import technology_of
+from pixsim.wording import interval_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,8 +35,8 @@ class Curve:
     feature_size_um : of the process
     pitch_um : (pitches,) rising
     fill_factor : (pitches,) photodiode area over pixel area
-    statistics : `mean_delta_e` and the others, (pitches, repeats) each
-    optimum : the pitch with the least mean ΔE
+    statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
+    fit : the curve through them, with its minimum
     label : the technology's name for readers; in a study no other curve has it
     """
 
@@ -44,7 +45,7 @@ class Curve:
     pitch_um: Array = field(repr=False)
     fill_factor: Array = field(repr=False)
     statistics: dict[str, Array] = field(repr=False)
-    optimum: Optimum
+    fit: FittedCurve = field(repr=False)
     label: str = ""
 
     def __post_init__(self) -> None:
@@ -62,9 +63,28 @@ class Curve:
         return None if self.technology == NO_TECHNOLOGY else self.optimum.pitch_um / self.feature_size_um
 
     @property
+    def optimum(self) -> Optimum:
+        """The pitch with the least mean ΔE, with its interval."""
+        return self.fit.optimum
+
+    @property
     def delta_e(self) -> Array:
-        """Mean ΔE, (pitches, repeats)."""
+        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others."""
         return self.statistics["mean_delta_e"]
+
+    def mean(self, statistic: str = "mean_delta_e") -> Array:
+        """Mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
+        return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
+
+    @property
+    def sensors(self) -> Array:
+        """Number of sensors of each pitch, (pitches,)."""
+        return np.asarray(np.isfinite(self.delta_e).sum(axis=1))
+
+    @property
+    def fewest_sensors(self) -> int:
+        """Of all pitches."""
+        return int(self.sensors.min())
 
     @property
     def optimum_fill_factor(self) -> float:
@@ -80,6 +100,7 @@ class Curve:
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
             "pitch_um": self.pitch_um.tolist(),
+            "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
             "mean_delta_e": mean.tolist(),
             "ci95_delta_e": ci95.tolist(),
@@ -130,23 +151,32 @@ class StudyResult:
     def dark(self, curve: Curve) -> dict[str, list[float]]:
         """`pixsim.expected_frames.dark_clip` of a curve's pitches, a list for each of its numbers."""
         clips = []
-        for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.statistics["integration_s"][:, 0].tolist(), strict=True):
+        for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True):
             physics = physics_of(self.study, curve.technology, pitch_um)
             rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
             clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
         return {name: [clip[name] for clip in clips] for name in clips[0]}
 
     def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
-        """Pictures of the study again, for showing: the first `repeats` sensors, or all, of a `technology` at a pitch.
+        """Pictures of the study again, for showing: the first `repeats` sensors of a `technology` at a pitch.
+
+        repeats : None takes as many as the study has there, or began with
 
         Raises PixsimError for a pitch that the technology cannot have.
         """
         bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
-        count = self.study.repeats if repeats is None else min(repeats, self.study.repeats)
+        count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.content.frames(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
         each = (scores_of(bench, self.study, own, block_key(frames, block)) for block, own in enumerate(blocks))
         return [score for block in each for _, score in block]
+
+    def sensors_at(self, technology: str, pitch_um: float) -> int:
+        """Number of sensors that the study has of a pitch; at others, the number that it began with."""
+        for curve in self.curves:
+            if curve.technology == technology and pitch_um in curve.pitch_um:
+                return int(curve.sensors[np.searchsorted(curve.pitch_um, pitch_um)])
+        return self.study.repeats
 
     def plot(self) -> Figure:
         """Mean ΔE against pixel size, a Matplotlib figure."""
@@ -175,7 +205,7 @@ def found_words(curve: Curve) -> str:
     if not best.inside:
         ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
         return f"{curve.label}: no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
-    return f"{curve.label}: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm, ΔE {best.mean_delta_e:.3f}"
+    return f"{curve.label}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
 
 
 def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
@@ -193,5 +223,5 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
         for name, values in statistics.items():
             values[index, int(row["repeat"])] = float(row[name])
         fill_factor[index] = float(row["fill_factor"])
-    feature_um = technology_of(study, technology).feature_size_um
-    return Curve(technology, feature_um, pitches, fill_factor, statistics, find_optimum(pitches, statistics["mean_delta_e"]))
+    fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
+    return Curve(technology, technology_of(study, technology).feature_size_um, pitches, fill_factor, statistics, fit)

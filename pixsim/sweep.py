@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -13,14 +12,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pixsim.allocation import next_sensors
 from pixsim.config import Layer, beside, packaged, read_toml
 from pixsim.display import white_cd_per_m2
 from pixsim.engine import Workers, workers_for
 from pixsim.errors import did_you_mean, refuse
 from pixsim.evaluations import (
+    Evaluations,
     Lights,
     Progress,
-    evaluate_all,
+    Sampling,
+    first_sampling,
     study_pitches_um,
 )
 from pixsim.files import output_folder
@@ -97,14 +99,25 @@ def checked_study(layers: Sequence[Layer]) -> Study:
     return study
 
 
-def repeats_for_target(study: Study, curves: Sequence[Curve]) -> int:
-    """Sensors that the target interval needs, from the present one and 1/√n; no more than `max_repeats`."""
-    if study.target_ci_um is None:
-        return study.repeats
-    excess = max(curve.optimum.ci95_um for curve in curves) / study.target_ci_um
-    if excess <= 1:
-        return study.repeats
-    return max(study.repeats, min(study.max_repeats, math.ceil(study.repeats * excess**2)))
+def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sampling:
+    """The sampling after another round of additions to each curve whose interval is wider than the target; the same at a limit.
+
+    The choice follows from what is in the curves alone, so that it is the same on any workers and in a study that goes on.
+    """
+    chosen = dict(sampling)
+    for curve in curves:
+        sensors = sampling[curve.technology]
+        if study.target_ci_um is None or curve.optimum.half_width_um <= study.target_ci_um:
+            continue
+        more = next_sensors(curve.fit, sensors, max(study.repeats, study.max_repeats))
+        own, everything = sum(more.values()), sum(sum(each.values()) for each in (chosen | {curve.technology: more}).values())
+        if study.max_evaluations is None:
+            within = own <= len(study_pitches_um(study, curve.technology)) * max(study.repeats, study.max_repeats)
+        else:
+            within = everything <= study.max_evaluations
+        if within:
+            chosen[curve.technology] = more
+    return chosen
 
 
 def refuse_bad_pitches(study: Study) -> None:
@@ -121,6 +134,10 @@ def refuse_bad_pitches(study: Study) -> None:
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
             physics_of(study, technology, pitch_um)
+    begins = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
+    if study.max_evaluations is not None and study.max_evaluations < begins:
+        allowed = f"at least {begins}, which the study begins with"
+        raise refuse("max_evaluations", study.max_evaluations, allowed, "Raise it, or lower repeats or pitch.count.")
 
 
 def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
@@ -170,18 +187,22 @@ def sweep_pitches(
     workers: Workers,
     progress: Callable[[], Progress | None],
 ) -> StudyResult:
-    """Evaluate what is missing in results.csv, add sensors until the target interval is met, and fit the optima."""
+    """Evaluate what is missing in results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
     white_cd_per_m2(irradiance, study.display)  # refuse an unknown white before any file is made
-    while True:
-        lights = Lights(study, irradiance, camera)
-        rows = evaluate_all(lights, results, workers, progress())
-        curves = tuple(curve_of(study, technology, rows) for technology in study.technologies)
-        repeats = repeats_for_target(study, curves)
-        if repeats <= study.repeats:
-            result = StudyResult(study, curves, irradiance, camera)
-            result.__dict__["lights"] = lights  # they were dear
-            return result
-        study = study.model_copy(update={"repeats": repeats})
+    lights, sampling = Lights(study, irradiance, camera), first_sampling(study)
+    evaluations = Evaluations(lights, results, workers)
+    with evaluations.alone():
+        while True:
+            rows = evaluations.of(sampling, progress())
+            curves = tuple(curve_of(study, technology, rows) for technology in study.technologies)
+            more = next_round(study, curves, sampling)
+            if more == sampling:
+                break
+            sampling = more
+        evaluations.finish(rows)
+    result = StudyResult(study, curves, irradiance, camera)
+    result.__dict__["lights"] = lights  # they were dear
+    return result
 
 
 def study(
@@ -245,4 +266,4 @@ def study(
     if settled is None:
         return result
     noise = RenderNoise(**irradiance.header["render_noise"])
-    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], result.study.repeats))
+    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], result.curves[0].fewest_sensors))

@@ -45,7 +45,7 @@ class Views:
 
 def best_place(curve: Curve) -> int:
     """Index of the evaluated pitch with the least mean ΔE."""
-    return int(np.argmin(curve.delta_e.mean(axis=1)))
+    return int(np.argmin(curve.mean()))
 
 
 def is_best(curve: Curve, place: int) -> bool:
@@ -85,7 +85,7 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
 
 def words(curve: Curve, place: int) -> tuple[str, str]:
     """Pixel size, and mean ΔE over the whole picture and the sensors."""
-    return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.delta_e[place].mean():.3f}"
+    return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.mean()[place]:.3f}"
 
 
 def called(curve: Curve, place: int) -> str:
@@ -112,7 +112,7 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
         frame = bench.capture(*stream_key(study, bench.physics.technology.name, pitch_um, 0))
         white_e, size_um, edges_um = bench.white_e_per_s * frame.integration_s, bench.size_um, bench.dot_edges_um
     else:
-        physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.statistics["integration_s"][place, 0])
+        physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
         white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
         edges_um = light.dot_edges_um
         # Nothing that is shown depends on the saturated fraction or on the mean signal.

@@ -47,19 +47,57 @@ def sensitivity_lines(outcome: Any) -> list[str]:
     return lines
 
 
+def interval_words(curve: Any) -> str:
+    """The 95 % interval of a curve's optimum; an end that the tried pitches leave open is named."""
+    low, high = curve.optimum.interval_um
+    if low is None and high is None:
+        return "not bounded by the sizes tried"
+    if low is None:
+        return f"at most {high:.2f} µm, or below the smallest tried"
+    if high is None:
+        return f"at least {low:.2f} µm, or above the largest tried"
+    return f"{low:.2f} to {high:.2f} µm"
+
+
+def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
+    """A range of pitches of a curve; an end at the smallest or the largest tried pitch says so."""
+    low, high = ends
+    first = f"≤ {curve.pitch_um[0]:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
+    last = f"≥ {curve.pitch_um[-1]:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
+    return f"{first} to {last}"
+
+
 def found_line(curve: Any) -> str:
+    """The optimum of a curve with its interval, and how flat the minimum is."""
     best = curve.optimum
+    within = f"within 1 % of it from {within_words(best.within_1_percent_um, curve)}"
     if not best.inside:
         return (
             f"{curve.label}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
-            f"the error is least at {best.pitch_um:.2f} µm, the end of the range"
+            f"the error is least at {best.pitch_um:.2f} µm, the end of the range (95 %: {interval_words(curve)}), "
+            f"mean ΔE {best.mean_delta_e:.3f}; {within}"
         )
-    low, high = best.within_1_percent_um
     return (
-        f"{curve.label}: optimal pixel size {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm (95 %, sensors) "
-        f"± {best.fit_um:.2f} µm "
-        f"(fit), mean ΔE {best.mean_delta_e:.3f}; within 1 % of it from {low:.2f} to {high:.2f} µm"
+        f"{curve.label}: optimal pixel size {best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), "
+        f"mean ΔE {best.mean_delta_e:.3f}; {within}"
     )
+
+
+def target_notes(result: Any) -> list[str]:
+    """Which optima miss the target interval of a study, and what ended the search."""
+    study, notes = result.study, []
+    for curve in result.curves:
+        half_um = curve.optimum.half_width_um
+        if study.target_ci_um is None or half_um <= study.target_ci_um:
+            continue
+        limit = "max_repeats" if study.max_evaluations is None else "max_evaluations"
+        found = f"± {half_um:.2g} µm" if math.isfinite(half_um) else "open at an end: widen the range of pixel sizes"
+        evaluations = int(curve.sensors.sum())
+        notes.append(
+            f"note: {curve.label}: target_ci_um = {study.target_ci_um:g} is not met after {evaluations} evaluations ({limit}): "
+            f"the interval is {found}"
+        )
+    return notes
 
 
 def score_line(result: dict[str, Any]) -> str:

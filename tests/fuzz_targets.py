@@ -76,10 +76,9 @@ def rows(path: Path) -> None:
 
 
 def read_rows(path: Path) -> object:
-    wanted = {"key1": {"technology": "0.35um", "pitch_um": "1.5", "repeat": "1.5"}}
     ledger = Ledger(path, COLUMNS, TEXTS)
     ledger.read()
-    return ledger.begin(wanted)
+    return ledger.begin(lambda row: row["key"] == "key1" and float(row["pitch_um"]) == 1.5)
 
 
 def read_picture(path: Path) -> object:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from pixsim.optimum import DEGREE, fitted_curve
 from pixsim.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run
 from pixsim.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
 from pixsim.score import Bench, Projection, bench_of, project, stream
@@ -24,6 +23,7 @@ from pixsim.technology import Technology, load_technology, with_fill_factor_law
 SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
 FEW_E, MOST_FEW = 16.0, 80  # a mean of 16 has no count of 80 in 1e27
+DEGREE = 3  # through pitches that lie close to the optimum
 LEVEL = 1e-9  # relative; a minimum of less is one of rounding
 FEWEST_PIXELS, MOST_PIXELS = 16, 1024  # across the die, of the largest and the smallest pitch that are tried
 
@@ -111,7 +111,10 @@ def minimum_um(pitch_um: Array, delta_e: Array) -> float:
     """Minimum of a cubic in log pitch through the points; NaN where it is at an end, and where all points are one level."""
     if pitch_um.size < DEGREE + 2 or not np.ptp(delta_e) > LEVEL * np.abs(delta_e).max():
         return math.nan
-    grid, curve = fitted_curve(pitch_um, delta_e)
+    x = np.log(pitch_um / pitch_um.mean())
+    polynomial = np.polynomial.Polynomial.fit(x, delta_e, DEGREE)
+    places = np.linspace(x[0], x[-1], 1 + int(np.ptp(x) / 1e-4))
+    grid, curve = np.exp(places) * pitch_um.mean(), polynomial(places)
     best = int(np.argmin(curve))
     if not 0 < best < grid.size - 1:
         return math.nan

@@ -12,7 +12,7 @@ from pixsim.cli.tables import NO_PIXEL, PixelTable
 from pixsim.errors import refuse
 from pixsim.messages import checked
 from pixsim.sensor_file import study_layers
-from pixsim.wording import budget_lines, found_line, sensitivity_lines, study_dark_notes
+from pixsim.wording import budget_lines, found_line, sensitivity_lines, study_dark_notes, target_notes
 
 
 @app.command
@@ -84,7 +84,7 @@ def study(
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             found = result.as_dict()
-            lines = [*(found_line(curve) for curve in result.curves), *study_dark_notes(result), *budget_lines(found)]
+            lines = [*(found_line(curve) for curve in result.curves), *target_notes(result), *study_dark_notes(result), *budget_lines(found)]
     show(found, json, "\n".join([*lines, f"report: {report}"]))
 
 
