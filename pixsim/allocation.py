@@ -55,7 +55,9 @@ def rise_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     pitches_um = np.array(sorted(sensors))
     u = fit.places_of(pitches_um)
     relative = np.interp(u, fit.places_of(fit.pitch_um), fit.delta_e) / fit.optimum.mean_delta_e
-    design = replace(fit.design, u=u, noise=fit.noise * relative**2, sensors=np.array([sensors[each] for each in pitches_um.tolist()]))
+    design = replace(
+        fit.design, u=u, noise=fit.noise * relative**2, sensors=np.array([sensors[each] for each in pitches_um.tolist()])
+    )
     low, high = fit.optimum.interval_um
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
     covariance = Posterior(design, fit.stiffness, fit.residual, np.zeros(u.size)).covariance(fit.places_of(ends))

@@ -184,7 +184,9 @@ def optimum_against_technology(result: StudyResult) -> Plate:
 def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     """Ends of the optima's 95 % intervals, for a table; empty where the tried pitches leave an end open."""
     ends = {"interval_low_um": 0, "interval_high_um": 1}
-    return {name: ["" if (each := curve.optimum.interval_um[end]) is None else each for curve in curves] for name, end in ends.items()}
+    return {
+        name: ["" if (each := curve.optimum.interval_um[end]) is None else each for curve in curves] for name, end in ends.items()
+    }
 
 
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:

@@ -213,7 +213,9 @@ class Study(Effort):
         description="add pixel sizes near the optimum, and sensors, until half of the length of every optimum's 95 % interval is "
         "at most this",
     )
-    max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(32, description="at most so many sensors at one pixel size, for target_ci_um")
+    max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(
+        32, description="at most so many sensors at one pixel size, for target_ci_um"
+    )
     max_evaluations: Annotated[int, Field(ge=1, le=10**9)] | None = Field(
         None,
         description="at most so many frames in all, for target_ci_um; None: as many for each technology as max_repeats at each of "

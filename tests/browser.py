@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import HANG_S
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="neither chromium nor google-chrome is on PATH")
@@ -90,7 +91,7 @@ def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[st
         f"--user-data-dir={folder}/profile",
     ]
     command += [*(f"--disable-{name}" for name in QUIET), "--enable-logging=stderr", *arguments]
-    return subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=True, timeout=60)
+    return subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=True, timeout=HANG_S)
 
 
 def see(page: Path, folder: Path) -> list[Seen]:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import HANG_S
 
 import pixsim
 from pixsim import cache
@@ -113,7 +114,7 @@ def test_two_processes_may_write_the_same_entries(folder):
     for each in processes:
         each.start()
     for each in processes:
-        each.join(30)
+        each.join(HANG_S)
     assert [each.exitcode for each in processes] == [0, 0]
     for number in range(40):
         assert json.loads((folder / f"kind/key{number}.json").read_text(encoding="utf-8")) == {"number": number}

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from processes import HANG_S
 
 import pixsim
 from pixsim import cli
@@ -168,7 +169,9 @@ def test_a_failed_run_leaves_an_earlier_one_as_it_was(desk: Path) -> None:
 
 
 def in_a_process(line: str, **environment: str) -> tuple[int, str, str]:
-    done = subprocess.run([COMMAND, *shlex.split(line)], capture_output=True, text=True, timeout=120, env=os.environ | environment)
+    done = subprocess.run(
+        [COMMAND, *shlex.split(line)], capture_output=True, text=True, timeout=HANG_S, env=os.environ | environment
+    )
     # Without LLVM each command warns that it renders with scalar_spectral.
     told = [
         line for line in done.stderr.splitlines(keepends=True) if not line.startswith("warning: rendering with scalar_spectral")
@@ -291,7 +294,7 @@ def test_the_same_command_gives_the_same_bytes_on_one_core_and_from_another_fold
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     line = f"run csf {SMALL} --seed 3 --out "
     assert command(line + "here")[0] == 0
-    subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")], cwd=elsewhere, check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")], cwd=elsewhere, check=True, timeout=HANG_S)
     here, there = contents(desk / "here"), contents(elsewhere / "there")
     assert here.keys() == there.keys() == RUN_FILES
     assert [name for name in here if here[name] != there[name]] in ([], ["provenance.json"])  # it holds the times
@@ -338,5 +341,5 @@ atexit.register(lambda: print("slow:", sorted(slow & set(sys.modules))))
 sys.argv = ["pixsim", "--help"]
 {statement}
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=HANG_S)
     assert done.stdout.endswith("slow: []\n")

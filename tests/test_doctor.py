@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import HANG_S
 
 from pixsim import doctor, machine, trial, variant
 from pixsim.cli.doctor import report
@@ -60,11 +62,11 @@ def pixsim(*arguments: str, path: Path | None = None, unset: tuple[str, ...] = (
     if path:
         clean["PYTHONPATH"] = os.pathsep.join([str(path), *filter(None, [clean.get("PYTHONPATH")])])
     command = [sys.executable, "-c", DOCTOR, *arguments]
-    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=100)
+    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S)
 
 
 def visit(*arguments: str, **how: Any) -> Visit:
-    done = pixsim("doctor", "--json", *arguments, **how)
+    done = pixsim("doctor", "--json", "--limit-s", str(HANG_S), *arguments, **how)
     assert done.returncode in (0, 1), done.stderr  # negative: a signal took it down
     assert "Traceback" not in done.stderr
     return Visit(done.returncode, done.stderr, json.loads(done.stdout))
@@ -91,7 +93,7 @@ def test_a_machine_that_renders_is_told_so():
     assert seen.picture["mark"] == OK
     facts = seen.picture["facts"]
     assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < doctor.MEAN_GATE
-    assert 0 < facts["render_s"] < facts["seconds"] < doctor.LIMIT_S
+    assert 0 < facts["render_s"] < facts["seconds"]
     rooms = dict.fromkeys(each["room"] for each in seen.found["findings"])
     assert list(rooms) == ["software", "LLVM", "Mitsuba", "machine", "folders", "optional", "test render"]
     versions = seen.about("packages")["facts"]["versions"]
@@ -173,7 +175,7 @@ def test_a_variable_that_leads_to_no_library(kind: str, word: str, tmp_path: Pat
 def trial_with(path: Path) -> trial.Trial:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(variant.LLVM_VARIABLE, str(path))
-        return trial.attempt("libraries", limit_s=30)
+        return trial.attempt("libraries", limit_s=HANG_S)
 
 
 # --- Mitsuba that fails, aborts, hangs, or is wrong ---
@@ -182,15 +184,16 @@ def trial_with(path: Path) -> trial.Trial:
 @pytest.mark.parametrize(
     ("text", "limit_s", "fault"),
     [
-        ("raise ImportError('libfoo.so.3 is not there')", 30, "fails: ImportError: libfoo.so.3 is not there"),
-        ("import time; time.sleep(60)", 2, "hangs: it was stopped after 2 s"),
+        ("raise ImportError('libfoo.so.3 is not there')", HANG_S, "fails: ImportError: libfoo.so.3 is not there"),
+        (f"import time; time.sleep({HANG_S})", 2, r"hangs: it was stopped after \d+ s"),
     ],
     ids=["import", "hang"],
 )
 def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(package(tmp_path / "broken", "mitsuba", text))
     found = doctor._picture(trial.attempt("render", limit_s=limit_s), None)
-    assert (found.mark, found.found) == (PROBLEM, fault)
+    assert found.mark == PROBLEM
+    assert re.fullmatch(fault, found.found)
     assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(found.mend)
 
 
@@ -212,7 +215,7 @@ def test_a_wrong_picture_is_no_picture():
 
 
 def test_the_lines_before_an_abort_count():
-    tried = trial.attempt("imports", "json", "nowhere_at_all", "antigravity_of_a_test", limit_s=30)
+    tried = trial.attempt("imports", "json", "nowhere_at_all", "antigravity_of_a_test", limit_s=HANG_S)
     assert [line["module"] for line in tried.lines if "module" in line] == ["nowhere_at_all", "antigravity_of_a_test"]
     aborting = trial.Trial([{"importing": "numpy"}, {"importing": "OpenEXR"}], 0.1, -6, "")
     required = {"numpy": ">=2.0", "openexr": ">=3.4"}

@@ -25,6 +25,7 @@ import pytest
 from fuzz_targets import CONFIG, ENVI, SCENE, changed, light, read_picture, rows, seeds
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from processes import HANG_S
 
 import pixsim
 from pixsim import cache, cli, datasheet, figures
@@ -51,7 +52,6 @@ datasheet.make_datasheet = functools.partial(datasheet.make_datasheet, **{FEW})
 cli.main()
 """,
 ]
-LONGEST_S = 10
 MOST_MIB = 1024
 SMALL = ["-D", "resolution=32", "-D", "spp=4", "--display.dots", "32"]
 
@@ -61,10 +61,10 @@ def in_time() -> Iterator[None]:
     """A reader that waits for a pipe, or for the end of what has none, is told to stop."""
 
     def late(*_: object) -> None:
-        raise TimeoutError(f"more than {LONGEST_S} s")
+        raise TimeoutError(f"more than {HANG_S} s")
 
     before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(LONGEST_S)
+    signal.alarm(HANG_S)
     try:
         yield
     finally:
@@ -591,7 +591,7 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, words, room):
     if words[0] in ("chart", "template"):
         (tmp_path / "out").mkdir()
     own = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python leaves cut bytecode behind, which no later process can import
-    how = {"cwd": tmp_path, "preexec_fn": limit, "timeout": 60, "capture_output": True, "text": True, "env": own}
+    how = {"cwd": tmp_path, "preexec_fn": limit, "timeout": HANG_S, "capture_output": True, "text": True, "env": own}
     command = COMMAND_OF_FEW if words[0] == "datasheet" else COMMAND
     ended = subprocess.run([*command, *words], **how, check=False)
     assert (ended.returncode, ended.stdout) == (2, ""), ended.stderr

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import HANG_S
 
 import pixsim
 from pixsim import cache, cli
@@ -35,7 +36,7 @@ CURVE = "wavelength (nm), quantum efficiency\n# measured\n400, 0.30\n550, 0.60\n
 
 
 def pixsim_command(*words: object, **how: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([COMMAND, *map(str, words)], capture_output=True, text=True, timeout=120, **how)
+    return subprocess.run([COMMAND, *map(str, words)], capture_output=True, text=True, timeout=HANG_S, **how)
 
 
 def in_process(*words: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -266,7 +267,7 @@ def test_shells_complete_commands_and_options(shell: str, capsys: pytest.Capture
     for word in ("run", "study", "pixsim"):
         assert word in out
     if shell == "bash":
-        assert subprocess.run(["bash", "-n"], input=out, text=True, check=False, timeout=20).returncode == 0
+        assert subprocess.run(["bash", "-n"], input=out, text=True, check=False, timeout=HANG_S).returncode == 0
 
 
 def test_options_and_files_have_the_same_names() -> None:

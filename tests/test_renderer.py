@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from edits import END, edited
+from processes import HANG_S
 
 import pixsim
 from pixsim import charts, cli, optics, sensor, spectral
@@ -325,7 +326,7 @@ def test_threads_change_no_bit(variant):
     def hashes(cores: str) -> list[str]:
         # Mitsuba 3.9.1 alone waits for ever for a texture where there is only one core, hence the limit.
         done = subprocess.run(
-            [sys.executable, "-c", THREADS, variant, cores], capture_output=True, text=True, check=True, timeout=30
+            [sys.executable, "-c", THREADS, variant, cores], capture_output=True, text=True, check=True, timeout=HANG_S
         )
         return done.stdout.split()
 

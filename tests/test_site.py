@@ -17,6 +17,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from browser import browse, needs_browser, print_page
+from processes import HANG_S
 from public_names import CLASSES, PUBLIC, fields
 
 import pixsim
@@ -37,7 +38,7 @@ def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess[str]:
     """The site's command, with another builder where one is asked for."""
     command = [sys.executable, "-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", builder, "-d", str(out / "../trees")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run([*command, str(DOCS), str(out)], capture_output=True, encoding="utf-8", env=environment, timeout=300)
+    return subprocess.run([*command, str(DOCS), str(out)], capture_output=True, encoding="utf-8", env=environment, timeout=HANG_S)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import warnings
 from pathlib import Path
 
 import pytest
+from processes import HANG_S
 
 import pixsim
 from pixsim import variant
@@ -35,7 +36,7 @@ def python(code: str, *arguments: str, **environment: str) -> subprocess.Complet
     """Run code in a fresh process that has no LLVM chosen for it but by `environment`."""
     clean = {key: value for key, value in os.environ.items() if key != variant.LLVM_VARIABLE}
     command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=60)
+    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S)
 
 
 @pytest.fixture

@@ -84,7 +84,12 @@ def study(
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             found = result.as_dict()
-            lines = [*(found_line(curve) for curve in result.curves), *target_notes(result), *study_dark_notes(result), *budget_lines(found)]
+            lines = [
+                *(found_line(curve) for curve in result.curves),
+                *target_notes(result),
+                *study_dark_notes(result),
+                *budget_lines(found),
+            ]
     show(found, json, "\n".join([*lines, f"report: {report}"]))
 
 
