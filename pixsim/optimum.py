@@ -204,7 +204,9 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     fine_um = np.geomspace(pitch_um[0], pitch_um[-1], FINE_PLACES)
     fine_um[[0, -1]] = pitch_um[[0, -1]]  # but for rounding they are
     fine = places_of(fine_um, first_um, width_um)
-    curve = scale * sum(weight * fit.at(fine)[0] for fit, weight in zip(fits, weights, strict=True))
+    curve = np.zeros(fine.size)
+    for fit, weight in zip(fits, weights, strict=True):
+        curve += scale * weight * fit.at(fine)[0]
     places = np.linspace(0.0, u[-1], PLACES)
     curves = scale * drawn_curves(fits, weights, places)
     minima_um = np.exp(np.interp(minima(places, curves), fine, np.log(fine_um)))
