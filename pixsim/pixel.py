@@ -310,7 +310,12 @@ def physics_of(study: Study, technology: str, pitch_um: float, process: Technolo
 
 
 def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Array:
-    """Widths of the square photodiodes of a study's pixels, √fill factor · pitch, (n,) as the pitches."""
+    """Widths in µm of the square photodiodes of a study's pixels, √fill factor · pitch, (n,) as the pitches.
+
+    technology : a name or path as in `Study.technologies`
+
+    Raises PixsimError as `technology_of` does.
+    """
     process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
     fill_factor = study.pixel.fill_factor or np.maximum(fill_factor_law(pitch_um, process), SMALLEST_FRACTION)
     return np.asarray(np.sqrt(fill_factor) * pitch_um)

@@ -44,8 +44,8 @@ class Sensitivity(Record):
     title: str = ""
     base: str = Field("chen2000", description="a packaged study or a TOML file")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = ("0.35um",)
-    repeats: Annotated[int, Field(ge=2, le=10000)] = 8
-    pitch: PitchRange = PitchRange(count=14)
+    repeats: Annotated[int, Field(ge=2, le=10000)] | None = Field(None, description="sensors for each pitch; None: the base's")
+    pitch: PitchRange | None = Field(None, description="pixel sizes that are tried; None: the base's")
     vary: Annotated[tuple[Variation, ...], Field(min_length=1)]
     ranges: dict[str, str] = Field(
         default_factory=dict,
@@ -54,9 +54,10 @@ class Sensitivity(Record):
     quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
 
     def base_study(self) -> Study:
-        """The base with this record's technologies, sensors and pitches. All cases share its random streams."""
-        own = {"technologies": self.technologies, "repeats": self.repeats, "pitch": self.pitch.model_dump(), "target_ci_um": None}
-        table = load_study(self.base).model_dump(mode="json", exclude={"pitch", "quick"})
+        """The base with this record's technologies, sensors and pitches. All cases share its random streams, and its target."""
+        given = {"repeats": self.repeats, "pitch": self.pitch.model_dump() if self.pitch else None}
+        own = {"technologies": self.technologies} | {name: each for name, each in given.items() if each is not None}
+        table = load_study(self.base).model_dump(mode="json", exclude={"quick"})
         return Study.model_validate(table | own | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
 
 

@@ -172,7 +172,10 @@ class StudyResult:
         return [score for block in each for _, score in block]
 
     def sensors_at(self, technology: str, pitch_um: float) -> int:
-        """Number of sensors that the study has of a pitch; at others, the number that it began with."""
+        """Number of sensors that the study has of a pitch; at others, the number that it began with.
+
+        technology : a name or path as in `Study.technologies`
+        """
         for curve in self.curves:
             if curve.technology == technology and pitch_um in curve.pitch_um:
                 return int(curve.sensors[np.searchsorted(curve.pitch_um, pitch_um)])

@@ -41,6 +41,7 @@ EXAMPLES: dict[str, Any] = {
     "values_um": [4.0, 5.0, 6.0, 8.0, 12.0],
     "tolerance_delta_e": 0.01,
     "target_ci_um": 0.1,
+    "max_evaluations": 1000,
     "focal_length_mm": 3.86,
     "f_number": 2.8,
     "die_mm": 2.7136,

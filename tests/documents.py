@@ -34,6 +34,7 @@ ROOT = Path(__file__).parents[1]
 NUMBER_WITHIN = 0.02
 UNCERTAINTY_WITHIN = 3.0
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
+INTERVAL = re.compile(r"95 %: (\d+\.\d+) to (\d+\.\d+) µm")  # of an optimum: what other noise may move it by
 ANY_LINES = "…"
 SVG_NUMBER = re.compile(r"(-?\d+\.\d+)")
 SVG_NAMES = re.compile(r'<metadata>.*?</metadata>|(?:id="|url\(#|href="#)[^")]*', re.DOTALL)  # a date, and ids by chance
@@ -150,16 +151,20 @@ def difference(said: str, printed: str) -> str:
 
 
 def alike(said: str, printed: str) -> bool:
-    """Same words, and numbers within `NUMBER_WITHIN` or one of the last digit shown."""
+    """Same words, and numbers within `NUMBER_WITHIN` or one of the last digit shown; pixel sizes within their interval's length."""
     if NUMBER.sub("#", " ".join(said.split())) != NUMBER.sub("#", " ".join(printed.split())):
         return False
     pairs = zip(NUMBER.finditer(said), NUMBER.finditer(printed), strict=True)
+    interval = INTERVAL.search(said)
+    length_um = float(interval[2]) - float(interval[1]) if interval else 0.0
 
     def within(one: re.Match[str], other: re.Match[str]) -> bool:
         wanted, got = float(one[0]), float(other[0])
         if said[: one.start()].rstrip().endswith("±"):
             return wanted / UNCERTAINTY_WITHIN <= got <= wanted * UNCERTAINTY_WITHIN
         allowed = max(NUMBER_WITHIN * abs(wanted), 1.01 * last_digit(one[0])) if "." in one[0] else 0.0
+        if length_um and allowed and not said[: one.start()].rstrip().endswith("ΔE"):
+            allowed = max(allowed, length_um)
         return abs(wanted - got) <= allowed
 
     return all(within(one, other) for one, other in pairs)

@@ -208,7 +208,7 @@ def test_the_interpolation_is_compared_with_the_next_finer_one():
     left = {each: float(interpolation_mtf(12.0, 20.0, each)) for each in ("linear", "cubic", "quintic")}
     gained = (left["cubic"] - left["linear"]) / (left["quintic"] - left["cubic"])
     # So small a ΔE goes with the contrast that is lost, but for the images (0.5 %) and the eye's cube root.
-    assert linear / cubic == pytest.approx(gained, rel=0.03)  # 15.2
+    assert linear / cubic == pytest.approx(gained, rel=0.15)  # 15.2
     # Cells that stay flat lose less contrast than lines do, and show images instead: the two nearly cancel.
     assert 0 < nearest < linear
     assert math.isnan(changed_by(raster="one_to_one").delta_e)

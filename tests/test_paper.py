@@ -25,7 +25,7 @@ from pixsim.merit import (
     system_mtf,
 )
 from pixsim.optics import diffraction_otf
-from pixsim.optimum import find_optimum
+from pixsim.optimum import fit_curve
 from pixsim.paper import (
     Evidence,
     Finding,
@@ -317,7 +317,7 @@ def curve_of(technology: str, optimum_um: float, best: float) -> Curve:
     pitch_um = np.geomspace(0.85, 1.8, 16) * optimum_um
     delta_e = np.repeat((best + 0.5 * np.log(pitch_um / optimum_um) ** 2)[:, None], 2, axis=1)
     fill_factor = np.clip(fill_factor_law(pitch_um, load_technology(technology)), 0, 1)
-    best_fit = find_optimum(pitch_um, delta_e)
+    best_fit = fit_curve(pitch_um, delta_e)
     return Curve(technology, FEATURE_UM[technology], pitch_um, fill_factor, {"mean_delta_e": delta_e}, best_fit)
 
 
@@ -401,7 +401,7 @@ def test_evidence_against_a_statement_is_told_and_against_no_other(flip: str) ->
 def test_a_minimum_at_the_end_of_the_pitches_is_not_the_optimum_of_the_paper() -> None:
     given = evidence()
     curve = given.curves["0.35um"]
-    at_the_end = replace(curve, optimum=replace(curve.optimum, inside=False))
+    at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False)))
     row = table(Evidence(given.result, given.curves | {"0.35um": at_the_end}))[OPTIMUM]
     assert not row.agrees
     assert row.why
@@ -414,7 +414,7 @@ def test_approximately_is_within_0_4_um(um: float, agrees: bool) -> None:
 
 def test_the_numbers_found_are_those_of_the_evidence() -> None:
     rows = table(evidence())
-    assert rows[OPTIMUM].found.startswith("6.50 µm ± 0.00 (sensors) ± 0.00 (fit)")
+    assert rows[OPTIMUM].found.startswith("6.50 µm (95 %: 6.50 to 6.50 µm)")
     assert rows[ITS_FILL_FACTOR].found == "31%"  # the law's 31.0 %
     assert rows[SHRINKS].found == "8.60, 6.50, 5.00, 3.90 at 0.5, 0.35, 0.25, 0.18 µm"
     assert rows[SLOWER].found == "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm"
@@ -438,7 +438,7 @@ def test_a_minimum_at_the_end_of_the_pitches_makes_no_trend() -> None:
     given = evidence()
     for technology in given.curves:
         curve = given.curves[technology]
-        at_the_end = replace(curve, optimum=replace(curve.optimum, inside=False))
+        at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False)))
         rows = table(Evidence(given.result, given.curves | {technology: at_the_end}))
         for statement in (SHRINKS, SLOWER, WORSE):
             assert not rows[statement].agrees
@@ -480,7 +480,7 @@ def test_a_trend_is_asked_of_the_right_ends() -> None:
 
     def verdict(technology: str, interval_um: Interval) -> bool:
         curve = given.curves[technology]
-        moved = replace(curve, optimum=replace(curve.optimum, interval_um=interval_um))
+        moved = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, interval_um=interval_um)))
         return table(Evidence(given.result, given.curves | {technology: moved}))[SHRINKS].agrees
 
     assert verdict("0.5um", (8.0, None))  # 8.6 to 3.9 µm

@@ -52,6 +52,12 @@ def evidence(result: StudyResult) -> Evidence:
     return Evidence(result, {curve.technology: curve for curve in result.curves})
 
 
+def optimum(size_um: float, least: float, inside: bool = True) -> Optimum:
+    """A minimum that is known to 2 %, 5 % upwards."""
+    interval_um = 0.98 * size_um, 1.05 * size_um if inside else None
+    return Optimum(size_um, interval_um, least, (0.99 * least, 1.01 * least), inside, (6.6, 8.4), (6.1, None))
+
+
 def scaled(result: StudyResult) -> StudyResult:
     """Four technologies with known optima, not in their order."""
     curves = [
@@ -59,7 +65,7 @@ def scaled(result: StudyResult) -> StudyResult:
             result.curves[0],
             technology=f"{feature_um:g}um",
             feature_size_um=feature_um,
-            optimum=Optimum(size_um, 0.02 * size_um, 0.05 * size_um, 0.5, True, (0.9, 1.1), (0.8, 1.2)),
+            fit=replace(result.curves[0].fit, optimum=optimum(size_um, 0.5)),
         )
         for feature_um, size_um in OPTIMA_UM.items()
     ]
@@ -294,10 +300,10 @@ def test_the_line_is_proportional_to_technology_through_the_largest(plates: dict
     np.testing.assert_allclose(column(plate, "proportional_um"), feature_um * 8.8 / 0.5, rtol=1e-12)
     np.testing.assert_allclose(column(plate, "optimum_features"), column(plate, "optimum_um") / feature_um, rtol=1e-12)
     assert is_drawn(plate, feature_um, column(plate, "proportional_um"))
-    # Both bars are drawn: sensors alone, and sensors and fit.
+    # From 2 % below to 5 % above.
     reach = [np.ptp([y for _, y in bar]) for group in plate.figure.axes[0].collections for bar in group.get_segments()]
     sizes = np.array([OPTIMA_UM[each] for each in feature_um])
-    np.testing.assert_allclose(sorted(reach), sorted([*(2 * 0.02 * sizes), *(2 * 0.07 * sizes)]), rtol=1e-9)
+    np.testing.assert_allclose(sorted(reach), sorted(0.07 * sizes), rtol=1e-9)
 
 
 def test_the_table_of_a_curve_is_the_study_s(plates: dict[str, Plate], result: StudyResult) -> None:
@@ -322,17 +328,16 @@ def texts_of(plate: Plate) -> dict[str, tuple[float, float]]:
     return {text: ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2) for text, box in boxes.items()}
 
 
-def curve_with(result: StudyResult, mean: Sequence[float], optimum: Optimum) -> StudyResult:
+def curve_with(result: StudyResult, mean: Sequence[float], best: Optimum) -> StudyResult:
     curve = result.curves[0]
     own = curve.delta_e.mean(axis=1, keepdims=True)
     statistics = {name: values / own * np.array(mean)[:, None] for name, values in curve.statistics.items()}
-    return replace(result, curves=(replace(curve, statistics=statistics, optimum=optimum),))
+    return replace(result, curves=(replace(curve, statistics=statistics, fit=replace(curve.fit, optimum=best)),))
 
 
 @pytest.mark.parametrize("least", [0.02, 0.6])
 def test_noise_is_on_the_side_of_small_pixels_and_the_best_over_the_axis(result: StudyResult, least: float) -> None:
-    best = Optimum(7.5, 0.1, 0.2, least, True, (6.6, 8.4), (6.1, 9.0))
-    found = curve_with(result, [1.0, 0.8, least, least, 0.7, 0.9], best)
+    found = curve_with(result, [1.0, 0.8, least, least, 0.7, 0.9], optimum(7.5, least))
     plate = delta_e_against_pitch(found, found.curves)
     places, axes = texts_of(plate), plate.figure.axes[0]
     assert set(places) == {"← more noise", "more blur →", "best: 7.50 µm"}
@@ -342,12 +347,11 @@ def test_noise_is_on_the_side_of_small_pixels_and_the_best_over_the_axis(result:
     words, foot = (each.get_window_extent() for each in (label, next(other for other in axes.texts if other is not label)))
     assert low_px < words.y0 < words.y1 < high_px
     assert words.y0 > foot.y1, "over the words at the foot"
-    assert [each.get_text() for each in axes.get_legend().get_texts()] == ["0.35um: 7.50 µm (6.60 to 8.40 µm within 1 %)"]
+    assert [each.get_text() for each in axes.get_legend().get_texts()] == ["0.35um: 7.50 µm (95 %: 7.35 to 7.88 µm)"]
 
 
 def test_without_an_optimum_nothing_is_said_of_its_sides(result: StudyResult) -> None:
-    end = Optimum(15.0, 0.1, 0.2, 0.5, False, (14.0, 15.0), (13.0, 15.0))
-    found = curve_with(result, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], end)
+    found = curve_with(result, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], optimum(15.0, 0.5, inside=False))
     plate = delta_e_against_pitch(found, found.curves)
     assert texts_of(plate) == {}
     assert [each.get_text() for each in plate.figure.axes[0].get_legend().get_texts()] == ["0.35um"]

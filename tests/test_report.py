@@ -88,10 +88,10 @@ def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]
     for curve in json.loads((made[1] / "summary.json").read_text(encoding="utf-8"))["curves"]:
         best = curve["optimum"]
         assert best["inside"]
-        low, high = best["within_1_percent_um"]
-        assert f"{best['pitch_um']:.2f} µm; as good, within 1 %: {low:.2f} to {high:.2f} µm." in words
-        assert f"right to ± {best['ci95_um']:.2f} µm (sensors, 95 %) ± {best['fit_um']:.2f} µm (fit)" in words
-        assert f"Mean ΔE of the fit there: {best['mean_delta_e']:.3f}" in words
+        (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
+        assert f"{best['pitch_um']:.2f} µm, 95 % interval {low:.2f} to {high:.2f} µm." in words
+        assert f"within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
+        assert f"Mean ΔE there: {best['mean_delta_e']:.3f}" in words
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
             assert f"{pitch_um:.3f}" in words
             assert f"{delta_e:.4f}" in words
@@ -112,7 +112,7 @@ def test_the_report_names_what_blurs_at_the_best_size_of_each_technology(made: t
 def test_a_minimum_at_the_end_is_not_sold_as_the_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     curve = result.curves[0]
-    at_the_end = replace(curve, optimum=replace(curve.optimum, inside=False, pitch_um=15.0))
+    at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False, pitch_um=15.0)))
     write_report(replace(result, curves=(at_the_end,)), tmp_path, {})
     words = " ".join("".join(Elements(text_of(tmp_path)).words).split())
     assert "No best pixel size, 0.35um, between 5.30 and 15.00 µm" in words
@@ -162,8 +162,9 @@ def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
 def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, Path]) -> None:
     curve = made[0].curves[0]
     best = curve.optimum
-    assert f"0.35um: {best.pitch_um:.2f} ± {best.ci95_um:.2f} µm" in repr(made[0])
-    sheet = replace(curve, technology="none", optimum=replace(best, inside=False, pitch_um=15.0))
+    low, high = best.interval_um
+    assert f"0.35um: {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in repr(made[0])
+    sheet = replace(curve, technology="none", fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0)))
     result = replace(made[0], curves=(sheet,))
     assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
     assert sheet.as_dict()["optimum_features"] is None
@@ -286,5 +287,5 @@ def test_it_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     page = text_of(made[1])
     headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
     assert len(headings) > 8
-    told = [TITLE, f"{best.pitch_um:.2f} µm; as good, within 1 %", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
+    told = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
     assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings, [each for each in headings if ": " in each])

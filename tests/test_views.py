@@ -173,10 +173,12 @@ def test_the_views_of_a_study(raster: str, tmp_path: Path) -> None:
 def test_the_best_is_the_least_mean_of_those_tried_not_the_nearest_to_the_fit(result: StudyResult) -> None:
     delta_e = np.array([[3.0, 3.0], [1.0, 1.0], [1.2, 1.2], [1.1, 1.1], [2.0, 2.0], [3.0, 3.0]])
     optimum = replace(result.curves[0].optimum, inside=True, pitch_um=8.4)
-    curve = replace(result.curves[0], statistics={"mean_delta_e": delta_e}, optimum=optimum)
+    curve = replace(result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(result.curves[0].fit, optimum=optimum))
     assert best_place(curve) == 1
     assert [called(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
-    rising = replace(curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)}, optimum=replace(optimum, inside=False))
+    rising = replace(
+        curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)}, fit=replace(curve.fit, optimum=replace(optimum, inside=False))
+    )
     assert [called(rising, place) for place in (0, 5)] == ["smallest", "largest"]
 
 
