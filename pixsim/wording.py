@@ -114,7 +114,8 @@ def score_line(result: dict[str, Any]) -> str:
 def frame_words(result: dict[str, Any]) -> str:
     """Its pixels and its exposure, and what keeps it from being a good one."""
     rows, columns = result["pixels"]
-    told = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm, exposed for {1e3 * result['integration_s']:.3g} ms"
+    border = " (a border of one is not scored)" if result["display"]["raster"] == "fixed_size" else ""
+    told = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}, exposed for {1e3 * result['integration_s']:.3g} ms"
     exposure, saturated = result["exposure"], result["saturated_fraction"]
     if exposure["integration_s"] is None and result["integration_s"] >= exposure["max_integration_s"]:
         told += " (the longest allowed)"
