@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
+from scipy.linalg.lapack import dtrtri
 from scipy.special import gammaincinv, stdtrit
 
 from pixsim.spectral import Array
@@ -138,27 +139,29 @@ class Posterior:
 
     def __init__(self, design: Design, stiffness: float, residual: float, y: Array) -> None:
         self.design, self.u, self.stiffness, self.residual = design, design.u, stiffness, residual
-        self._factor = cholesky(design.covariance(stiffness, residual), lower=True, check_finite=False)
-        both = solve(self._factor, np.column_stack([y, quadratic(design.u)]))
+        self._whitener = inverse_factor(design.covariance(stiffness, residual))
+        both = self._whitener @ np.column_stack([y, quadratic(design.u)])
         self._y, self._basis = both[:, 0], both[:, 1:]
-        self._basis_factor = cholesky(self._basis.T @ self._basis, lower=True, check_finite=False)
-        self._beta = solve(self._basis_factor, self._basis.T @ self._y)
+        self._basis_whitener = inverse_factor(self._basis.T @ self._basis)
+        self._beta = self._basis_whitener @ (self._basis.T @ self._y)
+        self._coefficients = self._basis_whitener.T @ self._beta
+        self._weights = self._whitener.T @ (self._y - self._basis @ self._coefficients)
 
     @property
     def log_likelihood(self) -> float:
         """Of the data, the quadratic integrated over; up to a constant."""
         misfit = self._y @ self._y - self._beta @ self._beta
-        return float(-misfit / 2 - sum(np.log(np.diag(each)).sum() for each in (self._factor, self._basis_factor)))
+        return float(sum(np.log(np.diag(each)).sum() for each in (self._whitener, self._basis_whitener)) - misfit / 2)
 
-    def at(self, places: Array) -> tuple[Array, Array, Array]:
-        """Mean at some places (n,), what the data tell of them (P, n), and what the quadratic leaves unknown (3, n)."""
-        known = solve(self._factor, self.stiffness**2 * wiener_covariance(self.u, places))
-        unknown = solve(self._basis_factor, quadratic(places).T - self._basis.T @ known)
-        return self._beta @ unknown + known.T @ self._y, known, unknown
+    def mean(self, places: Array) -> Array:
+        """At some places, (n,)."""
+        process = self.stiffness**2 * wiener_covariance(places, self.u)
+        return multiplied(process, self._weights) + multiplied(quadratic(places), self._coefficients)
 
     def covariance(self, places: Array) -> Array:
         """Between some places, (n, n)."""
-        _, known, unknown = self.at(places)
+        known = self._whitener @ (self.stiffness**2 * wiener_covariance(self.u, places))
+        unknown = self._basis_whitener @ (quadratic(places).T - self._basis.T @ known)
         return self.stiffness**2 * wiener_covariance(places, places) - known.T @ known + unknown.T @ unknown
 
 
@@ -173,9 +176,18 @@ def quadratic(places: Array) -> Array:
     return np.vander(places, 3)
 
 
-def solve(factor: Array, right: Array) -> Array:
-    """Of a lower triangular system."""
-    return np.asarray(solve_triangular(factor, right, lower=True, check_finite=False))
+def inverse_factor(covariance: Array) -> Array:
+    """Inverse of the lower Cholesky factor, which makes white noise of noise with such a covariance.
+
+    Not a triangular solve: LAPACK starts threads for one of any size, which take far longer than these few numbers do.
+    """
+    inverse, _ = dtrtri(cholesky(covariance, lower=True, check_finite=False), lower=1)
+    return np.asarray(inverse)
+
+
+def multiplied(matrix: Array, vectors: Array) -> Array:
+    """A matrix (n, m) times vectors (…, m), (…, n). Not @: BLAS adds in another order on another number of threads."""
+    return np.asarray(np.einsum("ij,...j->...i", matrix, vectors))
 
 
 def places_of(pitch_um: Array, first_um: float, width_um: Widths | None) -> Array:
@@ -206,12 +218,13 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     fine = places_of(fine_um, first_um, width_um)
     curve = np.zeros(fine.size)
     for fit, weight in zip(fits, weights, strict=True):
-        curve += scale * weight * fit.at(fine)[0]
+        curve += scale * weight * fit.mean(fine)
     places = np.linspace(0.0, u[-1], PLACES)
     curves = scale * drawn_curves(fits, weights, places)
     minima_um = np.exp(np.interp(minima(places, curves), fine, np.log(fine_um)))
 
     best = int(np.argmin(curve))
+    inside = 0 < best < fine_um.size - 1
     offsets = np.quantile(curves, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - curves.mean(axis=0)
     low, high = (curve + np.interp(fine, places, each) for each in offsets)
     tail = (1 - CREDIBILITY) / 2
@@ -221,11 +234,11 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
             ends[end] = None
     within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
     optimum = Optimum(
-        pitch_um=float(np.exp(minima(np.log(fine_um), curve[None])[0])),
+        pitch_um=float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best]),
         interval_um=(ends[0], ends[1]),
         mean_delta_e=float(curve[best]),
         mean_delta_e_interval=(float(low[best]), float(high[best])),
-        inside=0 < best < fine_um.size - 1,
+        inside=inside,
         within_1_percent_um=within[0],
         within_2_percent_um=within[1],
     )
@@ -278,8 +291,7 @@ def drawn_curves(fits: list[Posterior], weights: list[float], places: Array) -> 
             covariance = fit.covariance(places)
             covariance[np.diag_indices(places.size)] += ROUNDING**2 * max(1.0, float(covariance.trace()) / places.size)
             factor = cholesky(covariance, lower=True, check_finite=False)
-            # Not @: BLAS adds in another order on another number of threads.
-            curves[first:last] = fit.at(places)[0] + np.einsum("ij,kj->ik", normal[first:last], factor)
+            curves[first:last] = fit.mean(places) + multiplied(factor, normal[first:last])
     return curves
 
 
@@ -302,7 +314,9 @@ def close_to_least(pitch_um: Array, curve: Array, share: float) -> tuple[float |
 
 
 def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
-    """Mean over sensors, (P,), and half width of its 95 % interval, for (P, R) ΔE with NaN where there is no sensor."""
-    sensors = np.isfinite(delta_e).sum(axis=1)
-    spread = np.nanstd(delta_e, axis=1, ddof=1) / np.sqrt(sensors)
-    return np.nanmean(delta_e, axis=1), np.asarray(stdtrit(sensors - 1, (1 + CONFIDENCE) / 2)) * spread
+    """Mean over sensors, (P,), and half width of its 95 % interval, for (P, R) ΔE with NaN where there is no sensor.
+
+    The scatter of sensors is pooled over pitches, in proportion to the mean ΔE: two sensors of one pitch alone tell little.
+    """
+    mean, scale, design, degrees = measured(np.arange(float(len(delta_e))), delta_e)
+    return mean, scale * float(stdtrit(degrees, (1 + CONFIDENCE) / 2)) * np.sqrt(design.noise / design.sensors)

@@ -1,0 +1,139 @@
+"""How often the 95 % interval of the optimum holds the true one, by simulation: tests/data/interval_coverage.csv.
+
+    python tests/benchmarks/interval_coverage.py [--studies 1000] [--jobs 2] [--out FILE]
+
+Known curves, fits to the dense sweeps of dense_sweeps.py, are measured anew in each simulated study: other pitches, one from
+each equal part of the range in log pitch, other residuals and other noise. Three blocks: `fixed` numbers of pitches and
+sensors; the same of a curve that falls to the end of the range (`at_the_end`), whose interval has to be open there; and
+`rounds`, with pitches and sensors added as a study with target_ci_um adds them, which stops when its interval is short enough.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from collections.abc import Iterable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed, parallel_config
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from dense_curves import Sensors, SimulatedStudy, covers, simulated, truth_of
+
+from pixsim.optimum import FittedCurve
+
+OUT = Path(__file__).parents[1] / "data" / "interval_coverage.csv"
+CURVES = ("chen2000_0.35um", "evening", "flat", "near_an_end", "skewed")
+AT_THE_END = "at_the_end"
+PITCHES, REPEATS = (7, 11, 16, 24), (2, 3, 8)
+ROUNDS_OF = ("chen2000_0.35um", "evening", "skewed")
+STARTS = ((9, 2), (12, 4))
+TARGET_OF = (16, 8)  # pitches and sensors of the fixed study whose median half width is the target of the rounds
+MAX_SENSORS, MAX_EVALUATIONS = 32, 256
+ROUNDS_SHARE = 0.3  # of the studies of a fixed cell: each takes ten fits
+
+
+def record_of(study: SimulatedStudy, sensors: Sensors, fit: FittedCurve) -> dict[str, float]:
+    """One simulated study as numbers."""
+    truth, best, pitch_um = study.truth, fit.optimum, np.array(list(sensors))
+    low, high = best.interval_um
+    least = truth.least_between(pitch_um[0], pitch_um[-1])
+    return {
+        "coverage": covers(best, truth, pitch_um),
+        "half_width_um": best.half_width_um,
+        "open": low is None or high is None,
+        "error_um": best.pitch_um - truth.best_um,
+        "delta_e_coverage": best.mean_delta_e_interval[0] <= least <= best.mean_delta_e_interval[1],
+        "evaluations": sum(sensors.values()),
+    }
+
+
+def row_of(kind: str, curve: str, pitches: int, repeats: int, records: list[dict[str, float]], seconds: float) -> dict[str, Any]:
+    """A cell of the table."""
+    column = {name: np.array([each[name] for each in records]) for name in records[0]}
+    return {
+        "block": kind,
+        "curve": curve,
+        "pitches": pitches,
+        "repeats": repeats,
+        "studies": len(records),
+        "coverage": f"{column['coverage'].mean():.3f}",
+        "median_half_width_um": f"{np.median(column['half_width_um']):.4f}",
+        "rms_error_um": f"{np.sqrt(np.mean(column['error_um'] ** 2)):.4f}",
+        "one_sided": f"{column['open'].mean():.3f}",
+        "delta_e_coverage": f"{column['delta_e_coverage'].mean():.3f}",
+        "median_evaluations": f"{np.median(column['evaluations']):g}",
+        "ms_a_fit": f"{1e3 * seconds:.1f}",
+    }
+
+
+def fixed_cell(curve: str, pitches: int, repeats: int, studies: int) -> dict[str, Any]:
+    truth_of(curve)
+    records, start = [], time.perf_counter()
+    for number in range(studies):
+        study, sensors = simulated(curve, number, pitches, repeats)
+        records.append(record_of(study, sensors, study.fit(sensors)))
+    return row_of("fixed", curve, pitches, repeats, records, (time.perf_counter() - start) / studies)
+
+
+def rounds_cell(curve: str, pitches: int, repeats: int, studies: int, target_um: float) -> dict[str, Any]:
+    """Rounds until the target is met, or the next one would exceed the largest number of evaluations."""
+    truth_of(curve)
+    records, fits, start = [], 0, time.perf_counter()
+    for number in range(studies):
+        study, sensors = simulated(curve, number, pitches, repeats)
+        for more, fit in study.rounds(sensors, MAX_SENSORS):
+            fits += 1
+            if sum(more.values()) > MAX_EVALUATIONS:
+                break
+            last = more, fit
+            if fit.optimum.half_width_um <= target_um:
+                break
+        records.append(record_of(study, *last))
+    return row_of("rounds", curve, pitches, repeats, records, (time.perf_counter() - start) / fits)
+
+
+def pooled(rows: Iterable[dict[str, Any]]) -> str:
+    """Coverage of some cells together."""
+    rows = list(rows)
+    coverages = [float(row["coverage"]) for row in rows]
+    delta_e = np.mean([float(row["delta_e_coverage"]) for row in rows])
+    over = sum(each > 0.97 for each in coverages)
+    return (
+        f"{np.mean(coverages):.3f} pooled, {min(coverages):.3f} to {max(coverages):.3f}, {over} of {len(rows)} cells above 0.97; "
+        f"of ΔE {delta_e:.3f} pooled"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--studies", type=int, default=1000)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args()
+    cells = list(product((*CURVES, AT_THE_END), PITCHES, REPEATS))
+    few = max(1, round(ROUNDS_SHARE * options.studies))
+    # BLAS with threads of its own takes several times as long for matrices this small.
+    with parallel_config(backend="loky", n_jobs=options.jobs, inner_max_num_threads=1):
+        fixed = Parallel()(delayed(fixed_cell)(*cell, options.studies) for cell in cells)
+        wide = {row["curve"]: float(row["median_half_width_um"]) for row in fixed if (row["pitches"], row["repeats"]) == TARGET_OF}
+        rounds = Parallel()(delayed(rounds_cell)(curve, *start, few, wide[curve]) for curve, start in product(ROUNDS_OF, STARTS))
+    rows = [*fixed, *rounds]
+    with options.out.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    print(options.out.read_text(encoding="utf-8"))
+    print("fixed:     ", pooled(row for row in fixed if row["curve"] != AT_THE_END))
+    closed = [1 - float(row["coverage"]) for row in fixed if row["curve"] == AT_THE_END]
+    print(f"at the end: upper end closed, falsely, in {np.mean(closed):.3f} of the studies, in the worst cell {max(closed):.3f}")
+    print("rounds:    ", pooled(rounds))
+
+
+if __name__ == "__main__":
+    main()
