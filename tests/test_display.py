@@ -375,7 +375,7 @@ def csf() -> tuple[SpectralImage, Camera]:
 def test_ever_smaller_perfect_pixels_show_the_ideal_image(csf, bits, most):
     """No noise, no diffraction, no gaps: what is left is the mean over pixels and the lines between them, which goes with pitch².
 
-    The frame of a study up to 15 µm. Found with 16 bits .0949, .0250, .0063 at 5.3, 2.65, 1.33 µm and .0010 at .53 µm; with 8
+    The frame of a study up to 15 µm. Found with 16 bits .0948, .0249, .0063 at 5.3, 2.65, 1.33 µm and .0010 at .53 µm; with 8
     bits .0968, .0264, .0070 and .0013: codes that round another way.
     """
     irradiance, camera = csf
