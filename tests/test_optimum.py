@@ -240,7 +240,8 @@ def test_a_pitch_weighs_by_its_sensors() -> None:
     """What it has of its own mean, h, against what the others have, 1 - h, is as the number of its sensors."""
 
     def own_share(count: int) -> float:
-        sensors = np.where(U == U[4], count, DESIGN.sensors)
+        sensors = DESIGN.sensors.copy()
+        sensors[4] = count
         return float(Posterior(replace(DESIGN, sensors=sensors), 1.0, 0.0, np.eye(U.size)[4]).mean(U)[4])
 
     few, many = own_share(2), own_share(8)
