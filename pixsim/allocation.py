@@ -11,6 +11,9 @@ from pixsim.spectral import Array
 
 ROUND = 4  # additions that are chosen together, from one curve
 SENSORS_AN_ADDITION = 2  # of a new pitch, so that it tells its own scatter; the same number more of a present one
+# Pitches beyond either end of the interval that may have more. The slope of a curve at its minimum is measured best somewhat
+# away from it: with one such pitch a tenth of simulated studies stick where they are (tests/benchmarks/interval_against_evaluations.py).
+BEYOND = 2
 MIN_RATIO = 1.002  # between neighbouring pitches
 DIGITS = 4  # of a pitch, as those that a study begins with
 
@@ -36,12 +39,12 @@ def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) 
 
 
 def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
-    """What one addition may make of a pitch, {µm: sensors}: within the interval and one pitch beyond, and halfway between them."""
+    """What one addition may make of a pitch, {µm: sensors}: within the interval and `BEYOND`, and halfway between those."""
     pitches_um = np.array(sorted(sensors))
     low, high = fit.optimum.interval_um
-    first = 0 if low is None else max(0, int(np.searchsorted(pitches_um, low)) - 1)
-    last = pitches_um.size - 1 if high is None else min(pitches_um.size - 1, int(np.searchsorted(pitches_um, high)))
-    near = pitches_um[first : last + 1]
+    first = 0 if low is None else max(0, int(np.searchsorted(pitches_um, low)) - BEYOND)
+    stop = pitches_um.size if high is None else int(np.searchsorted(pitches_um, high, side="right")) + BEYOND
+    near = pitches_um[first:stop]
     more = {each: min(sensors[each] + SENSORS_AN_ADDITION, max_sensors) for each in near.tolist() if sensors[each] < max_sensors}
     halfway = np.round(fit.pitches_at((fit.places_of(near[:-1]) + fit.places_of(near[1:])) / 2), DIGITS)
     for left, middle, right in zip(near[:-1].tolist(), halfway.tolist(), near[1:].tolist(), strict=True):

@@ -240,7 +240,8 @@ def test_a_pitch_weighs_by_its_sensors() -> None:
     """What it has of its own mean, h, against what the others have, 1 - h, is as the number of its sensors."""
 
     def own_share(count: int) -> float:
-        sensors = np.where(U[4] == U, count, DESIGN.sensors)
+        sensors = DESIGN.sensors.copy()
+        sensors[4] = count
         return float(Posterior(replace(DESIGN, sensors=sensors), 1.0, 0.0, np.eye(U.size)[4]).mean(U)[4])
 
     few, many = own_share(2), own_share(8)
@@ -307,8 +308,7 @@ def test_the_interval_holds_the_minimum_of_a_known_curve(curve: str, pitches: in
 
 
 def test_mean_and_interval_by_hand() -> None:
-    # Two values: t is tan(0.475 π) = 12.706, the standard error half their distance.
+    # Pooled: a relative variance of 2/(4 + 25) with two degrees of freedom, for which Student's t is 4.302653.
     mean, half_width = mean_and_ci95(np.array([[1.0, 3.0], [5.0, 5.0]]))
     np.testing.assert_allclose(mean, [2.0, 5.0])
-    # Pooled: a relative variance of 2/(4 + 25) with two degrees of freedom, for which Student's t is 4.302653.
     np.testing.assert_allclose(half_width, 4.302653 * np.sqrt(2 / 29 / 2) * mean, rtol=1e-6)

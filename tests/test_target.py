@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import shutil
+import tomllib
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from dense_curves import simulated
 
 import pixsim
-from pixsim.allocation import MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
+from pixsim import cli
+from pixsim.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
 from pixsim.optimum import FittedCurve, Posterior, fit_curve
-from pixsim.study_result import Curve
+from pixsim.score import Bench, Score
+from pixsim.sensor import Frame
+from pixsim.study_result import Curve, StudyResult
 from pixsim.sweep import next_round
+from pixsim.wording import target_notes
 
 Sensors = dict[float, int]
 PITCH = np.geomspace(5.3, 15, 9).round(4)
@@ -39,14 +51,17 @@ def fit() -> FittedCurve:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_round_is_of_a_fixed_size_and_near_the_minimum(seed: int) -> None:
-    """Each addition is two sensors, of a pitch within the interval or the next one beyond either end."""
+    """Each addition is two sensors, of a pitch within the interval or the next two beyond either end."""
     fit = fit_of(START, seed=seed)
     more = next_sensors(fit, START, 32)
     assert sum(more.values()) - sum(START.values()) == ROUND * SENSORS_AN_ADDITION
     assert list(more) == sorted(more)
     assert START.keys() <= more.keys()
     low, high = fit.optimum.interval_um
-    lowest, highest = PITCH[low > PITCH].max(), PITCH[high < PITCH].min()
+    lowest, highest = (
+        sorted(each for each in START if each < low)[-BEYOND],
+        sorted(each for each in START if each > high)[BEYOND - 1],
+    )
     changed = [pitch_um for pitch_um, count in more.items() if count != START.get(pitch_um)]
     assert changed
     assert all(lowest <= pitch_um <= highest for pitch_um in changed)
@@ -76,7 +91,7 @@ def test_a_new_pitch_lies_halfway_in_the_width_of_the_photodiode(fit: FittedCurv
     new = sorted(additions(fit, START, 32).keys() - START.keys())
     assert new
     for pitch_um in new:
-        left, right = PITCH[pitch_um > PITCH].max(), PITCH[pitch_um < PITCH].min()
+        left, right = max(each for each in START if each < pitch_um), min(each for each in START if each > pitch_um)
         assert pitch_um == pytest.approx(np.sqrt(left * right), abs=1e-4)
 
 
@@ -134,7 +149,8 @@ def curve_with(fit: FittedCurve, technology: str = "0.35um", half_width_um: floa
     if half_width_um is not None:
         ends = (8 - half_width_um, 8 + half_width_um) if np.isfinite(half_width_um) else (None, 8.5)
         fit = replace(fit, optimum=replace(fit.optimum, interval_um=ends))
-    return Curve(technology, 0.35, PITCH, np.full(PITCH.size, 0.3), {}, fit)
+    statistics = {"mean_delta_e": np.full((PITCH.size, 2), 0.5)}
+    return Curve(technology, 0.35, PITCH, np.full(PITCH.size, 0.3), statistics, fit)
 
 
 def added(before: dict[str, Sensors], after: dict[str, Sensors]) -> int:
@@ -196,3 +212,152 @@ def test_rounds_narrow_the_interval(seed: int) -> None:
             break
     assert lengths[-1] < 0.7 * lengths[0]
     assert lengths[-1] < study.fit(dict.fromkeys(sensors, 8)).optimum.half_width_um
+
+
+# --- Studies with pictures ---------------------------------------------------------------------------------------------
+
+TOML = """
+name = "tiny"
+repeats = 2
+seed = 1
+target_ci_um = 0.01
+max_evaluations = 30
+scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
+pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
+display = { dots = 96, samples_per_deg = 10.0 }
+"""
+EVALUATIONS = 28  # 12 to begin with and two rounds of 8; a third would be more than allowed
+
+
+@pytest.fixture
+def toml(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.toml"
+    path.write_text(TOML, encoding="utf-8")
+    return path
+
+
+def tiny(**over: object) -> pixsim.Study:
+    return pixsim.Study.model_validate(tomllib.loads(TOML) | over)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
+    folder = tmp_path_factory.mktemp("done")
+    return pixsim.study(tiny(), folder, jobs=1), folder
+
+
+@pytest.fixture
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
+    """Grows by one with every picture that is taken in this process."""
+    taken: list[Frame] = []
+    view = Bench.view
+    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(frame) or view(self, frame))
+    return taken
+
+
+def keys(folder: Path) -> list[str]:
+    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
+        return [row["key"] for row in csv.DictReader(file)]
+
+
+def summary(result: StudyResult) -> str:
+    return json.dumps(result.as_dict())
+
+
+def test_a_study_adds_rounds_up_to_its_limit(done: tuple[StudyResult, Path]) -> None:
+    result, folder = done
+    (curve,) = result.curves
+    assert len(set(keys(folder))) == len(keys(folder)) == EVALUATIONS == curve.sensors.sum()
+    assert set(tiny().pitch.values_um) <= set(curve.pitch_um.tolist())
+    assert [path.name for path in folder.iterdir()] == ["results.csv"]
+
+
+def test_two_workers_take_the_same_rounds(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result = pixsim.study(tiny(), tmp_path, jobs=2)
+    assert (tmp_path / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+    assert summary(result) == summary(done[0])
+
+
+# 5: among the first pitches; 15: in the first round; 26: in the second.
+@pytest.mark.parametrize("count", [5, 15, 26])
+def test_a_study_that_is_interrupted_goes_on_in_its_round(
+    count: int, done: tuple[StudyResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
+) -> None:
+    counted = Bench.view
+
+    def interrupted(self: Bench, frame: Frame) -> Score:
+        if len(evaluations) + 1 == count:
+            raise KeyboardInterrupt
+        return counted(self, frame)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Bench, "view", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            pixsim.study(tiny(), tmp_path, jobs=1)
+    kept = keys(tmp_path)
+    assert 0 < count - len(kept) <= 8, "what was finished is there, but for the pitch at work"
+    assert set(kept) < set(keys(done[1]))
+    evaluations.clear()
+    result = pixsim.study(tiny(), tmp_path, jobs=1)
+    assert len(evaluations) == EVALUATIONS - len(kept), "nothing is evaluated twice"
+    assert (tmp_path / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+    assert summary(result) == summary(done[0])
+    assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
+
+
+def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
+    before = (done[1] / "results.csv").read_bytes()
+    assert summary(pixsim.study(tiny(), done[1], jobs=1)) == summary(done[0])
+    assert evaluations == []
+    assert (done[1] / "results.csv").read_bytes() == before
+
+
+def test_a_higher_limit_goes_on_where_the_lower_one_ended(
+    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+) -> None:
+    shutil.copy(done[1] / "results.csv", tmp_path)
+    pixsim.study(tiny(max_evaluations=36), tmp_path, jobs=1)
+    assert len(evaluations) == 8
+    assert keys(tmp_path) != keys(done[1])
+    assert set(keys(done[1])) < set(keys(tmp_path))
+
+
+def test_without_its_target_a_study_keeps_the_other_rows_aside(
+    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+) -> None:
+    shutil.copy(done[1] / "results.csv", tmp_path)
+    result = pixsim.study(tiny(target_ci_um=None, max_evaluations=None), tmp_path, jobs=1)
+    assert evaluations == []
+    assert result.curves[0].delta_e.shape == (6, 2)
+    assert len(keys(tmp_path)) == 12
+    assert (tmp_path / "results.csv.old").read_bytes() == (done[1] / "results.csv").read_bytes()
+
+
+def test_the_command_says_which_limit_ended_it(done: tuple[StudyResult, Path], toml: Path, tmp_path: Path) -> None:
+    shutil.copytree(done[1], tmp_path / "out")
+    with redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit, match="0"):
+        cli.main(["study", str(toml), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    (note,) = target_notes(done[0])
+    half_um = done[0].curves[0].optimum.half_width_um
+    where = f"± {half_um:.2g} µm" if half_um < np.inf else "open at an end"
+    assert note in out.getvalue()
+    assert f"0.35um: target_ci_um = 0.01 is not met after {EVALUATIONS} evaluations (max_evaluations): the interval is" in note
+    assert where in note
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "target_ci_um = 0.01 is not met" in page
+
+
+def test_notes_are_of_optima_that_miss_the_target(fit: FittedCurve) -> None:
+    curves = [curve_with(fit, half_width_um=each) for each in (0.05, 0.25, np.inf)]
+    result = SimpleNamespace(study=study_with(target_ci_um=0.1), curves=curves)
+    wide, open_end = target_notes(result)
+    assert "(max_repeats): the interval is ± 0.25 µm" in wide
+    assert "open at an end: widen the range" in open_end
+    assert target_notes(SimpleNamespace(study=study_with(target_ci_um=None), curves=curves)) == []
+
+
+def test_a_limit_below_the_beginning_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    with pytest.raises(pixsim.PixsimError, match=r"max_evaluations: got 11; allowed: at least 12, .*Raise it, or lower repeats"):
+        pixsim.study(tiny(max_evaluations=11), tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
