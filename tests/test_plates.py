@@ -312,9 +312,10 @@ def test_the_table_of_a_curve_is_the_study_s(plates: dict[str, Plate], result: S
         assert column(plate, "pitch_um").tolist() == PITCHES_UM
         np.testing.assert_allclose(column(plate, "mean_delta_e"), curve.delta_e.mean(axis=1), rtol=1e-12)
         np.testing.assert_allclose(column(plate, "p99_delta_e"), curve.statistics["p99_delta_e"].mean(axis=1), rtol=1e-12)
-        # t for two sensors is tan(0.475 π), the standard error half their distance.
-        half_width = np.tan(0.475 * np.pi) * np.ptp(curve.delta_e, axis=1) / 2
-        np.testing.assert_allclose(column(plate, "ci95_delta_e"), half_width, rtol=1e-9)
+        # Six pairs: variances of half their squared distances, pooled in proportion to the mean; t of 6 degrees is 2.446912.
+        mean, distance = curve.delta_e.mean(axis=1), np.ptp(curve.delta_e, axis=1)
+        relative = np.sqrt((distance**2 / 2).sum() / (mean**2).sum())
+        np.testing.assert_allclose(column(plate, "ci95_delta_e"), 2.446912 * relative * mean / np.sqrt(2), rtol=1e-6)
 
 
 # --- words ------------------------------------------------------------------------------------------------------------
