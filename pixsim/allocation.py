@@ -12,7 +12,7 @@ from pixsim.spectral import Array
 ROUND = 4  # additions that are chosen together, from one curve
 SENSORS_AN_ADDITION = 2  # of a new pitch, so that it tells its own scatter; the same number more of a present one
 # Pitches beyond either end of the interval that may have more. The slope of a curve at its minimum is measured best somewhat
-# away from it: with one such pitch a tenth of simulated studies stick where they are (tests/benchmarks/interval_against_evaluations.py).
+# away from it: with one such pitch a tenth of simulated studies stick where they are.
 BEYOND = 2
 MIN_RATIO = 1.002  # between neighbouring pitches
 DIGITS = 4  # of a pitch, as those that a study begins with

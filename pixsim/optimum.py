@@ -29,11 +29,11 @@ from pixsim.spectral import Array
 
 CONFIDENCE = 0.95
 # Curves from the posterior are a little rougher than real ones, so that more than their share of intervals would cover: in
-# simulated studies the middle 92 % of the posterior cover the minimum in 96 % of them (tests/benchmarks/interval_coverage.py).
-CREDIBILITY = 0.92
+# simulated studies the middle 90 % of the posterior cover the minimum in 96 % of them (tests/benchmarks/interval_coverage.py).
+CREDIBILITY = 0.90
 # Stiffness k in units of the mean ΔE: dense sweeps of six studies have 0.5 to 1.3 (tests/data/dense_sweeps).
 STIFFNESS = np.geomspace(0.1, 30.0, 9)
-USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 0.8  # median and logarithmic standard deviation of its prior
+USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 0.5  # median and logarithmic standard deviation of its prior
 # Residual t in units of a sensor's noise: those sweeps have 0.2 to 0.5.
 RESIDUALS = (0.0, 0.25, 0.5)
 NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
