@@ -293,13 +293,16 @@ def test_the_fit_is_the_same_on_one_thread_of_blas() -> None:
 
 
 STUDIES = 200
-# Of 1000 studies each (tests/data/interval_coverage.csv).
-CELLS = [("chen2000_0.35um", 16, 3), ("evening", 11, 2), ("near_an_end", 16, 8)]
+CELLS = [("chen2000_0.35um", 16, 2), ("evening", 16, 3), ("near_an_end", 16, 3)]
 
 
 @pytest.mark.parametrize(("curve", "pitches", "repeats"), CELLS)
 def test_the_interval_holds_the_minimum_of_a_known_curve(curve: str, pitches: int, repeats: int) -> None:
-    """In 90 to 99 % of the studies. ALARM"""
+    """In 90 to 99 % of the studies, whose numbers are drawn from fixed seeds.
+
+    Another 200 studies would fail by chance 2 times in 1000 where the interval covers 95 %, 3 times at 96 % and 16 times at
+    97 %; by tests/benchmarks/interval_coverage.py it covers 94 to 97 % in these cells.
+    """
     held = 0
     for number in range(STUDIES):
         study, sensors = simulated(curve, number, pitches, repeats)
