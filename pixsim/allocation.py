@@ -57,10 +57,9 @@ def rise_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     """Variance of the curve at both ends of the interval over that at its minimum, were so many sensors measured."""
     pitches_um = np.array(sorted(sensors))
     u = fit.places_of(pitches_um)
-    relative = np.interp(u, fit.places_of(fit.pitch_um), fit.delta_e) / fit.optimum.mean_delta_e
-    design = replace(
-        fit.design, u=u, noise=fit.noise * relative**2, sensors=np.array([sensors[each] for each in pitches_um.tolist()])
-    )
+    mean = np.interp(u, fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
+    counts = np.array([sensors[each] for each in pitches_um.tolist()])
+    design = replace(fit.design, u=u, noise=fit.noise * mean**2, sensors=counts)
     low, high = fit.optimum.interval_um
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
     covariance = Posterior(design, fit.stiffness, fit.residual, np.zeros(u.size)).covariance(fit.places_of(ends))

@@ -90,7 +90,8 @@ class FittedCurve:
     optimum : its minimum
     design : of the data, with the likeliest noise
     stiffness, residual : the likeliest
-    noise : variance of one sensor over the square of the least mean ΔE, there
+    noise : the likeliest variance of one sensor over the square of its mean ΔE
+    scale : mean ΔE whose square the design's noise is in units of
     width_um : photodiode width of pixel pitches; None takes it in proportion to the pitch
     """
 
@@ -103,6 +104,7 @@ class FittedCurve:
     stiffness: float = field(repr=False)
     residual: float = field(repr=False)
     noise: float = field(repr=False)
+    scale: float = field(repr=False)
     width_um: Widths | None = field(repr=False, default=None)
 
     def places_of(self, pitch_um: Array) -> Array:
@@ -224,13 +226,15 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     minima_um = np.exp(np.interp(minima(places, curves), fine, np.log(fine_um)))
 
     best = int(np.argmin(curve))
-    inside = 0 < best < fine_um.size - 1
+    slopes = bool(np.ptp(mean) > ROUNDING * scale)  # else there is no minimum anywhere
+    inside = slopes and 0 < best < fine_um.size - 1
     offsets = np.quantile(curves, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - curves.mean(axis=0)
     low, high = (curve + np.interp(fine, places, each) for each in offsets)
     tail = (1 - CREDIBILITY) / 2
-    ends: list[float | None] = [float(each) for each in np.quantile(minima_um, (tail, 1 - tail))]
+    within_range = np.clip(np.quantile(minima_um, (tail, 1 - tail)), pitch_um[0], pitch_um[-1])
+    ends: list[float | None] = [float(each) for each in within_range]
     for end, lowest in ((0, curves[:, 0]), (1, curves[:, -1])):
-        if np.mean(lowest <= curves.min(axis=1)) > tail:
+        if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail:
             ends[end] = None
     within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
     optimum = Optimum(
@@ -243,8 +247,9 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
         within_2_percent_um=within[1],
     )
     likeliest = fits[0]
-    noise = float(np.interp(optimum.pitch_um, pitch_um, likeliest.design.noise)) * (scale / optimum.mean_delta_e) ** 2
-    how = likeliest.design, likeliest.stiffness, likeliest.residual, noise, width_um
+    loudest = int(np.argmax(mean))
+    noise = float(likeliest.design.noise[loudest] * (scale / mean[loudest]) ** 2) if mean[loudest] else 0.0
+    how = likeliest.design, likeliest.stiffness, likeliest.residual, noise, scale, width_um
     return FittedCurve(fine_um, curve, low, high, optimum, *how)
 
 
@@ -301,7 +306,8 @@ def minima(places: Array, curves: Array) -> Array:
     inner = np.clip(least, 1, places.size - 2)
     left, middle, right = (np.take_along_axis(curves, (inner + step)[:, None], axis=1)[:, 0] for step in (-1, 0, 1))
     bend = np.maximum(left - 2 * middle + right, np.finfo(float).tiny)
-    between = places[inner] + (places[1] - places[0]) * np.clip((left - right) / (2 * bend), -1, 1)
+    with np.errstate(over="ignore"):  # a straight line has its minimum at an end, as far away as one likes
+        between = places[inner] + (places[1] - places[0]) * np.clip((left - right) / (2 * bend), -1, 1)
     return np.where(inner == least, between, places[least])
 
 

@@ -315,3 +315,21 @@ def test_mean_and_interval_by_hand() -> None:
     mean, half_width = mean_and_ci95(np.array([[1.0, 3.0], [5.0, 5.0]]))
     np.testing.assert_allclose(mean, [2.0, 5.0])
     np.testing.assert_allclose(half_width, 4.302653 * np.sqrt(2 / 29 / 2) * mean, rtol=1e-6)
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-12, 0.5, 1e6])
+def test_a_level_curve_has_no_minimum(level: float) -> None:
+    """Not one that rounding decides either; nothing divides by it."""
+    optimum = fit_curve(PITCH, np.full((PITCH.size, 2), level)).optimum
+    assert (optimum.interval_um, optimum.inside) == ((None, None), False)
+    assert optimum.mean_delta_e == pytest.approx(level, rel=1e-6)
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_single_low_pitch_at_an_end_leaves_that_end_open(end: int) -> None:
+    delta_e = np.ones((PITCH.size, 2))
+    delta_e[end] = 0.0
+    optimum = fit_curve(PITCH, delta_e).optimum
+    assert optimum.pitch_um == PITCH[end]
+    assert optimum.interval_um[end] is None
+    assert PITCH[0] <= optimum.interval_um[-1 - end] <= PITCH[-1]
