@@ -263,8 +263,9 @@ def frames_fit(study: Study, camera: Camera) -> bool:
     """Whether all frames of a study may be kept without driving out most of the cache."""
     code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
     die_um = 1e3 * camera.die_mm
+    sensors = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
     pitches = [pitch_um for each in study.technologies for pitch_um in study_pitches_um(study, each).tolist()]
-    return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * study.repeats)
+    return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors)
 
 
 def block_key(frames_key: str, block: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 Told = Callable[..., None]  # (fraction done, what to say after the stage's name)
 Stage = Callable[[str], Told]
@@ -18,6 +19,7 @@ def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iter
 
     clock = {} if seconds is None else seconds
     current: list[tuple[str, float]] = []
+    tasks: dict[str, Any] = {}
     console = Console(stderr=True)
     with Progress(
         TextColumn("{task.description}"),
@@ -32,12 +34,14 @@ def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iter
         def close() -> None:
             if current:
                 name, start = current.pop()
-                clock[name] = time.perf_counter() - start
+                clock[name] = clock.get(name, 0.0) + time.perf_counter() - start
 
         def stage(name: str) -> Told:
             close()
             current.append((name, time.perf_counter()))
-            task = bars.add_task(name, total=1.0)
+            if name not in tasks:  # a stage may come back, as the rounds of a study do
+                tasks[name] = bars.add_task(name, total=1.0)
+            task = tasks[name]
             return lambda done, note="": bars.update(task, completed=done, description=name + note)
 
         yield stage

@@ -166,7 +166,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "views": views,
         "scale_bar": scale(),
         "findings": rows,
-        "notes": [*target_notes(result), *study_dark_notes(result)],
+        "notes": [each.removeprefix("note: ") for each in (*target_notes(result), *study_dark_notes(result))],
         "response_note": response_note(result.study) if result.study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,

@@ -58,6 +58,7 @@ class Sensitivity(Record):
         given = {"repeats": self.repeats, "pitch": self.pitch.model_dump() if self.pitch else None}
         own = {"technologies": self.technologies} | {name: each for name, each in given.items() if each is not None}
         table = load_study(self.base).model_dump(mode="json", exclude={"quick"})
+        own["process"] = {name: numbers for name, numbers in table["process"].items() if name in self.technologies}
         return Study.model_validate(table | own | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
 
 
@@ -139,7 +140,8 @@ class SensitivityResult:
     def turning(self, statement: str) -> list[Case]:
         """The cases whose verdict on a statement is not the base's."""
         base = self.base_case.agrees[statement]
-        return [case for case in self.cases if case.agrees[statement] != base]
+        # A setting may change what a statement is about, an iso level say: such a case has another statement.
+        return [case for case in self.cases if case.agrees.get(statement, base) != base]
 
     def by_variation(self) -> dict[str, list[Case]]:
         """Variation -> its cases but those of one technology alone; the widest range of the reference's optimum comes first."""
@@ -285,9 +287,13 @@ def assemble(
     Technologies do not depend on each other, so that a case of several that are moved is put together from those of one.
     """
     base, base_rows = results[0], rows[0]
+
+    def trends(curves: Sequence[Curve]) -> list[Finding]:
+        return scaling_rows(curves) if base.study.paper else []
+
     named = [(variation.name, setting.label) for variation in sensitivity.vary for setting in variation.settings]
     cases = [
-        Case(*names, result.curves, (*own, *scaling_rows(result.curves)))
+        Case(*names, result.curves, (*own, *trends(result.curves)))
         for names, result, own in zip(named, results[1:], rows[1:], strict=False)
     ]
     ends: dict[tuple[str, int], list[tuple[Move, Curve, tuple[Finding, ...]]]] = {}
@@ -300,8 +306,8 @@ def assemble(
             own_curves = {move.technology: curve for move, curve, _ in part}
             curves = tuple(own_curves.get(curve.technology, curve) for curve in base.curves)
             own_rows = next((found for move, _, found in part if move.technology == REFERENCE_TECHNOLOGY), base_rows)
-            cases.append(Case(variation, label, curves, (*own_rows, *scaling_rows(curves)), technology))
-    return SensitivityResult(sensitivity, base, (*base_rows, *scaling_rows(base.curves)), tuple(cases))
+            cases.append(Case(variation, label, curves, (*own_rows, *trends(curves)), technology))
+    return SensitivityResult(sensitivity, base, (*base_rows, *trends(base.curves)), tuple(cases))
 
 
 def turned_words(settings: Sequence[tuple[str, str]]) -> str:

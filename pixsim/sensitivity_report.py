@@ -67,7 +67,7 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
 
 def differing(case: Case, base: Case) -> list[str]:
     """The statements of the paper whose verdict is not the base's."""
-    return [statement for statement, agrees in case.agrees.items() if agrees != base.agrees[statement]]
+    return [statement for statement, agrees in case.agrees.items() if agrees != base.agrees.get(statement, agrees)]
 
 
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:

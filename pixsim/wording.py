@@ -44,19 +44,24 @@ def sensitivity_lines(outcome: Any) -> list[str]:
     for name, cases in outcome.by_variation().items():
         sizes = sorted(case.reference.optimum.pitch_um for case in (*cases, outcome.base_case))
         best = sorted(case.reference.optimum.mean_delta_e for case in (*cases, outcome.base_case))
-        lines.append(f"{name}: {sizes[0]:.2f} to {sizes[-1]:.2f} µm, best mean ΔE {best[0]:.3f} to {best[-1]:.3f}")
+        at_the_end = any(not case.reference.optimum.inside for case in cases)
+        end = " (the largest or smallest size tried)" if at_the_end else ""
+        lines.append(f"{name}: {sizes[0]:.2f} to {sizes[-1]:.2f} µm{end}, best mean ΔE {best[0]:.3f} to {best[-1]:.3f}")
     return lines
 
 
 def interval_words(curve: Any) -> str:
     """The 95 % interval of a curve's optimum; an end that the tried pitches leave open is named."""
     low, high = curve.optimum.interval_um
+    first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
     if low is None and high is None:
-        return "not bounded by the sizes tried"
+        return "no limit among the sizes tried"
     if low is None:
-        return f"at most {high:.2f} µm, or below the smallest tried"
+        below = f"below {high:.2f} µm" if high > first else "at or below the smallest size tried"
+        return f"{below}, no lower limit among the sizes tried" if high > first else below
     if high is None:
-        return f"at least {low:.2f} µm, or above the largest tried"
+        above = f"above {low:.2f} µm" if low < last else "at or above the largest size tried"
+        return f"{above}, no upper limit among the sizes tried" if low < last else above
     return f"{low:.2f} to {high:.2f} µm"
 
 
@@ -71,7 +76,7 @@ def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
 def found_line(curve: Any) -> str:
     """The optimum of a curve with its interval, and how flat the minimum is."""
     best = curve.optimum
-    within = f"within 1 % of it from {within_words(best.within_1_percent_um, curve)}"
+    within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
     if not best.inside:
         return (
             f"{curve.label}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
@@ -87,17 +92,18 @@ def found_line(curve: Any) -> str:
 def target_notes(result: Any) -> list[str]:
     """Which optima miss the target interval of a study, and what ended the search."""
     study, notes = result.study, []
+    evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
     for curve in result.curves:
         half_um = curve.optimum.half_width_um
         if study.target_ci_um is None or half_um <= study.target_ci_um:
             continue
-        limit = "max_repeats" if study.max_evaluations is None else "max_evaluations"
-        found = f"± {half_um:.2g} µm" if math.isfinite(half_um) else "open at an end: widen the range of pixel sizes"
-        evaluations = int(curve.sensors.sum())
-        notes.append(
-            f"note: {curve.label}: target_ci_um = {study.target_ci_um:g} is not met after {evaluations} evaluations ({limit}): "
-            f"the interval is {found}"
-        )
+        if study.max_evaluations is None:
+            most = max(study.repeats, study.max_repeats)
+            done = f"{int(curve.sensors.sum())} evaluations, with at most {most} at a size (max_repeats)"
+        else:
+            done = f"{evaluations} of at most {study.max_evaluations} evaluations in all (max_evaluations)"
+        found = f"± {half_um:.2g} µm" if math.isfinite(half_um) else "open at an end"
+        notes.append(f"note: {curve.label}: the interval is {found} after {done}, not ± {study.target_ci_um:g} µm (target_ci_um)")
     return notes
 
 
@@ -114,7 +120,8 @@ def score_line(result: dict[str, Any]) -> str:
 def frame_words(result: dict[str, Any]) -> str:
     """Its pixels and its exposure, and what keeps it from being a good one."""
     rows, columns = result["pixels"]
-    border = " (a border of one is not scored)" if result["display"]["raster"] == "fixed_size" else ""
+    border_um = result["border_um"][1] if result["display"]["raster"] == "fixed_size" else 0.0
+    border = f" ({border_um:.3g} µm at each side not scored)" if border_um else ""
     told = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}, exposed for {1e3 * result['integration_s']:.3g} ms"
     exposure, saturated = result["exposure"], result["saturated_fraction"]
     if exposure["integration_s"] is None and result["integration_s"] >= exposure["max_integration_s"]:

@@ -31,6 +31,10 @@ def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> lis
     return lines
 
 
+def is_reference_at_the_end(technology: dict[str, Any]) -> bool:
+    return bool(technology["technology"] == REFERENCE_TECHNOLOGY and not technology["optimum"]["inside"])
+
+
 def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str]:
     """The range of the reference's optimum and least mean ΔE for each assumption, widest first; the base is in each."""
 
@@ -44,8 +48,11 @@ def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str
             ranges.setdefault(case["variation"], [optimum(base["curves"])]).append(optimum(case["technologies"]))
     ends = {name: [(min(each), max(each)) for each in zip(*found, strict=True)] for name, found in ranges.items()}
     widest_first = sorted(ends.items(), key=lambda item: item[1][0][0] - item[1][0][1])
+    at_the_end = {case["variation"] for case in cases for each in case["technologies"] if is_reference_at_the_end(each)}
     lines = [
-        f"| {name} | {size[0]:.2f} to {size[1]:.2f} | {least[0]:.3f} to {least[1]:.3f} |" for name, (size, least) in widest_first
+        f"| {name} | {size[0]:.2f} to {size[1]:.2f}{' (largest or smallest tried)' if name in at_the_end else ''} | "
+        f"{least[0]:.3f} to {least[1]:.3f} |"
+        for name, (size, least) in widest_first
     ]
     return ["| assumption | optimum (µm) | best mean ΔE |", "|---|---|---|", *lines]
 
