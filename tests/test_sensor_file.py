@@ -292,5 +292,5 @@ bits = 14
             assert line.startswith(f"note: {curve['technology']}: a black level of 0 DN cuts off dark noise {where}: ")
             assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
             assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
-            assert f"{line}." in page
+            assert f"<p>{line.removeprefix('note: ')}." in page
         assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())
