@@ -1,10 +1,12 @@
-"""What every test shares: a cache of its own, so that none reads or writes the user's."""
+"""What tests share: a cache of their own, so that none reads or writes the user's, and a count of the pictures taken."""
 
 from collections.abc import Iterator
 
 import pytest
 
 from pixsim import cache
+from pixsim.score import Bench
+from pixsim.sensor import Frame
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -14,3 +16,12 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         # More than a hundred processes are started: each would compile all of pixsim for itself.
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
+
+
+@pytest.fixture
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
+    """Grows by one with every picture that is taken in this process."""
+    taken: list[Frame] = []
+    view = Bench.view
+    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(frame) or view(self, frame))
+    return taken

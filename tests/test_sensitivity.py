@@ -23,7 +23,6 @@ from pixsim.evaluations import study_pitches_um
 from pixsim.optimum import fit_curve
 from pixsim.paper import Evidence, findings, scaling_rows
 from pixsim.plates import Plate
-from pixsim.score import Bench
 from pixsim.sensitivity import (
     Case,
     Sensitivity,
@@ -80,15 +79,6 @@ settings = [
     { label = "f/2.8", set.camera.f_number = 2.8 },
 ]
 """
-
-
-@pytest.fixture
-def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Grows by one with every picture that is taken in this process."""
-    taken: list[Frame] = []
-    view = Bench.view
-    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(frame) or view(self, frame))
-    return taken
 
 
 @pytest.fixture(scope="module")

@@ -69,15 +69,6 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     return pixsim.study(tiny(), folder, jobs=1), folder
 
 
-@pytest.fixture
-def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Grows by one with every picture that is taken in this process."""
-    taken: list[Frame] = []
-    view = Bench.view
-    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(frame) or view(self, frame))
-    return taken
-
-
 def test_a_row_for_every_pitch_and_sensor(done: tuple[StudyResult, Path]) -> None:
     result, folder = done
     table = rows(folder)
