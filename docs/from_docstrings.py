@@ -18,8 +18,8 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxRole
 
 import pixsim
-from pixsim.record import Record
-from pixsim.templates import allowed, toml_value, unit_of
+from pixsim.base.parameters import Record
+from pixsim.cli.templates import allowed, toml_value, unit_of
 
 ENTRY = re.compile(r"(\w+(?:, \w+)*) : (.*)")
 ENUMERATOR = re.compile(r"(\(?\w{1,3}[.)] |[-+•] )")  # what would begin a list
@@ -27,7 +27,10 @@ SHORT = {"npt.ArrayLike": "ArrayLike", "Floats": "Array", "os.PathLike[str]": "P
 SHORT |= {"NDArray[np.float32]": "Array", "NDArray[np.int32]": "Array", "NDArray[Any]": "Array"}
 PAGE_COLUMNS = 78  # of code, at a desk
 # Where short names are looked for.
-ROOMS = (*pixsim._MODULES, "scene", "score", "study_result", "raw", "sfr", "technology", "optimum")
+ROOMS = (
+    *pixsim._MODULES, *pixsim._MODULES.values(), "scene.scene", "viewer.score", "studies.result", "sensor.raw", "measure.sfr",
+    "sensor.technology", "studies.optimum",
+)  # fmt: skip
 
 
 def escaped(text: str) -> str:
@@ -215,7 +218,7 @@ def on_doctree(_: Sphinx, document: nodes.document) -> None:
         for each in [*node.get("module", "pixsim").split(".")[1:], names[0]]:
             thing = getattr(thing, each, None)
         home = getattr(thing, "__module__", None)
-        for place in (home, "pixsim") if home and node["ids"] else ():
+        for place in (home, home.rpartition(".")[0], "pixsim") if home and node["ids"] else ():
             if (alias := f"{place}.{node['fullname']}") not in document.ids:
                 node["ids"].append(alias)
                 document.ids[alias] = node

@@ -8,74 +8,94 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from pixsim.base.version import VERSION
 
 if TYPE_CHECKING:
     from pixsim import optics as optics
-    from pixsim.charts import make_chart as make_chart
-    from pixsim.charts import write_chart as write_chart
-    from pixsim.errors import PixsimError as PixsimError
-    from pixsim.exchange import read_irradiance as read_irradiance
-    from pixsim.exchange import write_npz as write_npz
-    from pixsim.parameters import Camera as Camera
-    from pixsim.parameters import Display as Display
-    from pixsim.parameters import Exposure as Exposure
-    from pixsim.parameters import Pixel as Pixel
-    from pixsim.parameters import Study as Study
-    from pixsim.pixel import derive as derive
-    from pixsim.plan import Plan as Plan
-    from pixsim.raw import read_frame as read_frame
-    from pixsim.raw import write_frame as write_frame
-    from pixsim.renderer import render as render
-    from pixsim.report import write_report as write_report
-    from pixsim.scene import load_scene as load_scene
-    from pixsim.scielab import delta_e_map as delta_e_map
-    from pixsim.score import evaluate as evaluate
-    from pixsim.sensor import Frame as Frame
-    from pixsim.sensor import capture as capture
-    from pixsim.sensor import make_sensor as make_sensor
-    from pixsim.sensor_plan import make_plan as make_plan
-    from pixsim.sfr import edge_response as edge_response
-    from pixsim.spectral import SpectralImage as SpectralImage
-    from pixsim.spectral import read_exr as read_exr
-    from pixsim.spectral import write_exr as write_exr
-    from pixsim.sweep import study as study
-    from pixsim.technology import Technology as Technology
-    from pixsim.technology import load_technology as load_technology
+    from pixsim import sensor as sensor
+    from pixsim.base import parameters as parameters
+    from pixsim.base.errors import PixsimError as PixsimError
+    from pixsim.base.parameters import Camera as Camera
+    from pixsim.base.parameters import Display as Display
+    from pixsim.base.parameters import Exposure as Exposure
+    from pixsim.base.parameters import Pixel as Pixel
+    from pixsim.base.parameters import Study as Study
+    from pixsim.light import spectral as spectral
+    from pixsim.light.exr import read_exr as read_exr
+    from pixsim.light.exr import write_exr as write_exr
+    from pixsim.light.spectral import SpectralImage as SpectralImage
+    from pixsim.measure.sfr import edge_response as edge_response
+    from pixsim.optics.exchange import read_irradiance as read_irradiance
+    from pixsim.optics.exchange import write_npz as write_npz
+    from pixsim.report.study import write_report as write_report
+    from pixsim.scene import charts as charts
+    from pixsim.scene.charts import make_chart as make_chart
+    from pixsim.scene.charts import write_chart as write_chart
+    from pixsim.scene.plan import Plan as Plan
+    from pixsim.scene.plan import make_plan as make_plan
+    from pixsim.scene.renderer import render as render
+    from pixsim.scene.scene import load_scene as load_scene
+    from pixsim.sensor import photodiode as photodiode
+    from pixsim.sensor import pixel as pixel
+    from pixsim.sensor.pixel import derive as derive
+    from pixsim.sensor.raw import read_frame as read_frame
+    from pixsim.sensor.raw import write_frame as write_frame
+    from pixsim.sensor.readout import Frame as Frame
+    from pixsim.sensor.readout import capture as capture
+    from pixsim.sensor.readout import make_sensor as make_sensor
+    from pixsim.sensor.technology import Technology as Technology
+    from pixsim.sensor.technology import load_technology as load_technology
+    from pixsim.studies.study import study as study
+    from pixsim.viewer import display as display
+    from pixsim.viewer import scielab as scielab
+    from pixsim.viewer.scielab import delta_e_map as delta_e_map
+    from pixsim.viewer.score import evaluate as evaluate
+
+__version__ = VERSION
 
 _HOME = {
-    "PixsimError": "errors",
-    "Camera": "parameters",
-    "Display": "parameters",
-    "Exposure": "parameters",
-    "Pixel": "parameters",
-    "Study": "parameters",
-    "Technology": "technology",
-    "load_technology": "technology",
-    "SpectralImage": "spectral",
-    "read_exr": "spectral",
-    "write_exr": "spectral",
-    "read_irradiance": "exchange",
-    "write_npz": "exchange",
-    "make_chart": "charts",
-    "write_chart": "charts",
-    "load_scene": "scene",
-    "render": "renderer",
-    "Plan": "plan",
-    "make_plan": "sensor_plan",
-    "derive": "pixel",
-    "Frame": "sensor",
-    "capture": "sensor",
-    "make_sensor": "sensor",
-    "write_frame": "raw",
-    "read_frame": "raw",
-    "edge_response": "sfr",
-    "delta_e_map": "scielab",
-    "evaluate": "score",
-    "study": "sweep",
-    "write_report": "report",
+    "PixsimError": "base.errors",
+    "Camera": "base.parameters",
+    "Display": "base.parameters",
+    "Exposure": "base.parameters",
+    "Pixel": "base.parameters",
+    "Study": "base.parameters",
+    "Technology": "sensor.technology",
+    "load_technology": "sensor.technology",
+    "SpectralImage": "light.spectral",
+    "read_exr": "light.exr",
+    "write_exr": "light.exr",
+    "read_irradiance": "optics.exchange",
+    "write_npz": "optics.exchange",
+    "make_chart": "scene.charts",
+    "write_chart": "scene.charts",
+    "load_scene": "scene.scene",
+    "render": "scene.renderer",
+    "Plan": "scene.plan",
+    "make_plan": "scene.plan",
+    "derive": "sensor.pixel",
+    "Frame": "sensor.readout",
+    "capture": "sensor.readout",
+    "make_sensor": "sensor.readout",
+    "write_frame": "sensor.raw",
+    "read_frame": "sensor.raw",
+    "edge_response": "measure.sfr",
+    "delta_e_map": "viewer.scielab",
+    "evaluate": "viewer.score",
+    "study": "studies.study",
+    "write_report": "report.study",
 }
-_MODULES = ("optics", "photodiode", "pixel", "sensor", "display", "scielab", "charts", "parameters", "spectral")
+_MODULES = {
+    "optics": "optics",
+    "photodiode": "sensor.photodiode",
+    "pixel": "sensor.pixel",
+    "sensor": "sensor",
+    "display": "viewer.display",
+    "scielab": "viewer.scielab",
+    "charts": "scene.charts",
+    "parameters": "base.parameters",
+    "spectral": "light.spectral",
+}
 
 __all__ = [*_HOME, "optics"]
 
@@ -84,7 +104,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         return getattr(import_module(f"pixsim.{_HOME[name]}"), name)
     if name in _MODULES:
-        return import_module(f"pixsim.{name}")
+        return import_module(f"pixsim.{_MODULES[name]}")
     raise AttributeError(f"module 'pixsim' has no attribute '{name}'")
 
 

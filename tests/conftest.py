@@ -4,15 +4,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from pixsim import cache
-from pixsim.score import Bench
-from pixsim.sensor import Frame
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.sensor.readout import Frame
+from pixsim.viewer.score import Bench
 
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(cache.FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
+        patch.setenv(FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
         # More than a hundred processes are started: each would compile all of pixsim for itself.
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield

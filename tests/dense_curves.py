@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pixsim.allocation import next_sensors
-from pixsim.optimum import FittedCurve, Optimum, fit_curve
-from pixsim.pixel import photodiode_widths_um
-from pixsim.spectral import Array
-from pixsim.sweep import load_study
+from pixsim.base.arrays import Array
+from pixsim.sensor.pixel import photodiode_widths_um
+from pixsim.studies.allocation import next_sensors
+from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
+from pixsim.studies.study import load_study
 
 DATA = Path(__file__).parent / "data" / "dense_sweeps"
 # Of the sweeps of chen2000; the photodiodes of the others are in proportion to the pitch.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pixsim
-from pixsim import variant as variants
-from pixsim.plan import Plan, make_render_plan
-from pixsim.rules import Decision
-from pixsim.scene import Scene, packaged_scenes
+from pixsim.scene import variant as variants
+from pixsim.scene.plan import Plan, make_render_plan
+from pixsim.scene.rules import Decision
+from pixsim.scene.scene import Scene, packaged_scenes
 
 VARIANT = "scalar_spectral"  # is everywhere, and compiles nothing: the faster one for many small pictures
 FOLDER = packaged_scenes()["csf"].parent

@@ -11,18 +11,18 @@ import numpy as np
 from PIL import Image
 
 import pixsim
-from pixsim.charts import write_chart
-from pixsim.cli.base import settings_of
-from pixsim.evaluations import COLUMNS, TEXTS
-from pixsim.exchange import read_with_camera, write_npz
-from pixsim.ledger import Ledger
-from pixsim.parameters import CameraOptions
-from pixsim.quantum_efficiency import read_curve
-from pixsim.scene import load_scene, packaged_scenes
-from pixsim.sfr_report import read_edge_picture
-from pixsim.spectral import SpectralImage, write_exr
-from pixsim.sweep import load_study
-from pixsim.technology import load_technology
+from pixsim.base.parameters import CameraOptions, read_curve
+from pixsim.cli.options import settings_of
+from pixsim.light.exr import write_exr
+from pixsim.light.spectral import SpectralImage
+from pixsim.measure.sfr import read_edge_picture
+from pixsim.optics.exchange import read_with_camera, write_npz
+from pixsim.report.pictures import picture_axes
+from pixsim.scene.charts import write_chart
+from pixsim.scene.scene import load_scene, packaged_scenes
+from pixsim.sensor.technology import load_technology
+from pixsim.studies.evaluations import COLUMNS, TEXTS, Ledger
+from pixsim.studies.study import load_study
 
 Reader = Callable[[Path], object]
 PACKAGE = Path(pixsim.__file__).parent
@@ -83,7 +83,7 @@ def read_rows(path: Path) -> object:
 
 def read_picture(path: Path) -> object:
     image, camera = read_with_camera(path, CameraOptions(), None)
-    pixsim.pictures.axes_of(image)
+    picture_axes(image)
     return image, camera
 
 
@@ -92,7 +92,7 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     shipped = packaged_scenes()["still_life"]
     texts = {
         "config.toml": CONFIG,
-        "study.toml": (PACKAGE / "studies/modern.toml").read_text(),
+        "study.toml": (PACKAGE / "data/studies/modern.toml").read_text(),
         "technology.toml": (PACKAGE / "data/technologies/0.35um.toml").read_text(),
         "curve.csv": "nm,qe\n400,0.1\n500,0.5\n600,0.4\n",
         "scene.xml": SCENE,

@@ -10,7 +10,7 @@ HANG_S = 600
 SIGNALLED = """
 import signal
 from pixsim.cli import command
-from pixsim.score import Bench
+from pixsim.viewer.score import Bench
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 view, begun = Bench.view, []

@@ -11,8 +11,8 @@ from typing import Any
 
 import pixsim
 
-RESULTS = ("study_result.Curve", "optimum.Optimum", "technology.Junction")  # within what functions return
-MODULES = {name: importlib.import_module(f"pixsim.{name}") for name in pixsim._MODULES}
+RESULTS = ("studies.result.Curve", "studies.optimum.Optimum", "sensor.technology.Junction")  # within what functions return
+MODULES = {name: getattr(pixsim, name) for name in pixsim._MODULES}
 
 
 def results() -> dict[str, type]:
@@ -26,7 +26,7 @@ def results() -> dict[str, type]:
             if inspect.isclass(kind) and kind.__module__.startswith("pixsim."):
                 found[f"{kind.__module__}.{kind.__name__}"] = kind
     for name in RESULTS:
-        module, _, own = name.partition(".")
+        module, _, own = name.rpartition(".")
         found[f"pixsim.{name}"] = getattr(importlib.import_module(f"pixsim.{module}"), own)
     return found
 
@@ -56,8 +56,10 @@ def public() -> dict[str, Any]:
     inner = {name: kind for name, kind in results().items() if id(kind) not in short}
     for module in MODULES.values():
         for name, thing in vars(module).items():
-            own = getattr(thing, "__module__", "") == module.__name__ and (inspect.isroutine(thing) or inspect.isclass(thing))
-            if own and not name.startswith("_") and id(thing) not in short:
+            home = getattr(thing, "__module__", "")
+            listed = name in getattr(module, "__all__", (name,))
+            own = listed and f"{home}.".startswith(f"{module.__name__}.")
+            if own and (inspect.isroutine(thing) or inspect.isclass(thing)) and not name.startswith("_") and id(thing) not in short:
                 inner[f"{module.__name__}.{name}"] = thing
     found |= inner
     classes = {name: kind for name, kind in found.items() if inspect.isclass(kind)}

@@ -11,25 +11,32 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.accuracy.budget import (
+from pixsim.report.wording import budget_lines
+from pixsim.studies.budget import (
+    FINEST_NOISE,
     HIGHEST_ORDER,
     LOWEST_ORDER,
+    MOST_SENSORS,
     SOURCES,
     Calibration,
     Effect,
+    Probe,
+    Setup,
     brighter,
+    choose,
     coarser,
     difference_of,
     effects,
     film_errors,
     interpolation_effect,
     merges,
+    options_of,
+    probe,
+    rounded_down,
     total,
-)  # fmt: skip
-from pixsim.accuracy.choice import FINEST_NOISE, MOST_SENSORS, choose, options_of, rounded_down, widths_of
-from pixsim.accuracy.probe import Probe, Setup, probe
-from pixsim.display import interpolation_mtf
-from pixsim.wording import budget_lines
+    widths_of,
+)
+from pixsim.viewer.display import interpolation_mtf
 
 NO_OPTIMUM = math.nan
 

@@ -21,21 +21,21 @@ from test_cli import command
 from test_figures import grey_look
 
 import pixsim
-from pixsim import cache, stability
-from pixsim.accuracy import probe as probes
+from pixsim.accuracy import stability
 from pixsim.accuracy import survey as surveys
-from pixsim.accuracy.budget import SOURCES
-from pixsim.accuracy.ladders import Clock, Rung
-from pixsim.accuracy.page import write_accuracy
-from pixsim.accuracy.plots import plates_of
-from pixsim.accuracy.probe import Setup, pitch_range_um, pitches_around_optimum_um, probe
+from pixsim.accuracy.ladders import Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
-from pixsim.accuracy.result import METRICS
-from pixsim.accuracy.survey import QUICK, Accuracy, survey
-from pixsim.accuracy.viewing import seed_rungs
-from pixsim.parameters import Run
-from pixsim.renderer import render
-from pixsim.stability import compare
+from pixsim.accuracy.report import plates_of, write_accuracy
+from pixsim.accuracy.result import METRICS, Accuracy
+from pixsim.accuracy.solvers import solvers
+from pixsim.accuracy.stability import compare
+from pixsim.accuracy.survey import QUICK, survey
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.parameters import Run
+from pixsim.scene.renderer import render
+from pixsim.studies import budget as probes
+from pixsim.studies.budget import SOURCES, Setup, pitch_range_um, pitches_around_optimum_um, probe
+from pixsim.viewer.score import bench_of
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # what a command warns of is in its stderr
@@ -55,7 +55,7 @@ SMALL = replace(
 NO_TIME = replace(SMALL, seconds=0.0, ladders_s=0.0)  # for any rung, however fast the machine is
 
 
-each_discharge_once = once(surveys.solvers)
+each_discharge_once = once(solvers)
 
 
 @pytest.fixture(autouse=True)
@@ -250,7 +250,7 @@ def test_errors_of_seeds_are_those_of_independent_sensors():
 def test_what_sensors_share_is_made_once(monkeypatch):
     setup, image = csf()
     made = []
-    plain = probes.bench_of
+    plain = bench_of
     monkeypatch.setattr(probes, "bench_of", lambda *given: made.append(1) or plain(*given))
     probe(image, replace(setup, sensors=3, pitches_um=(6.0, 7.0)))
     assert len(made) == 3
@@ -267,7 +267,7 @@ def test_a_probe_is_the_same_each_time_and_changes_as_little_as_its_picture():
     alone = probe(image, replace(setup, sensors=1))
     np.testing.assert_array_equal(alone.sweep_delta_e, one.of_first_sensor.sweep_delta_e)
     np.testing.assert_array_equal(alone.delta_e, one.of_first_sensor.delta_e)
-    from pixsim.accuracy.budget import brighter
+    from pixsim.studies.budget import brighter
 
     near = probe(brighter(image, 1 + 1e-6), setup)
     assert abs(near.mean_delta_e - one.mean_delta_e) < 1e-3
@@ -303,7 +303,7 @@ def truth_of(sensors: int = 16) -> float:
 
 
 def test_a_run_meets_its_tolerance_and_a_looser_one_is_cheaper(chart, tmp_path, monkeypatch):
-    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     tolerances = 0.01, 1.0
     results = {t: run(chart, f"--tolerance-delta-e {t} --max-seconds {HANG_S}", tmp_path / f"{t}") for t in tolerances}
     truth = truth_of()

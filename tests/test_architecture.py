@@ -22,6 +22,22 @@ def module_name(path: Path) -> str:
 FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 MODULES = sorted(TREES.keys() - {"__init__", "__main__"})
+# In the order of the flow: what each package may import.
+BELOW_SHOW = ("base", "light", "optics", "sensor")
+ALLOWED = {
+    "base": (),
+    "light": ("base",),
+    "optics": ("base", "light"),
+    "sensor": ("base", "light", "optics"),
+    "scene": BELOW_SHOW,
+    "show": ("base",),
+    "viewer": (*BELOW_SHOW, "show"),
+    "studies": (*BELOW_SHOW, "scene", "show", "viewer"),
+    "measure": (*BELOW_SHOW, "show", "viewer"),
+    "report": (*BELOW_SHOW, "scene", "show", "viewer", "studies"),
+    "accuracy": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
+    "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "accuracy"),
+}
 # Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They come in where they are used.
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
 
@@ -39,8 +55,10 @@ def imports(tree: ast.AST, at_top_only: bool = False) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "relative import"
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from names
+            if any(name.removeprefix("pixsim.") not in FILES for name in names):  # not for a package's files
+                yield node.module
         yield from imports(node, at_top_only)
 
 
@@ -56,8 +74,8 @@ def type_checked_names() -> set[str]:
 
 
 def test_one_place_speaks_mitsuba() -> None:
-    assert {name for name, tree in TREES.items() if "mitsuba" in roots(tree)} == {"mitsuba_xml"}
-    assert {name for name, tree in TREES.items() if "drjit" in roots(tree)} <= {"mitsuba_xml", "evaluation"}
+    assert {name for name, tree in TREES.items() if "mitsuba" in roots(tree)} == {"scene.mitsuba"}
+    assert {name for name, tree in TREES.items() if "drjit" in roots(tree)} <= {"scene.mitsuba"}
 
 
 @pytest.mark.parametrize("module", TREES)
@@ -65,17 +83,63 @@ def test_nothing_heavy_is_imported_at_the_top(module: str) -> None:
     assert not HEAVY & roots(TREES[module], at_top_only=True)
 
 
-def test_pixsim_modules_do_not_import_in_circles() -> None:
-    graph = {
-        module: {
-            inner
-            for inner in (name.removeprefix("pixsim.") for name in imports(TREES[module]) if name.startswith("pixsim."))
-            if inner in MODULES and inner != module
-        }
-        for module in MODULES
+def arrows() -> dict[str, set[str]]:
+    """Module -> pixsim's modules that it imports when it runs, in functions too."""
+    graph: dict[str, set[str]] = {}
+    for module in MODULES:
+        names = (name.removeprefix("pixsim.") for name in imports(TREES[module]) if name.startswith("pixsim."))
+        graph[module] = {name for name in names if name in MODULES and name != module}
+    return graph
+
+
+def package_arrows() -> set[tuple[str, str]]:
+    return {
+        (module.partition(".")[0], other.partition(".")[0])
+        for module, others in arrows().items()
+        for other in others
+        if module.partition(".")[0] != other.partition(".")[0]
     }
-    assert graph["cli"], "no edges found: the graph says nothing"
-    TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
+
+
+def test_every_file_is_in_a_package() -> None:
+    assert {module.partition(".")[0] for module in MODULES} == set(ALLOWED)
+    assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}
+
+
+def test_packages_import_only_what_comes_before_them() -> None:
+    backwards = {(one, other) for one, other in package_arrows() if other not in ALLOWED[one]}
+    assert not backwards
+
+
+def test_neither_packages_nor_files_import_in_circles() -> None:
+    files, packages = arrows(), {name: {other for one, other in package_arrows() if one == name} for name in ALLOWED}
+    assert files["cli"], "no arrows found: the graph says nothing"
+    for graph in (files, packages):
+        TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+
+
+def test_the_packages_stand_on_few_floors_with_few_arrows() -> None:
+    """12 packages; the longest chain of imports goes through at most 11, and there are at most 52 arrows between them."""
+    between = package_arrows()
+
+    def floor(name: str) -> int:
+        return 1 + max((floor(other) for one, other in between if one == name), default=0)
+
+    assert max(map(floor, ALLOWED)) <= 11
+    assert len(between) <= 52
+
+
+def test_names_come_from_where_they_are_defined() -> None:
+    """Only a package's `__init__` hands names on: elsewhere `from a import x as x` would make a second home."""
+    handed_on = {
+        (module, alias.name)
+        for module, path in FILES.items()
+        for node in ast.walk(TREES[module])
+        if isinstance(node, ast.ImportFrom) and path.name != "__init__.py"
+        for alias in node.names
+        if alias.asname == alias.name
+    }
+    assert not handed_on
 
 
 def test_only_the_command_line_prints_or_exits() -> None:
@@ -90,7 +154,7 @@ def test_only_the_command_line_prints_or_exits() -> None:
 
 def test_no_module_hides_a_public_function() -> None:
     """Importing a module `pixsim.study` would put it in the place of the function `pixsim.study`."""
-    assert set(MODULES) & set(pixsim.__all__) <= {"optics"}  # a module on purpose: pixsim.optics.irradiance_factor
+    assert set(ALLOWED) & set(pixsim.__all__) <= {"optics"}  # a package on purpose: pixsim.optics.irradiance_factor
 
 
 @pytest.mark.parametrize("name", pixsim.__all__)
@@ -104,7 +168,7 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 
 def test_the_type_checker_is_told_the_same_names() -> None:
     homes = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
-    assert type_checked_names() == homes | {"pixsim.optics"}
+    assert type_checked_names() == homes | {f"pixsim.{module}" for module in pixsim._MODULES.values()}
 
 
 def test_the_version_is_the_same_everywhere() -> None:

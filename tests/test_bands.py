@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim import bands as spectral_bands
-from pixsim.bands import BAND_EDGES_NM, SHAPE_TOLERANCE, Bands, Pulse, Witness, every_band, fit, passes, place_bands
-from pixsim.errors import PixsimError
-from pixsim.mitsuba_xml import speaking_mitsuba
-from pixsim.parameters import Pixel
-from pixsim.pixel import derive
-from pixsim.renderer import film, film_response
-from pixsim.spectral import photons_per_joule, photopic_efficiency
-from pixsim.spectrum import STEPS_NM, Spectrum, grid_nm, tabulated
-from pixsim.variant import choose, find_llvm
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Pixel
+from pixsim.light.spectral import STEPS_NM, Spectrum, grid_nm, photons_per_joule, photopic_efficiency, tabulated
+from pixsim.scene import bands as spectral_bands
+from pixsim.scene.bands import BAND_EDGES_NM, SHAPE_TOLERANCE, Bands, Pulse, Witness, every_band, fit, passes, place_bands
+from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.renderer import film, film_response
+from pixsim.scene.variant import choose, find_llvm
+from pixsim.sensor.pixel import derive
 
 NEEDS_LLVM = pytest.mark.skipif(find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
 VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), "scalar_spectral"])

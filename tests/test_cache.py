@@ -15,12 +15,13 @@ import pytest
 from processes import HANG_S
 
 import pixsim
-from pixsim import cache
+from pixsim.base import cache
+from pixsim.base.files import FOLDER_VARIABLE
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "kept"))
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
     return tmp_path / "kept"
 
 
@@ -73,11 +74,11 @@ def test_nan_comes_back(folder):
 
 def test_a_folder_that_cannot_be_written_is_one_warning_and_no_error(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "file"))
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "file"))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         assert kept(1.5) == ({"number": 1.5}, 1)
-    assert [cache.FOLDER_VARIABLE in str(each.message) for each in caught] == [True]
+    assert [FOLDER_VARIABLE in str(each.message) for each in caught] == [True]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
@@ -98,7 +99,7 @@ def test_what_cannot_be_made_leaves_nothing(folder):
 
 
 def write_many(name: str, barrier) -> int:
-    os.environ[cache.FOLDER_VARIABLE] = name
+    os.environ[FOLDER_VARIABLE] = name
     warnings.simplefilter("error")
     barrier.wait()
     for number in range(40):
@@ -121,7 +122,7 @@ def test_two_processes_may_write_the_same_entries(folder):
 
 
 def test_the_folder_is_the_users_cache(monkeypatch, tmp_path):
-    monkeypatch.delenv(cache.FOLDER_VARIABLE)
+    monkeypatch.delenv(FOLDER_VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache.folder() == tmp_path / "pixsim"
     monkeypatch.delenv("XDG_CACHE_HOME")
@@ -278,7 +279,7 @@ def test_clear_removes_one_kind_or_all(folder):
 def test_a_change_of_any_source_makes_other_keys(monkeypatch, tmp_path):
     package = tmp_path / "pixsim"
     (package / "data").mkdir(parents=True)
-    monkeypatch.setattr(pixsim, "__file__", str(package / "__init__.py"))
+    monkeypatch.setattr(cache, "PACKAGE", package)
     found = []
     for name, text in (("__init__.py", "a"), ("__init__.py", "b"), ("data/t.toml", "a"), ("data/q.csv", "1"), ("notes.txt", "")):
         (package / name).write_text(text, encoding="utf-8")
@@ -286,7 +287,7 @@ def test_a_change_of_any_source_makes_other_keys(monkeypatch, tmp_path):
         found.append(cache.made_by())
     assert len(set(found[:4])) == 4
     assert found[4] == found[3], "a note changes nothing"
-    monkeypatch.setattr(pixsim, "__version__", "99")
+    monkeypatch.setattr(cache, "VERSION", "99")
     cache.made_by.cache_clear()
     assert cache.made_by() not in found
     cache.made_by.cache_clear()

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pixsim import charts
-from pixsim.errors import PixsimError
-from pixsim.spectral import read_channels
+from pixsim.base.errors import PixsimError
+from pixsim.light.exr import read_channels
+from pixsim.scene import charts
 
 SHIPPED = Path(__file__).parents[1] / "scenes" / "charts"
 

@@ -17,8 +17,8 @@ from processes import HANG_S
 
 import pixsim
 from pixsim import cli
-from pixsim.scene import packaged_scenes
-from pixsim.spectral import read_channels
+from pixsim.light.exr import read_channels
+from pixsim.scene.scene import packaged_scenes
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 RUN_FILES = {

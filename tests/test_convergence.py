@@ -15,12 +15,12 @@ from edits import load
 from test_cli import command
 
 import pixsim
-from pixsim import convergence
-from pixsim.convergence import MOST_SPP, RENDER_NOISE, RenderNoise, render_until
-from pixsim.pixel import derive
-from pixsim.renderer import LEVEL_FACTOR, Renderer
-from pixsim.sensor import ideal_rate, integrate_pixels
-from pixsim.sensor_plan import make_plan
+from pixsim.scene import convergence
+from pixsim.scene.convergence import MOST_SPP, RENDER_NOISE, RenderNoise, render_until
+from pixsim.scene.plan import make_plan
+from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
+from pixsim.sensor.integration import ideal_rate, integrate_pixels
+from pixsim.sensor.pixel import derive
 
 PIXEL = pixsim.Pixel(pitch_um=42.4)  # 64 across
 LOOSE = 1e9  # the first pair is enough

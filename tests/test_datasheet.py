@@ -11,38 +11,33 @@ from browser import assert_fits, assert_prints, needs_browser
 from test_cli import command
 from test_figures import grey_look
 
-from pixsim import datasheet
-from pixsim.bounds import SMALLEST_FRACTION
-from pixsim.datasheet import DataSheet, make_datasheet
-from pixsim.datasheet_entries import Entry, entries
-from pixsim.datasheet_experiment import (
-    DARK_TIMES,
-    EXPOSURES,
-    make_experiment,
-    peak_wavelength_nm,
-    pixel_efficiency,
-)
-from pixsim.datasheet_plots import datasheet_plates, spectrogram
-from pixsim.datasheet_report import sheet_name, write_datasheet
-from pixsim.errors import PixsimError
-from pixsim.expected_frames import clipped_moments, expected_moments, variance_peak_e
-from pixsim.frame_statistics import Series, Stack, pair, stack
-from pixsim.iso_noise import exposure_at_snr, noise_15739, signal_at_snr_e
-from pixsim.parameters import Exposure, Pixel
-from pixsim.photon_transfer import (
+from pixsim.base.arrays import stream
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import SMALLEST_FRACTION, Exposure, Pixel
+from pixsim.measure import datasheet
+from pixsim.measure.datasheet import DataSheet, Entry, clipped_moments, entries, expected_moments, make_datasheet, variance_peak_e
+from pixsim.measure.datasheet_report import datasheet_plates, sheet_name, spectrogram, write_datasheet
+from pixsim.measure.estimators import (
     Estimate,
+    Series,
+    Stack,
     doubling_k,
+    exposure_at_snr,
     linearity,
+    noise_15739,
     non_uniformity,
+    pair,
     parts,
     photon_transfer,
     saturation_index,
+    signal_at_snr_e,
     slope_through_origin,
+    stack,
     straight_line,
 )
-from pixsim.pixel import derive
-from pixsim.score import stream
-from pixsim.sensor import dark_spread_e, draw_sensor, expose, frame_mean_dn, frame_variance_dn2, least_black_level_dn
+from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import dark_spread_e, draw_sensor, expose, frame_mean_dn, frame_variance_dn2, least_black_level_dn
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
 FILES = {"datasheet.csv", "summary.json", "report.html", "figures"}

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim import display as displays
-from pixsim import sensor as sensors
-from pixsim.errors import PixsimError
-from pixsim.optics import square_aperture_mtf
-from pixsim.parameters import Camera, Display, Exposure, Pixel
-from pixsim.pixel import derive
-from pixsim.score import bench_of, evaluate, project
-from pixsim.sensor import Frame
-from pixsim.spectral import SpectralImage, d65
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage, d65
+from pixsim.optics.diffraction import square_aperture_mtf
+from pixsim.sensor.integration import mean_signal_rate
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import Frame
+from pixsim.viewer import display as displays
+from pixsim.viewer.score import bench_of, evaluate, project
 
 NM = np.arange(400.0, 721.0, 10)
 DIE_MM = 0.6784  # a quarter of the usual die: 128 dots of 5.3 µm
@@ -62,7 +62,7 @@ def test_white_on_the_axis_has_relative_luminance_one(general, f_number, transmi
     camera = Camera(die_mm=DIE_MM, f_number=f_number, transmittance=transmittance, object_distance_m=0.1)
     physics = derive(Pixel(pitch_um=10.6))
     irradiance = irradiance_of(np.ones((64, 64)), camera, general)
-    electrons = sensors.mean_signal_rate(irradiance, camera, physics) * 0.01
+    electrons = mean_signal_rate(irradiance, camera, physics) * 0.01
     white_e = displays.white_rate(irradiance, camera, physics, SMALL) * 0.01 * physics.photodiode_area_um2
     frame = noise_free(electrons, 10.6, mean_dark_e=12.3, black_level_dn=64)
     shown = on_dots(frame, displays.picture_size_um(irradiance), white_e, SMALL)

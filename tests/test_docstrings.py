@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from public_names import CLASSES, PUBLIC, fields
 
-from pixsim.record import Record
+from pixsim.base.parameters import Record
 
 # What a name ends in where it carries its unit (the design's list), or is, where it has none.
 UNITS = (
@@ -39,19 +39,22 @@ SOURCE = re.compile(r"\b(1[89]|20)\d\d\b|\[(ZW|CIE)\]|\b(ISO|CIE|EMVA|ISETCam|Go
 REFERENCE = re.compile(r"`([a-z_0-9]+)`")  # to another kernel, which names it
 OURS = "Camera|Pixel|Exposure|Display|Study|Scene|Plan|Technology|PixelPhysics|Sensor|Frame|RawFrame|SpectralImage|Diode"
 RECORD = re.compile(rf"\b({OURS})\b")
-KERNELS = ("optics", "photodiode", "pixel", "sensor", "display", "scielab", "charts", "spectral")
+KERNELS = (
+    *("light.spectral", "optics.thin_lens", "optics.diffraction", "sensor.pixel", "sensor.photodiode", "sensor.readout"),
+    *("scene.charts", "viewer.display", "viewer.scielab"),
+)
 # Public names that a rule does not fit, and why.
 EXCEPTIONS = {
     ("source", "pixsim.sensor.quantise"): "rounding",
     ("source", "pixsim.sensor.shot_noise"): "Poisson's law, as NumPy draws it",
-    ("source", "pixsim.pixel.given_efficiency"): "the data sheet's own",
-    ("source", "pixsim.display.pixel_edges_um"): "where a line of pixels begins",
-    ("source", "pixsim.display.average_axis"): "the mean of a spline",
+    ("source", "pixsim.sensor.pixel.given_efficiency"): "the data sheet's own",
+    ("source", "pixsim.viewer.display.pixel_edges_um"): "where a line of pixels begins",
+    ("source", "pixsim.viewer.display.average_axis"): "the mean of a spline",
     ("source", "pixsim.make_chart"): "each chart names its own",
-    ("source", "pixsim.charts.sine_value"): "a sine",
-    ("source", "pixsim.charts.siemens_star"): "sectors",
-    ("source", "pixsim.charts.flat"): "ones",
-    ("errors", "pixsim.photodiode.default_diode"): "it takes nothing that could be wrong",
+    ("source", "pixsim.scene.charts.sine_value"): "a sine",
+    ("source", "pixsim.scene.charts.siemens_star"): "sectors",
+    ("source", "pixsim.scene.charts.flat"): "ones",
+    ("errors", "pixsim.sensor.photodiode.default_diode"): "it takes nothing that could be wrong",
 }
 
 
@@ -167,12 +170,12 @@ def test_exceptions_are_needed() -> None:
 
 
 def bad(source: str) -> set[str]:
-    """Rules that a function given as text breaks, as a kernel of `pixsim.optics`."""
-    scope: dict[str, Any] = {"__name__": "pixsim.optics"}
+    """Rules that a function given as text breaks, as a kernel of `pixsim.optics.thin_lens`."""
+    scope: dict[str, Any] = {"__name__": "pixsim.optics.thin_lens"}
     source = "from __future__ import annotations\n" + textwrap.dedent(source)
     exec(compile(source, "bad", "exec", dont_inherit=True), scope)
     (tree,) = (node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef))
-    return {rule for rule, _ in complaints(f"pixsim.optics.{tree.name}", scope[tree.name], tree)}
+    return {rule for rule, _ in complaints(f"pixsim.optics.thin_lens.{tree.name}", scope[tree.name], tree)}
 
 
 def test_the_rules_can_fail() -> None:
@@ -190,7 +193,7 @@ def test_the_rules_can_fail() -> None:
 SHOWN = (
     *("load_scene", "render", "evaluate", "study", "Camera", "derive", "make_sensor", "capture", "delta_e_map", "read_exr"),
     *("read_frame", "edge_response", "make_plan", "load_technology", "SpectralImage", "make_chart"),
-    *("optics.irradiance_factor", "optics.diffraction_otf", "photodiode.collected_charge_e", "pixel.fill_factor_law"),
+    *("optics.irradiance_factor", "optics.diffraction_otf", "sensor.photodiode.collected_charge_e", "sensor.pixel.fill_factor_law"),
 )
 
 

@@ -15,10 +15,11 @@ from typing import Any
 import pytest
 from processes import HANG_S
 
-from pixsim import doctor, machine, trial, variant
-from pixsim.cli.doctor import report
-from pixsim.doctor import NOTE, OK, PROBLEM, Finding
-from pixsim.requirements import requirements, satisfies
+from pixsim.base import machine
+from pixsim.cli import doctor, trial
+from pixsim.cli.commands import report
+from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, requirements, satisfies
+from pixsim.scene import variant
 
 OLD_LLVM = [str(path) for major in (14, 15) for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))]
 HIDES_THE_WHEEL = """

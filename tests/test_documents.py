@@ -10,13 +10,13 @@ import pytest
 from documents import ROOT, Page, alike, alike_pictures, blocks_of, difference
 
 import pixsim
-from pixsim.optimum import Optimum
-from pixsim.parameters import Camera, Display, Exposure, Pixel, Study
-from pixsim.pixel import PixelPhysics
-from pixsim.score import Bench, Score
-from pixsim.sensor import Frame
-from pixsim.study_result import Curve
-from pixsim.technology import Junction, Technology
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Study
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import Frame
+from pixsim.sensor.technology import Junction, Technology
+from pixsim.studies.optimum import Optimum
+from pixsim.studies.result import Curve
+from pixsim.viewer.score import Bench, Score
 
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]

@@ -23,9 +23,12 @@ import pytest
 from processes import HANG_S, signalled
 
 import pixsim
-from pixsim import cache, engine, evaluations
-from pixsim.engine import Workers, results_of, workers_for
-from pixsim.sweep import load_study
+from pixsim.base import cache
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.studies import engine, evaluations
+from pixsim.studies.engine import Workers, results_of, workers_for
+from pixsim.studies.study import load_study
+from pixsim.viewer.score import Bench
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 TOML = """
@@ -141,7 +144,7 @@ def test_an_error_of_the_work_itself_is_not_retried(jobs: int) -> None:
 
 def library_threads(_: int, __: object) -> int:
     """Threads that NumPy's and SciPy's libraries have started, after an evaluation of a picture large enough for them."""
-    from pixsim.score import make_bench
+    from pixsim.viewer.score import make_bench
 
     picture = np.random.default_rng(0).random((1, 768, 768)).astype(np.float32)
     image = pixsim.SpectralImage(np.array([550.0]), 10.0, 2.65, factors=(np.ones((1, 1)), picture))
@@ -209,7 +212,7 @@ def test_a_study_goes_on_when_a_worker_is_killed(toml: Path, expected: bytes, tm
 
 def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """Killed with two pitches done, in the third's second sensor."""
-    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     command = [sys.executable, "-c", signalled(signal.SIGKILL, 10), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
@@ -217,8 +220,8 @@ def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tm
     assert len(finished) == 8
     assert set(finished) < set(expected.splitlines())
     taken = []
-    view = pixsim.score.Bench.view
-    monkeypatch.setattr(pixsim.score.Bench, "view", lambda self, frame: taken.append(1) or view(self, frame))
+    view = Bench.view
+    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(1) or view(self, frame))
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert len(taken) == ROWS - len(finished)
     assert (tmp_path / "out/results.csv").read_bytes() == expected
@@ -253,14 +256,14 @@ def test_two_studies_in_one_folder_are_one_too_many(toml: Path, expected: bytes,
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
     second: list[subprocess.CompletedProcess[str]] = []
-    view = pixsim.score.Bench.view
+    view = Bench.view
 
     def view_after_the_second(self, frame):
         if not second:
             second.append(subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False))
         return view(self, frame)
 
-    monkeypatch.setattr(pixsim.score.Bench, "view", view_after_the_second)
+    monkeypatch.setattr(Bench, "view", view_after_the_second)
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert second[0].returncode == 2
     assert re.search(r"another process is at work.*one at a time.*--out", second[0].stderr)
@@ -304,7 +307,7 @@ def running_cluster(folder: Path, count: int, python_path: Path = Path(__file__)
         for number in range(count):
             own = str(folder / f"worker-{number}")
             more = ["--nthreads", "1", "--no-nanny", "--local-directory", own]
-            start("worker", address, *more, **{cache.FOLDER_VARIABLE: own + "-cache"})
+            start("worker", address, *more, **{FOLDER_VARIABLE: own + "-cache"})
         with distributed.Client(address, timeout=HANG_S, set_as_default=False) as client:
             client.wait_for_workers(count, timeout=HANG_S)
         with pytest.MonkeyPatch.context() as patch:
@@ -326,7 +329,7 @@ def test_a_cluster_gives_the_same_bytes(cluster: str, toml: Path, expected: byte
 
 def test_one_worker_of_one_thread_computes_what_it_is_asked(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """joblib takes a cluster of one thread for none, and would compute here."""
-    monkeypatch.setattr(pixsim.score.Bench, "view", lambda *_: pytest.fail("computed here"))
+    monkeypatch.setattr(Bench, "view", lambda *_: pytest.fail("computed here"))
     with running_cluster(tmp_path, 1) as address:
         pixsim.study(toml, tmp_path / "out", scheduler=address)
     assert (tmp_path / "out/results.csv").read_bytes() == expected

@@ -12,11 +12,11 @@ import pytest
 from spectral.io import envi
 
 import pixsim
-from pixsim import variant
-from pixsim.errors import PixsimError
-from pixsim.mitsuba_xml import import_mitsuba
-from pixsim.spectral import SpectralImage
-from pixsim.units import parse_light_unit
+from pixsim.base.errors import PixsimError
+from pixsim.light.foreign import parse_light_unit
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene import variant
+from pixsim.scene.mitsuba import import_mitsuba
 
 UNIT = "W.m^-2.nm^-1"
 RADIANCE = "W.m^-2.sr^-1.nm^-1"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.display import white_rate
-from pixsim.expected_frames import dark_clip
-from pixsim.parameters import Camera, Display, Exposure, Pixel
-from pixsim.pixel import derive
-from pixsim.sensor import draw_sensor, expose
-from pixsim.spectral import SpectralImage
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import draw_sensor, expose
+from pixsim.viewer.display import white_rate
+from pixsim.viewer.score import dark_clip
 
 SHAPE = 4, 250_000  # most of it columns, so that their offsets average too
 TIME_S = 0.03

@@ -8,15 +8,16 @@ import warnings
 import numpy as np
 import pytest
 
-from pixsim import optics, sensor, stability
-from pixsim.display import average_axis, dot_edges_um, frame_luminance, white_rate
-from pixsim.errors import PixsimError
-from pixsim.parameters import Camera, Display, Pixel
-from pixsim.pixel import derive
-from pixsim.score import evaluate
-from pixsim.sensor import Frame, integrate_pixels, pixel_count
-from pixsim.spectral import SpectralImage, d65
-from pixsim.spectrum import Spectrum
+from pixsim import optics
+from pixsim.accuracy import stability
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, Display, Pixel
+from pixsim.light.spectral import SpectralImage, Spectrum, d65
+from pixsim.sensor.integration import electrons_per_joule, ideal_rate, integrate_pixels, mean_signal_rate, pixel_count
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import Frame
+from pixsim.viewer.display import average_axis, dot_edges_um, frame_luminance, white_rate
+from pixsim.viewer.score import evaluate
 
 NM = np.array([550.0])
 ONE = np.ones(1)
@@ -86,7 +87,7 @@ def test_single_precision_pictures_are_blurred_in_double():
     ],
 )
 def test_a_wrong_lens_fails(monkeypatch, name, wrong):
-    monkeypatch.setattr("pixsim.stability.optics.irradiance_factor", wrong)
+    monkeypatch.setattr("pixsim.accuracy.stability.optics.irradiance_factor", wrong)
     assert not all(case.passed for case in stability.cases_of("optics")), name
 
 
@@ -99,7 +100,7 @@ def test_a_wrong_lens_fails(monkeypatch, name, wrong):
     ],
 )
 def test_a_wrong_otf_fails(monkeypatch, name, wrong):
-    monkeypatch.setattr("pixsim.stability.optics.diffraction_otf", wrong)
+    monkeypatch.setattr("pixsim.accuracy.stability.optics.diffraction_otf", wrong)
     assert not all(case.passed for case in stability.cases_of("optics")), name
 
 
@@ -108,7 +109,7 @@ def test_black_padding_fails(monkeypatch):
         wide = np.pad(picture, 8)
         return optics.diffract(wide, pitch_um, nm, weight, f_number)[8:-8, 8:-8]
 
-    monkeypatch.setattr("pixsim.stability.optics.diffract", padded)
+    monkeypatch.setattr("pixsim.accuracy.stability.optics.diffract", padded)
     assert not cases("optics")["mean of pictures of 1×1 to 24×40 samples behind f/0.5 to a pinhole"].passed
 
 
@@ -170,8 +171,8 @@ def test_frames_of_one_pixel_or_one_row_are_shown(interpolation, shape):
     ],
 )
 def test_wrong_pixels_fail(monkeypatch, name, wrong):
-    monkeypatch.setattr("pixsim.stability.integration.integrate_pixels", wrong)
-    monkeypatch.setattr("pixsim.stability.integration.LONG", 200)
+    monkeypatch.setattr("pixsim.accuracy.stability.integration.integrate_pixels", wrong)
+    monkeypatch.setattr("pixsim.accuracy.stability.integration.LONG", 200)
     failed = [case.name for case in stability.cases_of("integration") if not case.passed]
     assert len(failed) > 3, name
 
@@ -250,8 +251,8 @@ def test_electrons_are_summed_in_double():
     nm = np.arange(405.0, 700.0, 10)
     data = np.random.default_rng(0).uniform(0.5, 1.5, (8, 8, nm.size)).astype(np.float32)
     image, physics = SpectralImage(nm, 10.0, 20.0, data=data), derive(Pixel(pitch_um=20.0))
-    weight = sensor.electrons_per_joule(physics, image) * 1e-12
-    found = sensor.ideal_rate(image, physics)
+    weight = electrons_per_joule(physics, image) * 1e-12
+    found = ideal_rate(image, physics)
     assert found.dtype == np.float64
     np.testing.assert_allclose(found, [[math.fsum(weight * one) for one in row] for row in data.astype(float)], rtol=1e-14)
 
@@ -259,12 +260,12 @@ def test_electrons_are_summed_in_double():
 @pytest.mark.parametrize(
     ("target", "wrong"),
     [
-        ("electrons_per_joule", lambda physics, image: 1.001 * sensor.electrons_per_joule(physics, image)),
-        ("mean_signal_rate", lambda image, camera, physics: 1e-300 + sensor.mean_signal_rate(image, camera, physics)),
+        ("electrons_per_joule", lambda physics, image: 1.001 * electrons_per_joule(physics, image)),
+        ("mean_signal_rate", lambda image, camera, physics: 1e-300 + mean_signal_rate(image, camera, physics)),
         ("image_of", lambda lamp, bands: even(bands.wavelength_nm, np.interp(bands.wavelength_nm, lamp.nodes_nm, lamp.values))),
     ],
     ids=["0.1 % of QE", "a glimmer in the dark", "lamps read at the middle of bands"],
 )
 def test_wrong_spectra_fail(monkeypatch, target, wrong):
-    monkeypatch.setattr(f"pixsim.stability.spectra.{target}", wrong)
+    monkeypatch.setattr(f"pixsim.accuracy.stability.spectra.{target}", wrong)
     assert not all(case.passed for case in stability.cases_of("spectra"))

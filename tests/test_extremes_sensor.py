@@ -10,14 +10,14 @@ import pytest
 from pydantic import ValidationError
 
 import pixsim
-from pixsim.errors import PixsimError
-from pixsim.messages import explain
-from pixsim.parameters import Camera, Display, Exposure, Pixel, Run, Study
-from pixsim.pixel import derive, smallest_pitch_um
-from pixsim.pixel_grid import integrate_axis, integrate_pixels
-from pixsim.sensor import capture, draw_sensor, expose, make_sensor, mean_signal_rate
-from pixsim.spectral import SpectralImage
-from pixsim.technology import Junction, Technology, load_technology
+from pixsim.base.config import explain
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Run, Study
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.integration import integrate_axis, integrate_pixels, mean_signal_rate
+from pixsim.sensor.pixel import derive, smallest_pitch_um
+from pixsim.sensor.readout import capture, draw_sensor, expose, make_sensor
+from pixsim.sensor.technology import Junction, Technology, load_technology
 
 NM = np.array([450.0, 550.0, 650.0])
 DIE_UM = 52.0
@@ -208,7 +208,7 @@ def test_a_pitch_just_above_the_smallest_is_refused(technology):
 
 def test_the_hint_fits_a_process_of_small_fill_factors(monkeypatch):
     crowded = load_technology("0.35um").model_copy(update={"fill_factor_limit": 0.04})
-    monkeypatch.setattr("pixsim.pixel.load_technology", lambda _: crowded)
+    monkeypatch.setattr("pixsim.sensor.pixel.load_technology", lambda _: crowded)
     with pytest.raises(PixsimError, match=r"2 % fill factor is reached at"):
         derive(Pixel(pitch_um=1.0))
 

@@ -8,9 +8,10 @@ import warnings
 import numpy as np
 import pytest
 
-from pixsim import scielab, stability
-from pixsim.errors import PixsimError
-from pixsim.scielab import delta_e, delta_e_map, filtered_grey_lab, filtered_lab
+from pixsim.accuracy import stability
+from pixsim.base.errors import PixsimError
+from pixsim.viewer import scielab
+from pixsim.viewer.scielab import delta_e, delta_e_map, filtered_grey_lab, filtered_lab
 
 WHITE = np.array([95.047, 100.0, 108.883])
 FILTERS = ("published", "zhang1996")
@@ -169,7 +170,7 @@ def test_grey_has_no_hue_to_trip_over(formula, chroma):
     ],
 )
 def test_a_wrong_viewer_fails(monkeypatch, name, target, wrong):
-    monkeypatch.setattr(f"pixsim.stability.viewer.{target}", wrong)
+    monkeypatch.setattr(f"pixsim.accuracy.stability.viewer.{target}", wrong)
     assert not all(case.passed for case in stability.cases_of("viewer")), name
 
 

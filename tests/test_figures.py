@@ -11,8 +11,8 @@ from matplotlib.colors import same_color, to_rgb
 from matplotlib.lines import Line2D
 from test_plates import every_plate, evidence, result  # noqa: F401
 
-from pixsim.figures import COLOURS, LOOKS, new_figure
-from pixsim.paper import Evidence
+from pixsim.show.figures import COLOURS, LOOKS, new_figure
+from pixsim.studies.claims import Evidence
 
 TOGETHER = 4  # most lines that only colour and dashes tell apart
 EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")

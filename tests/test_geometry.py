@@ -9,9 +9,9 @@ import pytest
 from edits import END, VARIANT, edited, load
 
 import pixsim
-from pixsim.geometry import Body, blur_um, face_one_way, find_bodies, greatest_blur_um
-from pixsim.mitsuba_xml import speaking_mitsuba
-from pixsim.scene import sensor_node
+from pixsim.scene.contents import Body, blur_um, face_one_way, find_bodies, greatest_blur_um
+from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.scene import sensor_node
 
 LOOK = '<lookat origin="0, 0, 0" target="0, 0, 1" up="0, 1, 0"/>'
 

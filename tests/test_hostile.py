@@ -28,17 +28,20 @@ from hypothesis import strategies as st
 from processes import HANG_S
 
 import pixsim
-from pixsim import cache, cli, datasheet, figures
-from pixsim.cli.base import settings_of
-from pixsim.errors import PixsimError, refuse
-from pixsim.evaluations import COLUMNS, TEXTS
-from pixsim.exr import read_channels
-from pixsim.ledger import Ledger
-from pixsim.quantum_efficiency import as_quantum_efficiency
-from pixsim.scene import load_scene
-from pixsim.sfr_report import read_edge_picture
-from pixsim.sweep import load_study
-from pixsim.technology import load_technology
+from pixsim import cli
+from pixsim.base import cache
+from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.parameters import as_quantum_efficiency
+from pixsim.cli.options import settings_of
+from pixsim.light.exr import read_channels
+from pixsim.measure import datasheet
+from pixsim.measure.sfr import read_edge_picture
+from pixsim.scene.scene import load_scene
+from pixsim.sensor.technology import load_technology
+from pixsim.show import figures
+from pixsim.studies.evaluations import COLUMNS, TEXTS, Ledger
+from pixsim.studies.study import load_study
 
 COMMAND = [sys.executable, "-m", "pixsim"]
 FEW = {"shape": (60, 60), "stack_frames": 8}  # of a data sheet's experiment, where only what is written of it counts
@@ -47,7 +50,8 @@ COMMAND_OF_FEW = [
     "-c",
     f"""
 import functools
-from pixsim import cli, datasheet
+from pixsim import cli
+from pixsim.measure import datasheet
 datasheet.make_datasheet = functools.partial(datasheet.make_datasheet, **{FEW})
 cli.main()
 """,
@@ -512,7 +516,7 @@ def test_rows_without_end(tmp_path):
 
 @pytest.mark.filterwarnings("ignore:cache")
 def test_a_cache_of_garbage(tmp_path, monkeypatch):
-    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path))
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     for kind in ("a", "b"):
         (tmp_path / kind).mkdir()
     for number, path in enumerate(no_files(tmp_path / "a", ".npz")):

@@ -12,12 +12,14 @@ from edits import edited
 from test_cli import command
 
 import pixsim
-from pixsim import cache, convergence, kept_renders
-from pixsim.cache import FOLDER_VARIABLE, LIMIT_VARIABLE
-from pixsim.convergence import render_until
-from pixsim.kept_renders import KeptRenders
-from pixsim.plan import make_render_plan
-from pixsim.renderer import Renderer
+from pixsim.base import cache
+from pixsim.base.cache import LIMIT_VARIABLE
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.scene import convergence
+from pixsim.scene import renderer as kept_renders
+from pixsim.scene.convergence import render_until
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import KeptRenders, Renderer
 
 RUN = "run {scene} --variant scalar_spectral -D resolution=32 --display.dots 32 --config {out}.toml --out {out}"
 
@@ -145,7 +147,7 @@ def test_another_version_renders_again(package, tmp_path, rendered, monkeypatch)
 
 
 def test_a_study_finds_the_render_of_the_study_before(tmp_path, rendered):
-    from pixsim.sweep import load_study, render_for
+    from pixsim.studies.study import load_study, render_for
 
     plan = load_study("chen2000")
     small = plan.model_copy(

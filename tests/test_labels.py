@@ -2,7 +2,8 @@
 
 import pytest
 
-from pixsim.labels import LONGEST, file_label, label_of, labels_of
+from pixsim.base.errors import LONGEST_LABEL as LONGEST
+from pixsim.sensor.technology import file_label, label_of, labels_of
 
 STUDIES = [
     (["0.35um", "0.25um"], ["0.35um", "0.25um"]),

@@ -15,9 +15,12 @@ import pytest
 from processes import HANG_S
 
 import pixsim
-from pixsim import cache, cli
-from pixsim.parameters import Run, Study
-from pixsim.sweep import load_study
+from pixsim import cli
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.parameters import Run, Study
+from pixsim.cli import options
+from pixsim.cli.options import app
+from pixsim.studies.study import load_study
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 SMALL = ["-D", "resolution=64", "--display.dots", "64"]
@@ -52,8 +55,8 @@ def manner_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
     import warnings
 
     monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
-    monkeypatch.setattr(cli.base.manner, "quiet", False)
-    monkeypatch.setattr(cli.base.manner, "verbose", False)
+    monkeypatch.setattr(options.manner, "quiet", False)
+    monkeypatch.setattr(options.manner, "verbose", False)
 
 
 # --- a sensor from its data sheet --------------------------------------------------------------------------------------
@@ -82,7 +85,7 @@ def test_a_data_sheet_is_enough(sheet: Path, tmp_path: Path, capsys: pytest.Capt
 
 
 def test_its_curve_is_straight_between_points_and_nothing_beyond(sheet: Path) -> None:
-    settings = cli.base.settings_of([sheet], {}, None, {})
+    settings = options.settings_of([sheet], {}, None, {})
     physics = pixsim.derive(settings.pixel)
     nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
     np.testing.assert_allclose(physics.quantum_efficiency(nm), [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
@@ -99,7 +102,7 @@ def test_what_a_data_sheet_lacks_is_named(lost: str, sheet: Path, capsys: pytest
 
 def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> None:
     sheet.write_text('[pixel]\ntechnology = "0.35um"\npitch_um = 8.0\nread_noise_e = 5.0\n', encoding="utf-8")
-    physics = pixsim.derive(cli.base.settings_of([sheet], {}, None, {}).pixel)
+    physics = pixsim.derive(options.settings_of([sheet], {}, None, {}).pixel)
     derived = pixsim.derive(pixsim.Pixel(technology="0.35um", pitch_um=8.0))
     assert physics.read_noise_e == 5.0 != derived.read_noise_e
     assert (physics.full_well_e, physics.dark_current_e_per_s) == (derived.full_well_e, derived.dark_current_e_per_s)
@@ -134,7 +137,7 @@ def test_a_curve_that_is_none(text: str, told: str, sheet: Path, capsys: pytest.
 @pytest.mark.parametrize("text", ["400;0,3\n500;0,4\n", "400\t0.3\n500\t0.4\n", "nm;QE\n400,0;0,3\n500;0.4\n"])
 def test_other_separators_and_decimal_commas(text: str, sheet: Path) -> None:
     (sheet.parent / "qe.csv").write_text(text, encoding="utf-8")
-    assert cli.base.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.3), (500.0, 0.4))
+    assert options.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.3), (500.0, 0.4))
 
 
 def test_a_misspelt_key_of_a_data_sheet_is_named(sheet: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,13 +152,13 @@ def test_a_misspelt_key_of_a_data_sheet_is_named(sheet: Path, capsys: pytest.Cap
 def test_a_byte_order_mark_is_no_part_of_a_curve(sheet: Path) -> None:
     """A spreadsheet's "CSV UTF-8" begins with one."""
     (sheet.parent / "qe.csv").write_text("\ufeff400,0.5\n500,0.6\n", encoding="utf-8")
-    assert cli.base.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.5), (500.0, 0.6))
+    assert options.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.5), (500.0, 0.6))
 
 
 def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("qe.csv").write_text("400,0.1\n500,0.1\n", encoding="utf-8")
-    assert cli.base.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency[0] == (400.0, 0.3)
+    assert options.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency[0] == (400.0, 0.3)
     study = sheet.parent / "s.toml"
     study.write_text('name = "s"\n[quick.pixel]\nquantum_efficiency = "qe.csv"\n', encoding="utf-8")
     assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
@@ -163,7 +166,7 @@ def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, 
 
 def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:
     pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
-    from_file = cli.base.settings_of([sheet], {}, None, {}).pixel
+    from_file = options.settings_of([sheet], {}, None, {}).pixel
     assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
 
 
@@ -215,14 +218,14 @@ def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypa
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("the moon is out")
 
-    monkeypatch.setattr("pixsim.outputs.run_and_write", fail)
+    monkeypatch.setattr("pixsim.report.run.run_and_write", fail)
     code, out, err = in_process("run", "csf", capsys=capsys)
     assert (code, out) == (1, "")
     assert err == "pixsim: unexpected RuntimeError: the moon is out\nThis is a mistake of pixsim's. --verbose tells where.\n"
     assert "Traceback" in in_process("run", "csf", "--verbose", capsys=capsys)[2]
-    monkeypatch.setattr("pixsim.outputs.run_and_write", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr("pixsim.report.run.run_and_write", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     assert in_process("run", "csf", capsys=capsys)[0] == 130
-    monkeypatch.setattr("pixsim.outputs.run_and_write", lambda *_, **__: (_ for _ in ()).throw(MemoryError))
+    monkeypatch.setattr("pixsim.report.run.run_and_write", lambda *_, **__: (_ for _ in ()).throw(MemoryError))
     code, _, err = in_process("run", "csf", capsys=capsys)
     assert (code, "out of memory" in err) == (1, True)
 
@@ -231,7 +234,7 @@ def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypa
 
 
 def test_every_command_takes_json_and_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    commands = sorted(name for name in cli.app if not name.startswith("-"))
+    commands = sorted(name for name in app if not name.startswith("-"))
     assert {"run", "study", "plan", "accuracy", "datasheet", "sfr", "chart", "cache", "template", "schema"} <= set(commands)
     for name in commands:
         code, text, _ = in_process(name, "--help", capsys=capsys)
@@ -287,7 +290,7 @@ def test_nothing_is_written_outside_the_output_and_the_cache(tmp_path: Path) -> 
     for folder in (home, here):
         folder.mkdir()
     own = {key: value for key, value in os.environ.items() if not key.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
-    environment = own | {"HOME": str(home), cache.FOLDER_VARIABLE: str(kept), "TMPDIR": str(here)}
+    environment = own | {"HOME": str(home), FOLDER_VARIABLE: str(kept), "TMPDIR": str(here)}
     study = tmp_path / "s.toml"
     study.write_text(
         'name = "s"\nrepeats = 2\n[scene]\nparameters = { resolution = 64 }\n[display]\ndots = 64\n[pitch]\ncount = 5\n',
@@ -304,8 +307,8 @@ def test_nothing_is_written_outside_the_output_and_the_cache(tmp_path: Path) -> 
 def test_kernels_are_kept_where_the_user_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRJIT_CACHE_DIR", "mine")
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
-    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path))
-    cli.base.keep_helpers_files_together()
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+    options.keep_helpers_files_together()
     assert os.environ["DRJIT_CACHE_DIR"] == "mine"
     assert os.environ["MPLCONFIGDIR"] == str(tmp_path / "matplotlib")
 

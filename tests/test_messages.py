@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from test_cli import assert_refused, command
 
-from pixsim.config import Layer
-from pixsim.messages import Unusable, checked
-from pixsim.parameters import Run, Study
+from pixsim.base.config import Unusable, checked
+from pixsim.base.parameters import Layer, Run, Study
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,11 @@ import pytest
 from edits import load, render_plan
 
 import pixsim
-from pixsim import needs, optics
-from pixsim.needs import DARKEST, SAMPLE_COUNTS, Chart, diffraction_effect, samples_needed, sampling_error
-from pixsim.plan import make_render_plan
-from pixsim.renderer import Renderer
+from pixsim import optics
+from pixsim.scene import rules as needs
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.rules import DARKEST, SAMPLE_COUNTS, Chart, diffraction_effect, samples_needed, sampling_error
 
 SIZE = 128
 
@@ -156,8 +157,8 @@ def test_a_large_film_is_told_by_its_steepest_part(monkeypatch):
     lens = 1.0, NM, np.ones(1), 4.0
     whole = diffraction_effect(chart, *lens)
     shapes = []
-    real = optics.diffract
-    monkeypatch.setattr(optics, "diffract", lambda picture, *rest: shapes.append(picture.shape) or real(picture, *rest))
+    real = needs.diffract
+    monkeypatch.setattr(needs, "diffract", lambda picture, *rest: shapes.append(picture.shape) or real(picture, *rest))
     monkeypatch.setattr(needs, "TRIED_SIDE", 128)
     monkeypatch.setattr(needs, "BORDER", 8)
     assert diffraction_effect(chart, *lens, whole / 2) == pytest.approx(whole, rel=0.02)

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.charts import csf_value
-from pixsim.score import Score
-from pixsim.study_result import StudyResult
+from pixsim.scene.charts import csf_value
+from pixsim.studies.result import StudyResult
+from pixsim.viewer.score import Score
 
 MARKUP = '<b>&"title"</b> $x$ µm'
 
 
 @pytest.fixture(scope="module")
 def score() -> Score:
-    from pixsim.spectral import d65
+    from pixsim.light.spectral import d65
 
     nm = np.arange(400.0, 701.0, 10.0)
     y, x = np.meshgrid((np.arange(128) + 0.5) / 128, (np.arange(128) + 0.5) / 128, indexing="ij")

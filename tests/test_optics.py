@@ -13,8 +13,8 @@ from scipy.fft import dct
 from scipy.integrate import quad
 
 from pixsim import optics
-from pixsim.errors import PixsimError
-from pixsim.parameters import Camera
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera
 
 NM = np.array([550.0])
 ONE = np.array([1.0])
@@ -220,7 +220,7 @@ def test_strips_filter_like_the_whole(monkeypatch, shape):
     for axis, n in enumerate(shape):
         spectrum = np.moveaxis(np.moveaxis(spectrum, axis, -1) * np.where(np.arange(n), 2, 1) / n, -1, axis)
     assert np.abs(cosines[0].T @ spectrum @ cosines[1] - blurred).max() < 1e-7
-    monkeypatch.setattr("pixsim.planes.STRIP_SAMPLES", 5)
+    monkeypatch.setattr("pixsim.base.arrays.STRIP_SAMPLES", 5)
     np.testing.assert_array_equal(optics.diffract(picture, 1.0, NM, ONE, 8.0), blurred)
     factor = optics.field_factor(shape, 1.0, 0.1, 4.0, 0.0)
     # The corner of the field by itself: half a sample less than half the film.

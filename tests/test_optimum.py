@@ -15,7 +15,7 @@ from processes import HANG_S
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from pixsim.optimum import (
+from pixsim.studies.optimum import (
     DRAWS,
     Design,
     FittedCurve,
@@ -271,7 +271,7 @@ def test_minima_of_parabolas_lie_between_the_places() -> None:
 ONE_THREAD = """
 import json, sys
 import numpy as np
-from pixsim.optimum import fit_curve
+from pixsim.studies.optimum import fit_curve
 pitch_um, delta_e = map(np.array, json.load(sys.stdin))
 fit = fit_curve(pitch_um, delta_e)
 print(json.dumps([fit.optimum.pitch_um, *fit.optimum.interval_um, *fit.delta_e, *fit.low, *fit.high]))

@@ -11,9 +11,9 @@ import pytest
 from test_cli import assert_refused, command
 
 import pixsim
-from pixsim.exchange import read_with_camera, write_npz
-from pixsim.parameters import CameraOptions
-from pixsim.spectral import write_channels
+from pixsim.base.parameters import CameraOptions
+from pixsim.light.exr import write_channels
+from pixsim.optics.exchange import read_with_camera, write_npz
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
 LENS = "--camera.f-number 2.8"

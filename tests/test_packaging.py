@@ -85,14 +85,18 @@ def test_the_wheel_holds_everything_that_runs(shipped: dict[str, Path]):
     info = f"pixsim-{PROJECT['version']}.dist-info"
     package = ROOT / "pixsim"
     ours = {path.relative_to(ROOT).as_posix() for path in package.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
-    scenes = {f"pixsim/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "scenes").rglob("*") if path.is_file()}
+    scenes = {f"pixsim/data/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "scenes").rglob("*") if path.is_file()}
     assert {
         "pixsim/py.typed",
         "pixsim/data/style.css.j2",
         "pixsim/data/technologies/0.35um.toml",
-        "pixsim/studies/chen2000.toml",
+        "pixsim/data/studies/chen2000.toml",
     } <= ours
-    assert {"pixsim/scenes/csf.xml", "pixsim/scenes/charts/csf.exr", "pixsim/scenes/spectra/macbeth/01_dark_skin.spd"} <= scenes
+    assert {
+        "pixsim/data/scenes/csf.xml",
+        "pixsim/data/scenes/charts/csf.exr",
+        "pixsim/data/scenes/spectra/macbeth/01_dark_skin.spd",
+    } <= scenes
     rest = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")}
     assert names == ours | scenes | rest  # so: no tests, no caches
 

@@ -10,12 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pixsim.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
-from pixsim.merit import (
-    FIGURE_2_INTEGRATION_S,
+from pixsim.base.parameters import Camera, Pixel, Study, pixel_of
+from pixsim.light.spectral import SpectralImage, d65
+from pixsim.optics.diffraction import diffraction_otf
+from pixsim.report.merit import (
     blur_words,
-    dr_and_snr_db,
-    growth_exponent,
     mpe30_lx_s,
     mtf50_cy_per_mm,
     mtf_terms,
@@ -24,27 +23,29 @@ from pixsim.merit import (
     study_mtf_terms,
     system_mtf,
 )
-from pixsim.optics import diffraction_otf
-from pixsim.optimum import fit_curve
-from pixsim.paper import (
+from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
+from pixsim.sensor.pixel import derive, fill_factor_law
+from pixsim.sensor.technology import load_technology
+from pixsim.studies.claims import (
+    FIGURE_2_INTEGRATION_S,
     Evidence,
     Finding,
     Interval,
     by_frequency,
+    dr_and_snr_db,
     findings,
     frequency_bins_lp_per_mm,
     frequency_contrast_table,
+    growth_exponent,
     modes,
     reference_process,
     response_note,
     rise,
     threshold_contrast,
 )
-from pixsim.parameters import Camera, Pixel, Study, pixel_of
-from pixsim.pixel import derive, fill_factor_law
-from pixsim.spectral import SpectralImage, d65
-from pixsim.sweep import Curve, StudyResult, load_study
-from pixsim.technology import load_technology
+from pixsim.studies.optimum import fit_curve
+from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.study import load_study
 
 Array = np.ndarray
 # Dots of a hand-made map: whole numbers of the six frequency and the eight contrast bins.

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pixsim.config import merge
-from pixsim.parameters import Camera, CameraOptions, Display, Exposure, Pixel, Run, Study, content_hash
+from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, Pixel, Run, Study, content_hash, merge
 
 RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
 

@@ -16,17 +16,16 @@ from scipy.constants import k as boltzmann
 from scipy.integrate import quad
 
 import pixsim
-from pixsim import saturation, stability
-from pixsim import sensor as sensors
-from pixsim.errors import PixsimError
-from pixsim.junction import E_PER_FC, Diode, junction_charge_fc, junction_ff
-from pixsim.parameters import Exposure, Pixel
-from pixsim.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
-from pixsim.photodiode_checks import dn_against_light, response_plate, solve_ode, solvers
-from pixsim.pixel import derive
-from pixsim.sensor_plan import decide_saturation
-from pixsim.stability.photodiode import charge_to_e, closed_form_e
-from pixsim.wells import WELL_REFERENCE_S, diode_full_v
+from pixsim.accuracy import stability
+from pixsim.accuracy.solvers import dn_against_light, response_plate, solve_ode, solvers
+from pixsim.accuracy.stability.photodiode import charge_to_e, closed_form_e
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Exposure, Pixel
+from pixsim.scene.plan import decide_saturation
+from pixsim.sensor import photodiode as saturation
+from pixsim.sensor import readout as sensors
+from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
+from pixsim.sensor.pixel import E_PER_FC, WELL_REFERENCE_S, Diode, derive, diode_full_v, junction_charge_fc, junction_ff
 
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 SATURATED = (1e9, 0.03)  # e-/s, s: 30 million electrons into a well of 0.2
@@ -227,7 +226,7 @@ def test_charge_grows_with_light_and_time_and_is_conserved(technology, temperatu
 
 
 def test_the_stability_room_takes_seconds_and_can_fail(monkeypatch):
-    from pixsim.stability import photodiode as room
+    from pixsim.accuracy.stability import photodiode as room
 
     def worst(cases) -> float:
         return stability.worst_of(list(cases))

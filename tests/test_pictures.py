@@ -11,8 +11,8 @@ from matplotlib import colormaps
 from PIL import Image
 
 import pixsim
-from pixsim import pictures
-from pixsim.pictures import LEFT, MAP, TOP, axes_of, delta_e_colours, save_delta_e_png, save_png
+from pixsim.report.pictures import MOST_TICKS, picture_axes
+from pixsim.show.pictures import LEFT, MAP, TOP, delta_e_colours, save_delta_e_png, save_png
 
 
 def light(shape: tuple[int, int] = (16, 16), die_mm: float = 2.7136, **header) -> pixsim.SpectralImage:
@@ -37,7 +37,7 @@ def test_the_map_is_where_its_axes_are(shape, tmp_path):
     """Bright in the upper left quarter and dark elsewhere, whatever the number of dots."""
     delta_e = np.zeros(shape)
     delta_e[: shape[0] // 2, : shape[1] // 2] = 10
-    save_delta_e_png(tmp_path / "map.png", delta_e, light(shape))
+    save_delta_e_png(tmp_path / "map.png", delta_e, picture_axes(light(shape)))
     shown = np.asarray(Image.open(tmp_path / "map.png")).astype(int)
     height, width = (MAP * n // max(shape) for n in shape)
     inside = shown[TOP : TOP + height, LEFT : LEFT + width]
@@ -50,7 +50,8 @@ def test_the_map_is_where_its_axes_are(shape, tmp_path):
 
 
 def test_marks_of_the_csf_chart_follow_its_formula():
-    across, down = axes_of(light(scene="csf.xml"))
+    axes = picture_axes(light(scene="csf.xml"))
+    across, down = axes.across, axes.down
     marks = {text: at_mm / 2.7136 for at_mm, text in across.ticks}
     assert marks["1"] == 0
     assert marks["33.3"] == pytest.approx(1)
@@ -64,22 +65,23 @@ def test_marks_of_the_csf_chart_follow_its_formula():
 
 @pytest.mark.parametrize(("die_mm", "texts"), [(2.7136, "0 0.5 1 1.5 2 2.5"), (6.0, "0 1 2 3 4 5 6"), (0.0119, "0 0.002 0.004")])
 def test_other_marks_are_round_numbers(die_mm, texts):
-    across, down = axes_of(light((8, 16), die_mm))
+    axes = picture_axes(light((8, 16), die_mm))
+    across, down = axes.across, axes.down
     assert " ".join(text for _, text in across.ticks).startswith(texts)
     assert all(at == pytest.approx(float(text)) for at, text in across.ticks)
-    assert 3 <= len(across.ticks) <= pictures.MOST_TICKS
+    assert 3 <= len(across.ticks) <= MOST_TICKS
     assert across.ticks[-1][0] <= die_mm * (1 + 1e-6)
     assert down.ticks[-1][0] <= die_mm / 2 * (1 + 1e-6)
 
 
 def test_equal_maps_are_equal_bytes(tmp_path):
     for name in ("a.png", "b.png"):
-        save_delta_e_png(tmp_path / name, np.ones((8, 8)), light((8, 8)))
+        save_delta_e_png(tmp_path / name, np.ones((8, 8)), picture_axes(light((8, 8))))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_a_run_needs_neither_matplotlib_nor_a_study():
-    code = "import sys, pixsim.outputs, pixsim.pictures; pixsim.pictures.font(15); print(*sys.modules)"
+    code = "import sys, pixsim.report.run, pixsim.show.pictures; pixsim.show.pictures.font(15); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert "pixsim.pictures" in loaded
-    assert not {"matplotlib", "scipy.stats", "pixsim.sweep", "mitsuba"} & set(loaded)
+    assert "pixsim.show.pictures" in loaded
+    assert not {"matplotlib", "scipy.stats", "pixsim.studies.study", "mitsuba"} & set(loaded)

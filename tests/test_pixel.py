@@ -13,12 +13,12 @@ from scipy.constants import h as planck
 from scipy.constants import k as boltzmann
 from scipy.integrate import quad
 
-from pixsim import pixel as pixels
-from pixsim.config import packaged, read_toml
-from pixsim.errors import PixsimError
-from pixsim.parameters import Pixel
-from pixsim.spectral import d65, luminous_weight, photons_per_joule
-from pixsim.technology import Junction, Technology, load_technology, with_fill_factor_law
+from pixsim.base.config import packaged, read_toml
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Pixel
+from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
+from pixsim.sensor import pixel as pixels
+from pixsim.sensor.technology import Junction, Technology, load_technology, with_fill_factor_law
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
 PINNED = ["4t-bsi", "4t-fsi"]

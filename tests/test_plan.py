@@ -14,12 +14,11 @@ from test_cli import assert_refused, command
 
 import pixsim
 from pixsim import optics
-from pixsim.pixel import derive
-from pixsim.plan import make_render_plan
-from pixsim.renderer import Renderer
-from pixsim.scene import packaged_scenes
-from pixsim.sensor import ideal_rate, integrate_pixels
-from pixsim.sensor_plan import UNIFORM_RESOLUTION, make_plan
+from pixsim.scene.plan import UNIFORM_RESOLUTION, make_plan, make_render_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.scene import packaged_scenes
+from pixsim.sensor.integration import ideal_rate, integrate_pixels
+from pixsim.sensor.pixel import derive
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]

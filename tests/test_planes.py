@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pixsim import planes
+from pixsim.base import arrays as planes
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (2, 5, 512), (4, 1024), (7, 1000)])

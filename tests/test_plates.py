@@ -17,17 +17,19 @@ from matplotlib.image import imread
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 import pixsim
-from pixsim.charts import DIE_MM
-from pixsim.curve_plates import delta_e_against_pitch, light_against_detail, optimum_against_technology, other_statistics
-from pixsim.evaluations import pixel_of
-from pixsim.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
-from pixsim.merit import dr_and_snr_db, growth_exponent, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
-from pixsim.optimum import Optimum
-from pixsim.paper import Evidence
-from pixsim.paper_figures import figure_2a, figure_2b, map_plates, scene_plates
-from pixsim.plates import Plate, pictures
-from pixsim.spectral import SpectralImage
-from pixsim.sweep import StudyResult
+from pixsim.base.parameters import pixel_of
+from pixsim.light.spectral import SpectralImage
+from pixsim.report.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
+from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
+from pixsim.report.pictures import picture_axes
+from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
+from pixsim.report.views import study_pictures
+from pixsim.scene.charts import DIE_MM
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
+from pixsim.show.pages import Plate
+from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
+from pixsim.studies.optimum import Optimum
+from pixsim.studies.result import StudyResult, delta_e_against_pitch
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
 STUDY = {
@@ -85,7 +87,7 @@ def every_plate(evidence: Evidence) -> dict[str, Plate]:
         delta_e_against_pitch(result, [curve]),
         delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
         other_statistics(result, curve),
-        pictures(result, curve, scores[0], [score.delta_e for score in scores], "pictures_0.35um"),
+        study_pictures(result, curve, scores[0], [score.delta_e for score in scores], "pictures_0.35um"),
         optimum_against_technology(scaled(result)),
     ]
     return {plate.name: plate for plate in plates}
@@ -378,7 +380,7 @@ def test_the_darkest_bars_are_told_of_the_chart_that_has_them(result: StudyResul
 def axes_for(width: int, height: int, pitch_um: float, header: dict[str, object]) -> Axes:
     irradiance = SpectralImage([550.0], [10.0], pitch_um, data=np.ones((height, width, 1)), header=header)
     axes = new_figure(3, 3).subplots()
-    label_axes(axes, irradiance)
+    label_axes(axes, picture_axes(irradiance))
     return axes
 
 

@@ -26,13 +26,13 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 import pixsim
-from pixsim.errors import PixsimError
-from pixsim.messages import explain
-from pixsim.parameters import Camera, CameraOptions, Display, Effort, Exposure, PitchRange, Pixel, PixelOptions, Record
-from pixsim.pixel import derive
-from pixsim.sensor import Frame, capture_rate, draw_sensor
-from pixsim.spectral import SpectralImage
-from pixsim.technology import Junction, Technology, load_technology
+from pixsim.base.config import explain
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Exposure, PitchRange, Pixel, PixelOptions, Record
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import Frame, capture_rate, draw_sensor
+from pixsim.sensor.technology import Junction, Technology, load_technology
 
 REPEATABLE = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
 DECADES_THAT_COUNT = 2.0  # wider ranges are drawn evenly in their logarithm
@@ -292,7 +292,7 @@ def test_any_process_takes_pictures_or_is_refused() -> None:
         fields.pop("capacitance", None)
         with nothing_but_refusals(outcomes):
             technology = Technology.model_validate(process)
-            with patch("pixsim.pixel.load_technology", lambda _: technology):
+            with patch("pixsim.sensor.pixel.load_technology", lambda _: technology):
                 physics = derive(Pixel.model_validate(fields))
             sensor = draw_sensor(physics, (3, 4), np.random.default_rng(level[2]))
             rate = picture("random", (3, 4), *level) * 1e20 * physics.photodiode_area_um2

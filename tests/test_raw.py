@@ -13,8 +13,8 @@ from PIL.PngImagePlugin import PngInfo
 
 import pixsim
 from pixsim import cli
-from pixsim.raw import BLACK_LEVEL_TAG, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame
-from pixsim.sensor import Frame
+from pixsim.sensor.raw import BLACK_LEVEL_TAG, FACTS, SUFFIXES, WHITE_LEVEL_TAG, RawFrame
+from pixsim.sensor.readout import Frame
 
 CODES = np.array([[0, 1, 2, 4095], [64, 1000, 4094, 63], [7, 8, 9, 10]], np.int32)
 

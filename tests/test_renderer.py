@@ -15,13 +15,20 @@ from edits import END, edited
 from processes import HANG_S
 
 import pixsim
-from pixsim import charts, cli, optics, sensor, spectral
-from pixsim.errors import PixsimError
-from pixsim.pixel import derive
-from pixsim.plan import make_render_plan
-from pixsim.renderer import Renderer
-from pixsim.scene import packaged_scenes
-from pixsim.variant import find_llvm
+from pixsim import optics
+from pixsim.base import arrays
+from pixsim.base.errors import PixsimError
+from pixsim.cli.commands import run
+from pixsim.light import spectral
+from pixsim.light.exr import write_channels
+from pixsim.scene import charts
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.variant import find_llvm
+from pixsim.sensor import readout as sensor
+from pixsim.sensor.integration import pixel_count
+from pixsim.sensor.pixel import derive
 
 NEEDS_LLVM = pytest.mark.skipif(find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
 LLVM = pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM)
@@ -191,7 +198,7 @@ def grating_folder(tmp_path_factory):
 def mean_electrons(image, camera, pixel) -> np.ndarray:
     """`Frame.mean_e` of one row of a strip."""
     physics = derive(pixel)
-    count = tuple(sensor.pixel_count(n * image.pitch_um, pixel.pitch_um) for n in image.shape)
+    count = tuple(pixel_count(n * image.pitch_um, pixel.pitch_um) for n in image.shape)
     rng = np.random.default_rng(0)
     frame = pixsim.capture(image, camera, sensor.draw_sensor(physics, count, rng), rng=rng)
     return frame.mean_e.mean(axis=0) / frame.integration_s
@@ -266,7 +273,7 @@ def test_top_left_stays_top_left_in_every_file(tmp_path):
     (tmp_path / "options.toml").write_text("pixel.pitch_um = 42.4\ndisplay.dots = 64")
     out = tmp_path / "out"
     define = [f"chart={tmp_path / 'corners.exr'}", "resolution=64"]
-    cli.run("flat", define=define, config=[tmp_path / "options.toml"], out=out)
+    run("flat", define=define, config=[tmp_path / "options.toml"], out=out)
 
     def stored(name: str, channel: str) -> np.ndarray:
         with OpenEXR.File(str(out / name), separate_channels=True) as file:
@@ -454,7 +461,7 @@ def test_a_second_lamp_of_another_spectrum(tmp_path):
 def test_a_fitted_lamp_beside_one_whose_colours_vary(tmp_path):
     """The weights of a fit have both signs: its bands alone may be a little below zero, its pictures never."""
     rgb = np.random.default_rng(0).uniform(0, 1, (3, 4, 4))
-    spectral.write_channels(tmp_path / "sky.exr", dict(zip("RGB", rgb, strict=True)), {})
+    write_channels(tmp_path / "sky.exr", dict(zip("RGB", rgb, strict=True)), {})
     sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="1e-6"/></emitter>'
     path = edited(tmp_path, "macbeth", (END, sky))
     scene = pixsim.load_scene(path, lamp="spectra/fl11.spd", resolution=32, variant="scalar_spectral")
@@ -505,7 +512,7 @@ def large(monkeypatch):
     scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=1024, spp=4)
     job = Renderer(scene, scene.camera(), make_render_plan(scene), 0)
     assert job._loaded
-    monkeypatch.setattr(spectral, "BLOCK_SAMPLES", 1 << 13)
+    monkeypatch.setattr(arrays, "BLOCK_SAMPLES", 1 << 13)
     monkeypatch.setattr(mitsuba, "render", grey)
     return job
 

@@ -13,9 +13,9 @@ import pytest
 from browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 
 import pixsim
-from pixsim.assumed import Light
-from pixsim.report import plates_of_curves, write_report
-from pixsim.sweep import StudyResult
+from pixsim.report.settings import Light
+from pixsim.report.study import plates_of_curves, write_report
+from pixsim.studies.result import StudyResult
 
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"
 STUDY = {

@@ -10,12 +10,11 @@ from edits import END, FOLDER, decision, edited, left_out, load, render_plan
 from scipy.special import j1
 
 import pixsim
-from pixsim.charts import sine_value
-from pixsim.errors import PixsimError
-from pixsim.geometry import blur_um
-from pixsim.plan import make_render_plan
-from pixsim.rules import BLUR_SHARE, BLURRED_EDGE, TOLERANCE_E
-from pixsim.sensor_plan import make_plan
+from pixsim.base.errors import PixsimError
+from pixsim.scene.charts import sine_value
+from pixsim.scene.contents import blur_um
+from pixsim.scene.plan import make_plan, make_render_plan
+from pixsim.scene.rules import BLUR_SHARE, BLURRED_EDGE, TOLERANCE_E
 
 RULES = {"spectral rank", "bounces", "lens samples", "texture samples", "diffraction"}
 HALF, AWAY = 'x="$chart_half_width" y="$chart_half_width"', '<translate z="$focus_distance"/>'

@@ -13,11 +13,10 @@ import pytest
 from browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 from test_cli import command
 
-from pixsim.details import MOST_DOTS, factor_for, reduced
-from pixsim.pictures import grey_codes
-from pixsim.run_page import FILES, shown_picture
-from pixsim.spectral import read_channels
-from pixsim.views import Picture
+from pixsim.light.exr import read_channels
+from pixsim.report.run import FILES, shown_picture
+from pixsim.show.pictures import MOST_PICTURE_DOTS as MOST_DOTS
+from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced
 
 LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from pixsim import running_sum
-from pixsim.pixel_grid import integrate_axis, integrate_pixels
-from pixsim.running_sum import Columns, running_integral
+from pixsim.sensor import integration as running_sum
+from pixsim.sensor.integration import Columns, integrate_axis, integrate_pixels, running_integral
 
 
 def smooth(shape: tuple[int, int], seed: int = 1) -> np.ndarray:

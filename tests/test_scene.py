@@ -10,13 +10,16 @@ import pytest
 from edits import END, edited
 
 import pixsim
-from pixsim import charts, optics, spectral
-from pixsim.errors import PixsimError
-from pixsim.lamps import Lamp, find_lamp, find_lamps
-from pixsim.mitsuba_xml import import_mitsuba
-from pixsim.parameters import CameraOptions
-from pixsim.scene import packaged_scenes
-from pixsim.spectrum import grid_nm
+from pixsim import optics
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import CameraOptions
+from pixsim.light import spectral
+from pixsim.light.exr import write_channels
+from pixsim.light.spectral import grid_nm
+from pixsim.scene import charts
+from pixsim.scene.contents import Lamp, find_lamp, find_lamps
+from pixsim.scene.mitsuba import import_mitsuba
+from pixsim.scene.scene import packaged_scenes
 
 CHARTS = ["csf", "flat", "siemens_star", "slanted_edge"]
 SHIPPED = sorted([*CHARTS, "line_lamp", "macbeth", "still_life"])
@@ -423,7 +426,7 @@ def test_maps_may_be_below_zero_wherever_they_lie(tmp_path, monkeypatch):
         folder.mkdir()
         path = edited(folder, "macbeth", (END, ball))
         monkeypatch.chdir(tmp_path)
-        spectral.write_channels((tmp_path if here else folder) / "bump.exr", {"Y": np.full((4, 4), -1.0)}, {})
+        write_channels((tmp_path if here else folder) / "bump.exr", {"Y": np.full((4, 4), -1.0)}, {})
         pixsim.load_scene(path)
 
 

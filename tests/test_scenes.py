@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim import optics, spectral
-from pixsim import variant as variants
-from pixsim.mitsuba_xml import import_mitsuba, nodes_of, parse, plain, speaking_mitsuba
-from pixsim.scene import packaged_scenes
+from pixsim import optics
+from pixsim.light import spectral
+from pixsim.light.exr import read_channels
+from pixsim.scene import variant as variants
+from pixsim.scene.mitsuba import import_mitsuba, nodes_of, parse, plain, speaking_mitsuba
+from pixsim.scene.scene import packaged_scenes
 
 SCENES = ["line_lamp", "macbeth", "still_life"]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
@@ -410,7 +412,7 @@ def test_pixsim_and_mitsuba_agree_on_the_still_life():
 def test_step_another_chart(step):
     picture = step.radiance
     left, right = picture[8:40, 3:16].mean(axis=(0, 1)), picture[8:40, 32:45].mean(axis=(0, 1))
-    texels = spectral.read_channels(step.path.parent / step.parameters["chart"])[0]["Y"]
+    texels = read_channels(step.path.parent / step.parameters["chart"])[0]["Y"]
     assert {float(texels[500, 20]), float(texels[500, -20])} == {np.float32(0.1), 1.0}
     np.testing.assert_allclose(left / right, texels[500, 20] / texels[500, -20], rtol=1e-2)  # .5 % at 530 nm, on a line's flank
 

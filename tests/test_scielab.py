@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from pixsim import eye_filters, scielab
-from pixsim.errors import PixsimError
+from pixsim.base.errors import PixsimError
+from pixsim.viewer import scielab
+from pixsim.viewer import scielab as eye_filters
 
 D65 = np.array([95.047, 100.0, 108.883])
 FILTERS = ["published", "zhang1996"]
@@ -310,7 +311,7 @@ def test_strips_and_the_fused_difference_are_the_whole(monkeypatch, filters):
     reference = scielab.filtered_lab(first[..., None] * D65, **view)
     seen = scielab.filtered_lab(second[..., None] * D65, **view)
     expected = np.sqrt(((reference - seen) ** 2).sum(axis=-1))
-    monkeypatch.setattr("pixsim.planes.STRIP_SAMPLES", 13)
+    monkeypatch.setattr("pixsim.base.arrays.STRIP_SAMPLES", 13)
     np.testing.assert_array_equal(scielab.filtered_lab(first[..., None] * D65, **view), reference)
     found = scielab.grey_delta_e_map(reference, second, **view)
     assert (seen[..., 0] < 8).any()  # on CIELAB's straight line

@@ -7,15 +7,15 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from pixsim import display as displays
-from pixsim import optics, score
-from pixsim.charts import csf_value
-from pixsim.parameters import Camera, Display, Exposure, Pixel
-from pixsim.pixel import derive
-from pixsim.pixel_grid import diffracted_rate, ideal_rate, integrate_pixels
-from pixsim.running_sum import Columns
-from pixsim.scielab import delta_e, filtered_lab
-from pixsim.spectral import SpectralImage, d65
+from pixsim import optics
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage, d65
+from pixsim.scene.charts import csf_value
+from pixsim.sensor.integration import Columns, diffracted_rate, ideal_rate, integrate_pixels
+from pixsim.sensor.pixel import derive
+from pixsim.viewer import display as displays
+from pixsim.viewer import score
+from pixsim.viewer.scielab import delta_e, filtered_lab
 
 NM = np.arange(400.0, 721.0, 10)
 CAMERA = Camera(die_mm=2.7136)
@@ -78,7 +78,7 @@ def test_the_light_is_weighed_in_strips_as_in_one_piece(monkeypatch, bands):
     image = chart(40)
     if bands:
         image = SpectralImage(NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands)))
-    monkeypatch.setattr("pixsim.pixel_grid.STRIP_VALUES", 100)
+    monkeypatch.setattr("pixsim.sensor.integration.STRIP_VALUES", 100)
     weight = np.random.default_rng(4).normal(size=image.wavelength_nm.size)
     exact = np.einsum("yxb,b->yx", image.data.astype(float), weight)
     found = score.displays.weighted(image, weight)

@@ -18,25 +18,28 @@ from browser import BROWSER, assert_fits, assert_prints
 
 import pixsim
 from pixsim import cli
-from pixsim.config import packaged, read_toml
-from pixsim.evaluations import study_pitches_um
-from pixsim.optimum import fit_curve
-from pixsim.paper import Evidence, findings, scaling_rows
-from pixsim.plates import Plate
-from pixsim.sensitivity import (
+from pixsim.base.config import packaged, read_toml
+from pixsim.sensor.readout import Frame
+from pixsim.sensor.technology import load_technology
+from pixsim.show.pages import Plate
+from pixsim.studies.claims import Evidence, findings, scaling_rows
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.optimum import fit_curve
+from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.sensitivity import (
     Case,
     Sensitivity,
     SensitivityResult,
     cases_of,
+    differing,
     file_name,
     moves_of,
     run_sensitivity,
+    tornado,
     turned_words,
+    write_sensitivity_report,
 )
-from pixsim.sensitivity_report import differing, tornado, write_sensitivity_report
-from pixsim.sensor import Frame
-from pixsim.sweep import Curve, StudyResult, load_study, refuse_bad_pitches
-from pixsim.technology import load_technology
+from pixsim.studies.study import load_study, refuse_bad_pitches
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
 BASE_TOML = """
@@ -196,7 +199,7 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
 def test_a_setting_that_cannot_be_is_refused_before_the_render(
     change: str, told: str, desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pixsim.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
     (desk / "wrong.toml").write_text(SENSITIVITY_TOML.replace("set.camera.f_number = 2.8", change), encoding="utf-8")
     code, _, complaint = command("study wrong.toml --out wrong")
     assert code == 2
@@ -382,7 +385,7 @@ def test_the_page_and_the_summary_say_what_turns_each_verdict(ranged: tuple[Sens
 
 
 def test_a_number_that_no_technology_has_is_refused(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
     wrong = Sensitivity.model_validate(SENSITIVITY | {"ranges": {"dark": "dark_current"}})
     with pytest.raises(pixsim.PixsimError, match=r"ranges\.dark: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"):
         run_sensitivity(wrong, desk / "wrong", jobs=1)
@@ -416,7 +419,7 @@ def test_the_tornado_draws_its_table() -> None:
 
 @pytest.fixture(scope="module")
 def shipped() -> Sensitivity:
-    return Sensitivity.model_validate(read_toml(packaged("studies")["chen2000-sensitivity"]))
+    return Sensitivity.model_validate(read_toml(packaged("data/studies")["chen2000-sensitivity"]))
 
 
 def test_every_case_that_is_shipped_can_run_and_differs_from_the_base(shipped: Sensitivity) -> None:
@@ -485,7 +488,7 @@ def test_the_numbers_that_are_shipped_move_in_every_process(shipped: Sensitivity
 
 
 def test_the_quick_table_leaves_a_sensitivity_study() -> None:
-    table = read_toml(packaged("studies")["chen2000-sensitivity"])
+    table = read_toml(packaged("data/studies")["chen2000-sensitivity"])
     quick = Sensitivity.model_validate(table | table["quick"])
     assert quick.technologies == ("0.35um",)
     assert len(quick.technologies) < len(Sensitivity.model_validate(table).technologies)

@@ -13,12 +13,13 @@ from scipy.constants import c as light_speed
 from scipy.constants import h as planck
 from scipy.stats import poisson
 
-from pixsim import sensor as sensors
-from pixsim.errors import PixsimError
-from pixsim.parameters import Camera, Exposure, Pixel
-from pixsim.pixel import PixelPhysics, derive
-from pixsim.saturation import linear_limit_e
-from pixsim.spectral import SpectralImage, photons_per_joule
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage, photons_per_joule
+from pixsim.sensor import readout as sensors
+from pixsim.sensor.integration import diffracted_rate, electrons_per_joule, integrate_pixels, mean_signal_rate
+from pixsim.sensor.photodiode import linear_limit_e
+from pixsim.sensor.pixel import PixelPhysics, derive
 
 SHAPE = (4, 250_000)
 SIGMAS = 5.0
@@ -53,7 +54,7 @@ def cell_means(antiderivative, n: int, length: float) -> np.ndarray:
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 2), (4, 5), (6, 7), (40, 31)])
 @pytest.mark.parametrize("pitch_um", [1.0, 0.4, 0.7])
 def test_a_constant_picture_gives_value_times_area(shape, pitch_um):
-    found = sensors.integrate_pixels(np.full(shape, 7.0), 1.0, pitch_um, 0.6 * pitch_um)
+    found = integrate_pixels(np.full(shape, 7.0), 1.0, pitch_um, 0.6 * pitch_um)
     assert found.shape == tuple(int(n / pitch_um + 1e-6) for n in shape)
     np.testing.assert_allclose(found, 7.0 * 0.36 * pitch_um**2, rtol=1e-12)
 
@@ -62,7 +63,7 @@ def test_a_constant_picture_gives_value_times_area(shape, pitch_um):
 def test_full_fill_factor_counts_every_electron_once(pitch_um):
     # All these divide 70 samples, up to rounding.
     rate = 1 + np.cumsum(seeded(1).uniform(-0.05, 0.05, (70, 70)), axis=1)
-    pixels = sensors.integrate_pixels(rate, 1.0, pitch_um, pitch_um)
+    pixels = integrate_pixels(rate, 1.0, pitch_um, pitch_um)
     assert pixels.shape == (round(70 / pitch_um),) * 2
     assert pixels.sum() == pytest.approx(rate.sum(), rel=1e-11)
     if pitch_um in (1.0, 2.0, 35.0):  # borders of cells: the running sum itself
@@ -81,7 +82,7 @@ def test_pixels_that_do_not_divide_the_picture_are_centred_and_conserve(pitch_um
     count = int(length_um / pitch_um)
     low, high = length_um / 2 - count * pitch_um / 2, length_um / 2 + count * pitch_um / 2
     expected = antiderivative(high) - antiderivative(low)
-    rows = sensors.integrate_pixels(np.tile(line, (n, 1)), 1.0, pitch_um, pitch_um)
+    rows = integrate_pixels(np.tile(line, (n, 1)), 1.0, pitch_um, pitch_um)
     assert rows.shape == (count, count)
     # The function is smooth on this grid; its spline errs by 1.3e-10. Half a sample off centre gives 8e-4.
     np.testing.assert_allclose(rows.sum(axis=1), expected * pitch_um, rtol=1e-9)
@@ -90,7 +91,7 @@ def test_pixels_that_do_not_divide_the_picture_are_centred_and_conserve(pitch_um
 
 def test_pixels_and_photodiodes_are_centred():
     ramp = np.tile(np.arange(9.0) + 0.5, (6, 1))
-    pixels = sensors.integrate_pixels(ramp, 1.0, 2.0, 1.0)
+    pixels = integrate_pixels(ramp, 1.0, 2.0, 1.0)
     # Four columns of 2 µm in 9 µm: centres at 1.5, 3.5, 5.5, 7.5 µm; a linear picture's integral is centre × area.
     np.testing.assert_allclose(pixels, np.tile([1.5, 3.5, 5.5, 7.5], (3, 1)), rtol=1e-12)
 
@@ -100,7 +101,7 @@ def test_pixels_and_photodiodes_are_centred():
 def test_contrast_of_a_sinusoid_is_the_sinc_of_the_photodiode(frequency_lp_per_mm, pitch_um, fill_factor):
     omega, contrast, side_um = 2e-3 * np.pi * frequency_lp_per_mm, 0.5, pitch_um * np.sqrt(fill_factor)
     line = cell_means(lambda x: x - contrast / omega * np.cos(omega * x + 0.3), 1024, DIE_UM)
-    pixels = sensors.integrate_pixels(np.tile(line, (8, 1)), DIE_UM / 1024, pitch_um, side_um)[0]
+    pixels = integrate_pixels(np.tile(line, (8, 1)), DIE_UM / 1024, pitch_um, side_um)[0]
     x = DIE_UM / 2 + (np.arange(pixels.size) - (pixels.size - 1) / 2) * pitch_um
     waves = np.stack([np.ones_like(x), np.sin(omega * x), np.cos(omega * x)], axis=1)
     mean, sine, cosine = np.linalg.lstsq(waves, pixels, rcond=None)[0]
@@ -114,7 +115,7 @@ def test_contrast_of_a_sinusoid_is_the_sinc_of_the_photodiode(frequency_lp_per_m
 
 def test_a_pitch_larger_than_the_die_is_refused():
     with pytest.raises(PixsimError, match=r"pitch_um: got 11; allowed: at most the die, 10"):
-        sensors.integrate_pixels(np.ones((10, 20)), 1.0, 11.0, 5.0)
+        integrate_pixels(np.ones((10, 20)), 1.0, 11.0, 5.0)
     with pytest.raises(PixsimError, match=r"pitch_um: got 3000; allowed: at most the die, 2713\.6"):
         sensors.make_sensor(Pixel(pitch_um=3000), Camera())
 
@@ -388,7 +389,7 @@ def test_electrons_do_not_depend_on_oversampling():
     rates = []
     for n in (256, 1024):
         irradiance = SpectralImage(NM, WIDTH_NM, DIE_UM / n, factors=([[1e-3, 2e-3, 4e-3]], [picture(n)]))
-        rates.append(sensors.mean_signal_rate(irradiance, Camera(), derive(Pixel(pitch_um=9.1))))
+        rates.append(mean_signal_rate(irradiance, Camera(), derive(Pixel(pitch_um=9.1))))
     coarse, fine = rates
     assert coarse.shape == fine.shape == (298, 298)
     # Found: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4 (the picture's slope is cut there).
@@ -406,7 +407,7 @@ def test_a_grating_behind_the_lens_keeps_the_contrast_of_a_pupil_of_2_sin_alpha(
     pitch_um = 1e3 * periods / (0.3 * 2 * sin_alpha / wavelength_mm) / n
     cosine = np.cos(2 * np.pi * periods * (np.arange(n) + 0.5) / n)  # an even number of half periods: reflected smoothly
     light = SpectralImage([550.0], 10.0, pitch_um, factors=([[1e-3]], [np.tile(1 + 0.5 * cosine, (4, 1))]))
-    rate = sensors.diffracted_rate(light, camera, derive(Pixel()))
+    rate = diffracted_rate(light, camera, derive(Pixel()))
     contrast = 2 * (rate * cosine).mean() / rate.mean() / 0.5
     otf = 2 / np.pi * (np.arccos(0.3) - 0.3 * np.sqrt(1 - 0.3**2))
     assert contrast == pytest.approx(otf, rel=1e-6)  # float32 pictures
@@ -418,7 +419,7 @@ def test_general_and_factored_images_give_the_same_electrons():
     factored = SpectralImage(NM, WIDTH_NM, 4.0, factors=(spectra, pictures))
     general = SpectralImage(NM, WIDTH_NM, 4.0, data=np.einsum("rb,ryx->yxb", spectra, pictures))
     physics = derive(Pixel(pitch_um=8.0))
-    one, other = (sensors.mean_signal_rate(image, Camera(), physics) for image in (factored, general))
+    one, other = (mean_signal_rate(image, Camera(), physics) for image in (factored, general))
     # Two convolutions with white-light OTFs against three with one band each; float32 and the OTF's table.
     np.testing.assert_allclose(one, other, rtol=1e-6)
 
@@ -435,18 +436,18 @@ def test_negative_lobes_of_a_factored_image_cancel(diffraction):
     assert factored.data.min() > 0
     general = SpectralImage(NM, WIDTH_NM, 4.0, data=factored.data, header=header)
     physics = derive(Pixel(pitch_um=8.0))
-    one, other = (sensors.mean_signal_rate(image, Camera(), physics) for image in (factored, general))
+    one, other = (mean_signal_rate(image, Camera(), physics) for image in (factored, general))
     assert one.min() > 0
     # float32 of terms that cancel to a quarter, and the OTF's table.
     np.testing.assert_allclose(one, other, rtol=1e-5)
     unblurred = SpectralImage(NM, WIDTH_NM, 4.0, factors=(spectra, pictures), header={"diffraction": not diffraction})
-    assert np.abs(sensors.mean_signal_rate(unblurred, Camera(), physics) / one - 1).max() > 1e-3  # so diffraction does count
+    assert np.abs(mean_signal_rate(unblurred, Camera(), physics) / one - 1).max() > 1e-3  # so diffraction does count
 
 
 def per_joule(options: dict, nm: float, within: tuple | None = None) -> float:
     """Electrons s⁻¹ m⁻² of 1 W m⁻² in a band of 10 nm."""
     image = SpectralImage([nm], 10.0, 1.0, data=np.ones((1, 1, 1)), within=within)
-    return float(sensors.electrons_per_joule(derive(Pixel(pitch_um=8.0, **options)), image)[0]) / 10
+    return float(electrons_per_joule(derive(Pixel(pitch_um=8.0, **options)), image)[0]) / 10
 
 
 @pytest.mark.parametrize("laser_nm", [526.0, 532.0, 534.5])

@@ -10,10 +10,11 @@ import pytest
 from test_cli import assert_refused, command
 
 import pixsim
-from pixsim.evaluations import pixel_of, study_pitches_um
-from pixsim.pixel import fill_factor_law
-from pixsim.sensor_file import study_layers
-from pixsim.sweep import checked_study, load_study, read_study
+from pixsim.base.config import study_layers
+from pixsim.base.parameters import pixel_of
+from pixsim.sensor.pixel import fill_factor_law
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.study import checked_study, load_study, read_study
 
 SHEET = """
 [pixel]

@@ -11,9 +11,9 @@ from scipy.special import erf
 from test_cli import command
 
 from pixsim import PixsimError, edge_response
-from pixsim.sfr import NYQUIST_CY_PER_PX, first_crossing, response
-from pixsim.sfr_report import read_edge_picture, sfr_line, summary
-from pixsim.spectral import write_channels
+from pixsim.light.exr import write_channels
+from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, response, sfr_line
+from pixsim.measure.sfr import sfr_summary as summary
 
 SIDE = 320
 DARK, LIGHT = 100.0, 1000.0

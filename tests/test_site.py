@@ -21,7 +21,7 @@ from processes import HANG_S
 from public_names import CLASSES, PUBLIC, fields
 
 import pixsim
-from pixsim.cli import app
+from pixsim.cli.options import app
 
 for needed in ("sphinx", "myst_parser", "furo"):
     pytest.importorskip(needed, reason=f"{needed} is not installed: pip install '.[docs]'")
@@ -141,7 +141,7 @@ def test_every_public_name_has_an_entry(site: Path, pages: dict[Path, Page]) -> 
     names |= {f"{name}.{field}" for name, kind in CLASSES.items() if kind not in heirs for field in fields(kind)}
     inherited = {name for name in names if name.endswith(".content_hash")}  # told of `Record`
     assert names - inherited - told == set()
-    assert "pixsim.parameters.Record.content_hash" in told
+    assert "pixsim.base.parameters.Record.content_hash" in told
 
 
 def commands() -> Iterator[tuple[str, Any]]:
@@ -195,7 +195,7 @@ def test_markdown_links_become_pages_or_paths(caplog: pytest.LogCaptureFixture, 
     for text, expected in {
         "see [changes](../CHANGELOG.md#changelog)": "see [changes](changelog.md#changelog)",
         "see [start](../README.md#in-python)": "see [start](readme.md#in-python)",
-        "see [optics](../pixsim/optics.py)": "see optics (`pixsim/optics.py`)",
+        "see [lens](../pixsim/optics/thin_lens.py)": "see lens (`pixsim/optics/thin_lens.py`)",
         "see [`csf.xml`](csf.xml)": "see `csf.xml` (`scenes/csf.xml`)",
         "![growth](../docs/pictures/growth.svg)": "![growth](../pictures/growth.svg)",
         "[![growth](../docs/pictures/growth.svg)](../CHANGELOG.md)": "[![growth](../pictures/growth.svg)](changelog.md)",

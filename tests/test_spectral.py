@@ -11,11 +11,14 @@ import OpenEXR
 import pytest
 
 import pixsim
-from pixsim import exr, spectral, variant
-from pixsim.bands import BAND_EDGES_NM
-from pixsim.errors import PixsimError
-from pixsim.mitsuba_xml import import_mitsuba
-from pixsim.spectral import SpectralImage
+from pixsim.base import arrays
+from pixsim.base.errors import PixsimError
+from pixsim.light import exr, spectral
+from pixsim.light.exr import _merged, read_channels, read_header, write_channels
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene import variant
+from pixsim.scene.bands import BAND_EDGES_NM
+from pixsim.scene.mitsuba import import_mitsuba
 
 BANDS_NM = np.arange(370.0, 821.0, 10.0)
 D65_TEXT = "S0.550,000000nm"
@@ -95,12 +98,12 @@ def test_a_factored_image_with_fine_bands_comes_back_bit_for_bit(seed, tmp_path)
     assert np.array_equal(back.within[0], image.within[0])
     assert np.array_equal(back.within[1], image.within[1])
     # For other readers: at most one channel for each of the 48 bands of 10 nm and less.
-    channels, _ = spectral.read_channels(tmp_path / "image.exr")
+    channels, _ = read_channels(tmp_path / "image.exr")
     shown = {float(name[3:-2].replace(",", ".")): plane for name, plane in channels.items() if name.startswith("S0.")}
     assert len(shown) <= 48
     assert len(channels) == len(shown) + 8
     # Every band is in one channel: energies add up to those of all bands, and so do first moments (float32 of 8 terms).
-    merged = spectral._merged(image)
+    merged = _merged(image)
     assert sorted(shown) == pytest.approx(merged.wavelength_nm.tolist(), abs=1e-6)
     assert merged.band_width_nm.max() <= 10
     assert merged.band_width_nm.sum() == pytest.approx(470, rel=1e-13)
@@ -112,7 +115,7 @@ def test_merged_bands_are_means_of_neighbours():
     width_nm = np.array([5, 5, 2.5, 2.5, 1.25, 1.25, 2.5, 10, 15, 5, 5])
     nm = np.cumsum(width_nm) - width_nm / 2
     image = SpectralImage(nm, width_nm, 1.0, factors=(np.arange(11.0), np.ones((1, 1, 1))))
-    merged = spectral._merged(image)
+    merged = _merged(image)
     np.testing.assert_array_equal(merged.band_width_nm, [10, 10, 10, 15, 10])
     np.testing.assert_allclose(merged.wavelength_nm, [5, 15, 25, 37.5, 50], rtol=1e-14)
     middle = (2 * 2.5 + 3 * 2.5 + 4 * 1.25 + 5 * 1.25 + 6 * 2.5) / 10
@@ -155,7 +158,7 @@ def test_rows_come_in_blocks_of_any_size(blocks, tmp_path, monkeypatch):
     image = factored((23, 7))
     pixsim.write_exr(tmp_path / "whole.exr", image)
     monkeypatch.setattr(exr, "BLOCK_BYTES", blocks * (8 + 48 * 7 * 4))
-    monkeypatch.setattr(spectral, "BLOCK_SAMPLES", blocks * 7)
+    monkeypatch.setattr(arrays, "BLOCK_SAMPLES", blocks * 7)
     pixsim.write_exr(tmp_path / "blocks.exr", image)
     assert (tmp_path / "blocks.exr").read_bytes() == (tmp_path / "whole.exr").read_bytes()
     lux = image.illuminance_lx()
@@ -167,7 +170,7 @@ def test_rows_come_in_blocks_of_any_size(blocks, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("make", [general, factored])
 def test_a_weighted_sum_needs_no_second_picture(make, monkeypatch):
-    monkeypatch.setattr(spectral, "BLOCK_SAMPLES", 1 << 12)
+    monkeypatch.setattr(arrays, "BLOCK_SAMPLES", 1 << 12)
     image = make((256, 256))
     weight = image.luminous_weight()
     tracemalloc.start()
@@ -179,12 +182,12 @@ def test_a_weighted_sum_needs_no_second_picture(make, monkeypatch):
 
 def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, monkeypatch):
     image = factored()
-    monkeypatch.setattr(spectral, "MOST_BAND_BYTES", 4 * 46 * 5 * 7)
+    monkeypatch.setattr(exr, "MOST_BAND_BYTES", 4 * 46 * 5 * 7)
     pixsim.write_exr(tmp_path / "bands.exr", image)
-    assert len(spectral.read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
-    monkeypatch.setattr(spectral, "MOST_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
+    assert len(read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
+    monkeypatch.setattr(exr, "MOST_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
     pixsim.write_exr(tmp_path / "image.exr", image)
-    channels, header = spectral.read_channels(tmp_path / "image.exr")
+    channels, header = read_channels(tmp_path / "image.exr")
     assert sorted(channels) == ["Y", "factor.0", "factor.1"]
     assert header["illuminanceUnits"] == "lx"
     assert np.array_equal(channels["Y"], image.illuminance_lx().astype(np.float32))
@@ -193,7 +196,7 @@ def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, m
     assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
     assert np.array_equal(bits(back.data), bits(image.data))
     pixsim.write_exr(tmp_path / "general.exr", general())  # nothing else tells its bands
-    assert len(spectral.read_header(tmp_path / "general.exr")["channels"]) == 46
+    assert len(read_header(tmp_path / "general.exr")["channels"]) == 46
 
 
 @pytest.mark.parametrize("make", [general, factored])
@@ -214,8 +217,8 @@ def test_strided_arrays_are_written_as_they_look(tmp_path):
     pixsim.write_exr(tmp_path / "image.exr", image)
     assert np.array_equal(bits(pixsim.read_exr(tmp_path / "image.exr").data), bits(whole[::-2, ::2, 1::2]))
     plane = whole[:, :, 0].T[1:, ::3]
-    spectral.write_channels(tmp_path / "plane.exr", {"Y": plane, "Z": plane.astype(float)[::-1]}, {})
-    channels, _ = spectral.read_channels(tmp_path / "plane.exr")
+    write_channels(tmp_path / "plane.exr", {"Y": plane, "Z": plane.astype(float)[::-1]}, {})
+    channels, _ = read_channels(tmp_path / "plane.exr")
     assert np.array_equal(bits(channels["Y"]), bits(plane))
     assert np.array_equal(bits(channels["Z"]), bits(plane[::-1]))
 
@@ -260,7 +263,7 @@ OWN = {"wavelength_nm": [550.0], "band_width_nm": [10.0], "pitch_um": 1.0, "head
     ids=["plain", "no header", "radiance", "torn header", "half a header", "no such channel", "no such factor"],
 )
 def test_an_exr_from_elsewhere_is_refused(tmp_path, header):
-    spectral.write_channels(tmp_path / "image.exr", {D65_TEXT: np.ones((2, 2))}, header)
+    write_channels(tmp_path / "image.exr", {D65_TEXT: np.ones((2, 2))}, header)
     with pytest.raises(PixsimError, match=r"image\.exr"):
         pixsim.read_exr(tmp_path / "image.exr")
 
@@ -285,7 +288,7 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
         name.write_bytes(b"half")
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(spectral, "write_rows", full_disk)
+    monkeypatch.setattr(exr, "write_rows", full_disk)
     with pytest.raises(PixsimError, match="no space left on device"):
         pixsim.write_exr(path, general())
     assert path.read_bytes() == before

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pixsim import stability
-from pixsim.stability import Case, compare
+from pixsim.accuracy import stability
+from pixsim.accuracy.stability import Case, compare
 
 PRESENT = [room for room in stability.ROOMS if (Path(stability.__file__).parent / f"{room}.py").exists()]
 

@@ -15,16 +15,19 @@ import pytest
 from processes import HANG_S, signalled
 
 import pixsim
-from pixsim import cache, cli
-from pixsim.accuracy.probe import Setup
-from pixsim.config import merge, packaged, read_toml
-from pixsim.curve_plates import light_against_detail
-from pixsim.evaluations import pixel_of
-from pixsim.report import write_report
-from pixsim.score import Bench, stream
-from pixsim.sensor import Frame
-from pixsim.sweep import StudyResult, load_study
-from pixsim.technology import technology_of
+from pixsim import cli
+from pixsim.base import cache
+from pixsim.base.arrays import stream
+from pixsim.base.config import packaged, read_toml
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.parameters import merge, pixel_of
+from pixsim.report.study import light_against_detail, write_report
+from pixsim.sensor.readout import Frame
+from pixsim.sensor.technology import technology_of
+from pixsim.studies.budget import Setup
+from pixsim.studies.result import StudyResult
+from pixsim.studies.study import load_study
+from pixsim.viewer.score import Bench
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
 FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
@@ -261,7 +264,7 @@ def test_numbers_of_one_technology_leave_the_others_rows_alone(done: tuple[Study
 def test_numbers_that_a_technology_cannot_have_are_refused_before_the_render(
     process: dict[str, dict[str, float]], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pixsim.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(ValueError, match=told):
         pixsim.study(tiny(process=process), tmp_path / "out", jobs=1)
     assert not (tmp_path / "out").exists()
@@ -367,7 +370,7 @@ def test_more_of_the_same_computes_the_difference_only(
 
 def test_frames_from_the_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Overexposed, so that a part of the pixels is saturated: their fraction is kept with the frame, whose DN do not show it."""
-    monkeypatch.setenv(cache.FOLDER_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     taken: list[int] = []
     capture = Bench.capture
     monkeypatch.setattr(Bench, "capture", lambda self, *key: taken.append(1) or capture(self, *key))
@@ -435,7 +438,7 @@ def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], 
 def test_what_cannot_be_made_is_refused_before_the_render(
     over: dict[str, object], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pixsim.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(ValueError, match=told):
         pixsim.study(tiny(**over), tmp_path / "out", jobs=1)
     assert not (tmp_path / "out").exists()

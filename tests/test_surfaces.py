@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.surfaces import Surfaces, find_surfaces
-from pixsim.variant import choose, find_llvm
+from pixsim.scene.contents import Surfaces, find_surfaces
+from pixsim.scene.variant import choose, find_llvm
 
 NEEDS_LLVM = pytest.mark.skipif(find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
 VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), "scalar_spectral"])

@@ -19,13 +19,13 @@ from dense_curves import simulated
 
 import pixsim
 from pixsim import cli
-from pixsim.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
-from pixsim.optimum import FittedCurve, Posterior, fit_curve
-from pixsim.score import Bench, Score
-from pixsim.sensor import Frame
-from pixsim.study_result import Curve, StudyResult
-from pixsim.sweep import next_round
-from pixsim.wording import target_notes
+from pixsim.report.wording import target_notes
+from pixsim.sensor.readout import Frame
+from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
+from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
+from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.study import next_round
+from pixsim.viewer.score import Bench, Score
 
 Sensors = dict[float, int]
 PITCH = np.geomspace(5.3, 15, 9).round(4)
@@ -110,7 +110,7 @@ def test_each_addition_is_the_best_of_all(fit: FittedCurve) -> None:
 def chosen_in_order(fit: FittedCurve, sensors: Sensors, max_sensors: int) -> Iterator[float]:
     """The pitches of a round, one after another: a round of one addition, so often."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pixsim.allocation.ROUND", 1)
+        patch.setattr("pixsim.studies.allocation.ROUND", 1)
         for _ in range(ROUND):
             more = next_sensors(fit, sensors, max_sensors)
             (changed,) = [pitch_um for pitch_um in more if more[pitch_um] != sensors.get(pitch_um)]
@@ -350,7 +350,7 @@ def test_notes_are_of_optima_that_miss_the_target(fit: FittedCurve) -> None:
 
 
 def test_a_limit_below_the_beginning_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.sweep.render_for", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.setattr("pixsim.studies.study.render_for", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(pixsim.PixsimError, match=r"max_evaluations: got 11; allowed: at least 12, .*Raise it, or lower repeats"):
         pixsim.study(tiny(max_evaluations=11), tmp_path / "out", jobs=1)
     assert not (tmp_path / "out").exists()

@@ -17,10 +17,10 @@ from pydantic import BaseModel
 
 import pixsim
 from pixsim import cli
-from pixsim.config import packaged, read_toml
-from pixsim.parameters import Run, Study
-from pixsim.pixel_record import DATA_SHEET
-from pixsim.templates import UNITS, allowed, json_schema, template, unit_of
+from pixsim.base.config import packaged, read_toml
+from pixsim.base.parameters import DATA_SHEET, Run, Study
+from pixsim.cli import options
+from pixsim.cli.templates import UNITS, allowed, json_schema, template, unit_of
 
 RECORDS = {"sensor": Run, "study": Study}
 
@@ -90,7 +90,7 @@ def test_defaults_in_a_template_are_the_records_own() -> None:
 def test_a_sensor_of_the_template_is_known_by_its_data_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "my_sensor.toml"
     run_cli(f"template sensor -o {path}")
-    settings = cli.base.settings_of([path], {}, None, {})
+    settings = options.settings_of([path], {}, None, {})
     assert settings.pixel.technology == "none"
     assert all(getattr(settings.pixel, name) is not None for name in DATA_SHEET)
     physics = pixsim.derive(settings.pixel)
@@ -113,10 +113,10 @@ def test_a_schema_takes_what_its_record_takes(kind: str) -> None:
 
 def test_packaged_studies_fit_the_schema() -> None:
     check = jsonschema.Draft202012Validator(json_schema("study"))
-    names = [name for name, path in packaged("studies").items() if "vary" not in read_toml(path)]
+    names = [name for name, path in packaged("data/studies").items() if "vary" not in read_toml(path)]
     assert {"chen2000", "modern"} <= set(names)
     for name in names:
-        assert not list(check.iter_errors(read_toml(packaged("studies")[name]))), name
+        assert not list(check.iter_errors(read_toml(packaged("data/studies")[name]))), name
 
 
 def test_units_are_those_that_names_end_in() -> None:

@@ -15,8 +15,8 @@ import pytest
 from processes import HANG_S
 
 import pixsim
-from pixsim import variant
-from pixsim.errors import PixsimError
+from pixsim.base.errors import PixsimError
+from pixsim.scene import variant
 
 OLD_SYSTEM_LLVM = [
     str(path)

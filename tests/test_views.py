@@ -11,14 +11,30 @@ import pytest
 from PIL import Image
 
 import pixsim
-from pixsim import cache, details
-from pixsim.contact_sheet import COLUMNS, GAP, MARGIN, TITLE, Tile, contact_sheet_png
-from pixsim.details import DETAIL_DOTS, Window, crops, scale, window_at, windows, worst_window
-from pixsim.errors import PixsimError
-from pixsim.messages import checked
-from pixsim.pictures import delta_e_colours, grey_codes
-from pixsim.study_result import StudyResult
-from pixsim.views import best_place, called, detail_at, study_views
+from pixsim.base import cache
+from pixsim.base.config import checked
+from pixsim.base.errors import PixsimError
+from pixsim.report import views
+from pixsim.report.pictures import crops
+from pixsim.report.views import best_place, called, detail_at, study_views
+from pixsim.show import pictures as details
+from pixsim.show.pictures import (
+    COLUMNS,
+    DETAIL_DOTS,
+    TITLE,
+    Tile,
+    Window,
+    contact_sheet_png,
+    delta_e_colours,
+    grey_codes,
+    scale,
+    window_at,
+    windows,
+    worst_window,
+)
+from pixsim.show.pictures import SHEET_GAP as GAP
+from pixsim.show.pictures import SHEET_MARGIN as MARGIN
+from pixsim.studies.result import StudyResult
 
 STUDY = {
     "name": "views",
@@ -111,7 +127,7 @@ def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how:
     elif how == "of another shape":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
     else:
-        monkeypatch.setattr(pixsim.views, "bench_at", None)  # the dear way is not taken
+        monkeypatch.setattr(views, "bench_at", None)  # the dear way is not taken
     for place in (0, 3):
         picture = detail_at(result, curve, place, WHOLE)
         expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
@@ -130,7 +146,7 @@ def test_a_study_with_a_dot_a_pixel_has_views_of_pixels_as_large_as_a_detail(tmp
 
 
 def test_whole_pictures_of_a_study_are_bounded_and_details_are_not(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(details, "MOST_DOTS", 60)
+    monkeypatch.setattr(details, "MOST_PICTURE_DOTS", 60)
     curve = result.curves[0]
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)
@@ -238,7 +254,7 @@ def test_the_place_of_the_detail_does_not_change_a_row(result: StudyResult, tmp_
 
 @pytest.mark.parametrize("detail", [[0.5], [0.5, 1.1], [-0.1, 0.5], [0.5, 0.5, 0.5], "middle", [float("nan"), 0.5]])
 def test_a_place_outside_the_picture_is_refused(detail: object) -> None:
-    from pixsim.config import Layer
+    from pixsim.base.parameters import Layer
 
     with pytest.raises(PixsimError, match="detail"):
         checked(pixsim.Study, [Layer(STUDY | {"detail": detail}, "a test")])

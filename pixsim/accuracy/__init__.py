@@ -1,6 +1,6 @@
-"""Error against run time, and what a result's error is made of: `pixsim accuracy` and `--tolerance-delta-e`.
+"""Error against run time: a scene and settings in, a survey with its page out; `stability` has extremes with known answers.
 
-`probe` says what a picture gives (electrons, mean ΔE, optimal pitch); `reference` what is right; `ladders` moves one
-setting at a time; `fits` finds orders of convergence and the Pareto front; `budget` splits a result's error by its source;
-`choice` picks settings for a tolerance; `plots` and `page` show it.
+In the order of the flow: `reference` (what is right), `ladders` (one setting moved at a time), `solvers` (of the photodiode),
+`result`, `survey`, `report`.
+May import: base, light, optics, sensor, scene, show, viewer, studies, report.
 """

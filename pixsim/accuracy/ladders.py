@@ -6,16 +6,64 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from pixsim.accuracy.plain import plain_picture
-from pixsim.accuracy.probe import Probe, Setup, probe, relative_rms
-from pixsim.parameters import Camera
-from pixsim.plan import Plan, make_render_plan
-from pixsim.renderer import Renderer
-from pixsim.scene import Scene
-from pixsim.spectral import SpectralImage
+from pixsim.base.parameters import Camera
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.thin_lens import field_factor
+from pixsim.scene.bands import Pulse
+from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.plan import Plan, make_render_plan
+from pixsim.scene.renderer import Renderer, film, film_response
+from pixsim.scene.scene import Scene
+from pixsim.studies.budget import Probe, Setup, finer, minimum_um, probe, relative_rms, rms
+
+BAND_NM = 10.0
+CENTRES_NM = np.arange(365.0, 826.0, BAND_NM)
+
+
+def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: int) -> Callable[[], Callable[[int], SpectralImage]]:
+    """47 bands of 10 nm, all of 360-830 nm, in one specfilm, the scene's own lamps, `path`, a sampled lens: seed -> irradiance."""
+
+    def loaded() -> Callable[[int], SpectralImage]:
+        job = Renderer(scene, camera, plan, 0)
+        flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
+        height = job.size[0]
+        factor = field_factor(job.size, job.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+        with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+            config = mi.parser.ParserConfig(scene.choice.variant)
+            state = scene.for_camera(camera)
+            mi.parser.transform_all(config, state)
+            built = mi.parser.instantiate(config, state)
+            world = next(each for each in (built if isinstance(built, list) else [built]) if isinstance(each, mi.Scene))
+            lens: dict[str, Any] = job.sensor | {
+                "type": "thinlens",
+                "aperture_radius": camera.aperture_radius_m,
+                "focus_distance": camera.object_distance_m,
+                "sampler": {"type": sampler, "sample_count": spp},
+                "film": film([film_response(each) for each in flat], job.size, 0, height),
+            }
+            sensor, integrator = mi.load_dict(lens), world.integrator() or mi.load_dict({"type": "path"})
+        header = {"camera": camera.model_dump()} | (
+            {} if plan.white_cd_per_m2 is None else {"luminance_cd_per_m2": plan.white_cd_per_m2}
+        )
+        lamps = [light.lamp.spectrum for light in plan.lights]
+        if len(lamps) == 1 and lamps[0] is not None:
+            edges = np.append(CENTRES_NM - BAND_NM / 2, CENTRES_NM[-1] + BAND_NM / 2)
+            header["lamp_w_per_m2_sr_nm"] = lamps[0].cell_means(edges).tolist()
+
+        def picture(seed: int) -> SpectralImage:
+            with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+                radiance = np.asarray(mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed), np.float32)
+            irradiance = radiance * (factor * camera.transmittance / BAND_NM)[:, :, None].astype(np.float32)
+            return SpectralImage(CENTRES_NM, np.full(CENTRES_NM.size, BAND_NM), job.pitch_um, data=irradiance, header=header)
+
+        return picture
+
+    return loaded
+
 
 Picture = Callable[[int], SpectralImage]  # seed -> irradiance
 LONG_S = 3.0
@@ -135,10 +183,6 @@ def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
     return Rung(ladder, step.setting, step.value, step.shipped, min(seconds), rms(electrons), rms(delta_e), rms(optimum))
 
 
-def rms(values: Sequence[float]) -> float:
-    return math.sqrt(float(np.mean(np.square(values))))
-
-
 def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, shipped: Rung) -> Iterator[Rung]:
     """Measure the rungs, cheapest first, but for the shipped one, which is known; what would take longer than what is left
     is left out, and says so."""
@@ -234,3 +278,68 @@ def method_steps(subject: Subject, counts: Sequence[int], other: Scene | None) -
     if other is not None:
         steps.append(Step(f"pixsim, pruned, {other.choice.variant}", plan.spp, rendered(other, camera, plan), SCALAR_WORK))
     return steps
+
+
+FEWEST_SENSORS, FEWEST_GROUPS = 4, 4  # so few means still tell their scatter to a third
+SENSORS_PER_SWEEP = 4  # at one pitch: they cost so much less
+OTHER_SENSORS = 104729  # beside the user's seed: the reference's sensors are others
+
+
+def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, pool: int) -> Iterator[Rung]:
+    """Means over 1, 2, 4 … sensors against that over as many others as there are; RMS over all groups of so many.
+
+    Four times `pool` sensors are scored at the pixel's own pitch, `pool` at every pitch. The reference scatters too, by what
+    is known: a difference of means over n and m sensors has (1 + n/m) times the variance of the first alone, and is divided
+    by its root. Fewer sensors are taken, and the optimum is left, where time is short.
+    """
+
+    def expected_s() -> float:
+        return 2 * pool * clock.score_s * (SENSORS_PER_SWEEP + len(setup.pitches_um))
+
+    while pool > FEWEST_SENSORS and not clock.room_for(expected_s()):
+        pool, setup = (pool, replace(setup, pitches_um=())) if setup.pitches_um else (pool // 2, setup)
+    if not clock.room_for(expected_s()):
+        yield Rung("seeds", f"{pool} sensors", pool, left_out=f"about {expected_s():.0f} s")
+        return
+    many, swept = SENSORS_PER_SWEEP * pool, pool if setup.pitches_um else 1
+    seeds = setup.seed, setup.seed + OTHER_SENSORS
+    own, truth = (probe(image, replace(setup, pitches_um=(), sensors=many, seed=seed)) for seed in seeds)
+    curves, true_curve = (probe(image, replace(setup, sensors=swept, seed=seed)) for seed in seeds)
+    count = 1
+    while count * FEWEST_GROUPS <= many:
+        delta_e = own.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
+        groups = [slice(start, start + count) for start in range(0, swept, count)]
+        enough = len(groups) >= FEWEST_GROUPS
+        optimum = [_optimum(curves, each) - true_curve.optimum_um for each in groups] if enough else [math.nan]
+        name = f"{count} sensor{'s' * (count > 1)}"
+        time_s = shipped.seconds + (count - 1) * own.score_seconds
+        errors = rms(delta_e.tolist()) / math.sqrt(1 + count / many), rms(optimum) / math.sqrt(1 + count / swept)
+        # The RMS of G values is known to 1/√(2G).
+        spread = math.sqrt(count / (2 * (swept if enough else many)))
+        yield Rung("seeds", name, count, count == 1, time_s, math.nan, *errors, spread=spread)
+        count *= 2
+
+
+def _optimum(found: Probe, sensors: slice) -> float:
+    return minimum_um(found.pitch_um, found.sweep_delta_e[:, sensors].mean(axis=1))
+
+
+def raster_rungs(image: SpectralImage, setup: Setup, clock: Clock, dots: Sequence[int]) -> Iterator[Rung]:
+    """Displays of other dots that show the same picture at the same angle; the finest that there is time for is the reference."""
+    own = setup.display.dots
+    if setup.display.raster != "fixed_size":
+        yield Rung("raster", "one_to_one", 1, True, left_out="the dots are the pixels")
+        return
+    found: dict[int, Probe] = {}
+    for count in sorted({*dots, own}):
+        expected = clock.probe_s * max(1.0, (count / own) ** 2)
+        if clock.room_for(expected):
+            found[count] = probe(image, replace(setup, display=finer(setup.display, count)))
+        else:
+            yield Rung("raster", f"{count} dots", count, count == own, left_out=f"about {expected:.0f} s")
+    finest = max(found, default=0)
+    for count, each in found.items():
+        if count < finest:
+            truth = found[finest]
+            errors = abs(each.mean_delta_e - truth.mean_delta_e), abs(each.optimum_um - truth.optimum_um)
+            yield Rung("raster", f"{count} dots", count, count == own, clock.render_s + each.seconds, math.nan, *errors)

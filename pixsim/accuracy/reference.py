@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pixsim import charts
-from pixsim.accuracy.probe import Setup
-from pixsim.charts import SLANT_DEG, csf_value
-from pixsim.parameters import Camera
-from pixsim.plan import Plan, make_render_plan
-from pixsim.renderer import Renderer
-from pixsim.scene import Scene, packaged_scenes
-from pixsim.spectral import Array, SpectralImage
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Camera
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene.charts import SLANT_DEG, csf_contrast, csf_value
+from pixsim.scene.plan import Plan, make_render_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.scene import Scene, packaged_scenes
+from pixsim.studies.budget import Setup
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
 FEWEST_PARTS = 4096  # across a chart, for those nodes: far smaller than a cycle, exact to 1e-12
@@ -46,7 +46,7 @@ def csf_picture(height: int, width: int) -> Array:
     """Cell means of the CSF chart's formula: a sum of a constant and a product of functions of x and of y."""
     base = float(csf_value(0.0, 0.0))  # the phase is 0 at x = 0: the mean
     wave = cell_means(lambda x: csf_value(x, 1.0) / base - 1, width)
-    growth = cell_means(lambda y: charts.csf_contrast(y) / charts.csf_contrast(1.0), height)
+    growth = cell_means(lambda y: csf_contrast(y) / csf_contrast(1.0), height)
     return base * (1 + growth[:, None] * wave[None, :])
 
 

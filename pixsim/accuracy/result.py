@@ -1,17 +1,113 @@
-"""What `pixsim accuracy` found."""
+"""What `pixsim accuracy` found: errors, orders of convergence with their uncertainty, and the Pareto front against time."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from pixsim.accuracy.budget import Calibration, Effect
-from pixsim.accuracy.fits import Order, beaten_by, fit_order
+import numpy as np
+from scipy.stats import t as student_t
+
 from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.probe import Setup
-from pixsim.photodiode_checks import Solved
-from pixsim.stability import Case
+from pixsim.accuracy.solvers import Solved
+from pixsim.accuracy.stability import Case
+from pixsim.studies.budget import Calibration, Effect, Setup
+
+FEWEST_POINTS = 3
+FLAT = 2 / 3  # of the slope so far: where errors fall more slowly than that, another source of error is met
+SAME_TIME = 0.9  # wall times of the same work scatter by a tenth
+
+
+@dataclass(frozen=True)
+class Order:
+    """error ∝ setting^-order, by weighted least squares in logarithms.
+
+    order_se : standard error of the order, from the scatter about the line and from what the points' own errors allow
+    points : that were fitted
+    """
+
+    order: float
+    order_se: float
+    factor: float
+    points: int
+
+    def at(self, setting: float) -> float:
+        return self.factor * setting**-self.order
+
+    @property
+    def ci95(self) -> float:
+        """Half width of the order's 95 % interval: Student's t, which three points make 13 times the standard error."""
+        return float(student_t.ppf(0.975, self.points - 2)) * self.order_se
+
+    def __str__(self) -> str:
+        return f"{self.order:.2f} ± {self.ci95:.2f}"
+
+
+def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence[float] | None = None) -> Order | None:
+    """The order at which errors fall; None where fewer than three points lie above the ladder's floor.
+
+    The floor is what other settings leave over: the points from which on errors fall at less than two thirds of their slope
+    so far, or rise, are left out. (A threshold on the error itself would take a slow order, ½ for random numbers, for a floor.)
+
+    Parameters
+    ----------
+    spread : standard errors of the logarithms of the errors, where those are estimates; then all points count, by their
+        weight. None: the scatter alone tells
+    """
+    own = [0.0] * len(setting) if spread is None else spread
+    points = sorted((s, e, d) for s, e, d in zip(setting, error, own, strict=True) if s > 0 and e > 0 and math.isfinite(s * e))
+    falling = points if any(own) else points[: len(above_floor([(s, e) for s, e, _ in points]))]
+    if len(falling) < FEWEST_POINTS:
+        return None
+    x, y = np.log([s for s, _, _ in falling]), np.log([e for _, e, _ in falling])
+    sigma = np.array([d for _, _, d in falling])
+    weight = 1 / sigma**2 if sigma.all() else np.ones(x.size)
+    middle = np.average(x, weights=weight)
+    slope = float((weight * (x - middle) * y).sum() / (weight * (x - middle) ** 2).sum())
+    start = float(np.average(y, weights=weight)) - slope * float(middle)
+    reach = float((weight * (x - middle) ** 2).sum())
+    scatter = float((weight * (y - slope * x - start) ** 2).sum()) / (x.size - 2) / reach
+    return Order(-slope, math.sqrt(max(scatter, 1 / reach if sigma.all() else 0.0)), math.exp(start), x.size)
+
+
+def above_floor(pairs: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
+    """The first of (setting, error), by setting, as long as the errors keep falling."""
+    if len({setting for setting, _ in pairs}) < len(pairs):
+        return ()
+    for k in range(1, len(pairs)):
+        slope = slope_of(pairs[k - 1], pairs[k])
+        if slope <= 0 or (k > 1 and slope < FLAT * slope_of(pairs[0], pairs[k - 1])):
+            return pairs[:k]
+    return pairs
+
+
+def slope_of(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """Local order between two (setting, error)."""
+    return math.log(one[1] / other[1]) / math.log(other[0] / one[0])
+
+
+def pareto(seconds: Sequence[float], error: Sequence[float]) -> list[int]:
+    """Indices of the points that no other beats in both time and error, by time; points without an error are on no front."""
+    front: list[int] = []
+    best = math.inf
+    for index in sorted(range(len(seconds)), key=lambda k: (seconds[k], error[k])):
+        if error[index] < best:
+            front.append(index)
+            best = error[index]
+    return front
+
+
+def beaten_by(own: int, seconds: Sequence[float], error: Sequence[float], visible: float = 0.0) -> int | None:
+    """Index of the point that beats one clearly: faster by more than times scatter, and nearer by more than `visible`."""
+    better = [
+        k
+        for k in range(len(seconds))
+        if seconds[k] < SAME_TIME * seconds[own] and math.isfinite(error[k]) and error[k] < error[own] - visible
+    ]
+    return min(better, key=lambda k: error[k], default=None)
+
 
 METRICS = {
     "error_e": "RMS relative error of mean electrons",

@@ -19,26 +19,10 @@ from typing import NoReturn
 from cyclopts.exceptions import CycloptsError
 from pydantic import ValidationError
 
-# Errors name the commands in this order.
-# isort: off
-from pixsim.cli.base import app as app
-from pixsim.cli.base import keep_helpers_files_together, manner
-from pixsim.cli.render import run as run
-from pixsim.cli.render import plan as plan
-from pixsim.cli.studies import study as study
-from pixsim.cli.worth import accuracy as accuracy
-from pixsim.cli.datasheet import datasheet as datasheet
-from pixsim.cli.edges import sfr as sfr
-from pixsim.cli.charts import chart as chart
-from pixsim.cli.templates import template as template
-from pixsim.cli.templates import schema as schema
-from pixsim.cli.caches import cache as cache
-from pixsim.cli.completion import completion as completion
-from pixsim.cli.doctor import doctor as doctor
-
-# isort: on
-from pixsim.errors import PixsimError
-from pixsim.messages import explain
+from pixsim.base.config import explain
+from pixsim.base.errors import PixsimError
+from pixsim.cli import commands as commands  # they join the app when imported
+from pixsim.cli.options import app, keep_helpers_files_together, manner
 
 OK, UNEXPECTED, UNUSABLE_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 

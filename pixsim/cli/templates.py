@@ -1,59 +1,174 @@
-"""`pixsim template` and `schema`: configuration files to start from, and what an editor needs to check them."""
+"""Commented configuration files with every field, its unit, default and allowed range; made from the records themselves."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+import json
+import textwrap
+from collections.abc import Iterator
+from typing import Any
 
-from cyclopts import Parameter
+from pixsim.base.errors import refuse
+from pixsim.base.parameters import DATA_SHEET, Record, Run, Study
 
-from pixsim.cli.base import Json, app, show
-from pixsim.errors import refuse
+KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
+WIDTH = 110
+# By the end of a name, the longest first.
+UNITS = {
+    "_cd_per_m2": "cd/m²",
+    "_e_per_s": "electrons per second",
+    "samples_per_deg": "display dots per degree",
+    "_delta_e": "ΔE",
+    "_seconds": "s",
+    "_ci_um": "µm",
+    "_dn": "DN",
+    "_mm": "mm",
+    "_um": "µm",
+    "_nm": "nm",
+    "_m": "m",
+    "_s": "s",
+    "_k": "kelvin",
+    "_e": "electrons",
+}
+NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
+# Fields that are open unless said otherwise need a value to show; these are plausible ones.
+EXAMPLES: dict[str, Any] = {
+    "name": "my-study",
+    "title": "How small should my pixel be?",
+    "technologies": ["0.35um", "4t-bsi"],
+    "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
+    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0],
+    "tolerance_delta_e": 0.01,
+    "target_ci_um": 0.1,
+    "max_evaluations": 1000,
+    "focal_length_mm": 3.86,
+    "f_number": 2.8,
+    "die_mm": 2.7136,
+    "object_distance_m": 1.0,
+    "transmittance": 0.95,
+    "pitch_um": 3.75,
+    "data_sheet_pitch_um": 3.75,
+    "min_um": 2.0,
+    "full_well_e": 10500.0,
+    "read_noise_e": 2.3,
+    "dark_current_e_per_s": 3.0,
+    "quantum_efficiency": 0.62,
+    "bits": 12,
+    "prnu": 0.005,
+    "dsnu": 0.2,
+    "infrared_cut_nm": 650.0,
+    "fill_factor": 0.8,
+    "reset_noise_factor": 0.0,
+    "offset_fpn": 0.0002,
+    "column_fpn": 0.0001,
+    "integration_s": 0.02,
+    "white_cd_per_m2": 1000.0,
+    "parameters": {"resolution": 512},
+    "scene": {"resolution": 512},
+    "detail": [0.8, 0.9],
+    "sources": {"pixel.bits": "data sheet, page 3"},
+    "quick": {"repeats": 4},
+}
+# What is not commented out: what a sensor or a study is about.
+SENSOR_SHOWN = tuple(f"pixel.{name}" for name in ("pitch_um", *DATA_SHEET, "bits", "prnu", "dsnu"))
+STUDY_SHOWN = (
+    *("name", "title", "technologies", "repeats"),
+    *("pitch.count", "pitch.max_um", "pitch.min_fill_factor", "scene.file", "camera.f_number", "display.white_cd_per_m2"),
+)
+SENSOR_HEAD = """
+A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet THIS_FILE`. The numbers below are
+examples: replace them with yours. Lines with one # are at their defaults, or open; remove the # to set them.
+Without a technology nothing is derived: the first lines of [pixel] are then all needed.
+"""
+STUDY_HEAD = """
+A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours. Lines with one
+# are at their defaults, or open; remove the # to set them.
+"""
 
 
-@app.command
-def template(
-    kind: str,
-    *,
-    output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
-    json: Json = False,
-) -> None:
-    """Write a commented configuration file with every field, its unit, default and allowed range.
-
-    Example: pixsim template sensor -o my_sensor.toml
-
-    Example: pixsim template study -o my_study.toml
-
-    Parameters
-    ----------
-    kind
-        sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or study, for `pixsim study FILE`.
-    """
-    from pixsim import templates
-    from pixsim.files import write_new
-
-    text = templates.template(kind)
-    if output is None:
-        show({"template": text}, json, text.rstrip())
-        return
-    if output.suffix != ".toml":
-        raise refuse("--output", f"'{output}'", "a name that ends in .toml, as the commands know it by")
-    write_new(output, text)
-    use = f"pixsim run csf --config {output}" if kind == "sensor" else f"pixsim study {output}"
-    show({"file": str(output), "use": use}, json, f"{output}: replace the numbers, then: {use}")
+def template(kind: str) -> str:
+    """A TOML file with every field of a sensor's or a study's settings. PixsimError for another kind."""
+    schema = json_schema(kind)
+    head, shown = (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
+    lines = [f"# {line}" for line in head.strip().splitlines()]
+    tables = {name: each for name, each in schema["properties"].items() if "$ref" in each}
+    rooms = ["pixel", *(name for name in tables if name != "pixel")] if kind == "sensor" else list(tables)
+    top = {name: each for name, each in schema["properties"].items() if name not in tables}
+    lines += ["", *_fields(top, shown, "")]
+    for name in rooms:
+        record = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]
+        dotted = [f"{name}.{key}" for key in record["properties"]]
+        order = [key for key in shown if key in dotted] + [key for key in dotted if key not in shown]
+        own = {key.partition(".")[2]: record["properties"][key.partition(".")[2]] for key in order}
+        lines += ["", f"[{name}]", *_fields(own, shown, f"{name}.")]
+    return "\n".join(lines) + "\n"
 
 
-@app.command
-def schema(kind: str = "sensor", *, json: Json = True) -> None:
-    """Print the JSON schema of a configuration file, for editors that check and complete TOML.
+def json_schema(kind: str) -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of such a file, for editors. PixsimError for another kind."""
+    if kind not in KINDS:
+        raise refuse("kind", f"'{kind}'", " or ".join(KINDS))
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **KINDS[kind].model_json_schema()}
 
-    Example: pixsim schema study > study.schema.json
 
-    Parameters
-    ----------
-    kind
-        sensor or study.
-    """
-    from pixsim import templates
+def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> Iterator[str]:
+    for name, each in properties.items():
+        set_here = table + name in shown
+        told = [each.get("description", ""), unit_of(name), allowed(each), _default(each)]
+        yield from textwrap.wrap("; ".join(part for part in told if part), WIDTH, initial_indent="## ", subsequent_indent="##   ")
+        value = each.get("default")
+        if name in EXAMPLES and (set_here or value in (None, "", {})):
+            value = EXAMPLES[name]
+        yield ("" if set_here else "# ") + f"{name} = {toml_value(value)}"
 
-    show(templates.json_schema(kind), json, "")
+
+def unit_of(name: str) -> str:
+    """The unit that a name ends in, in words."""
+    return "" if name in NO_UNIT else next((f"in {unit}" for end, unit in UNITS.items() if name.endswith(end)), "")
+
+
+def _default(each: dict[str, Any]) -> str:
+    """None, nothing and an empty table are open; what has no default is needed."""
+    default = each.get("default", {} if each.get("type") == "object" else ...)
+    if default is ...:
+        return "needed"
+    return "open" if default in (None, "", {}) else f"default {toml_value(default)}"
+
+
+def allowed(each: dict[str, Any]) -> str:
+    """A field's range or choices, in words, from its JSON schema."""
+    kinds = [kind for kind in each.get("anyOf", [each]) if kind.get("type") != "null"]
+    told = [_allowed_one(kind) for kind in kinds]
+    return " or ".join(dict.fromkeys(part for part in told if part))
+
+
+def _allowed_one(kind: dict[str, Any]) -> str:
+    if "enum" in kind or "const" in kind:
+        return ", ".join(toml_value(each) for each in kind.get("enum", [kind.get("const")]))
+    if "anyOf" in kind:
+        return allowed(kind)
+    if kind.get("type") == "array":
+        return "a list"
+    if kind.get("type") == "boolean":
+        return "true or false"
+    if kind.get("type") in ("number", "integer"):
+        low, above = kind.get("minimum"), kind.get("exclusiveMinimum")
+        high, below = kind.get("maximum"), kind.get("exclusiveMaximum")
+        start = number(low) if low is not None else f"above {number(above)}" if above is not None else ""
+        end = f"to {number(high)}" if high is not None else f"to below {number(below)}" if below is not None else "and more"
+        whole = "whole numbers, " if kind["type"] == "integer" else ""
+        return f"{whole}{start} {end}" if start else f"{whole}{end}".strip()
+    return ""
+
+
+def number(value: float) -> str:
+    """Whole numbers in full, as long as they can be read."""
+    return str(int(value)) if value == int(value) and abs(value) < 1e9 else f"{value:g}"
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it; JSON's text is the same but for tables."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {toml_value(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, float) and value == int(value) and abs(value) < 1e16:
+        return f"{value:.1f}"
+    return json.dumps(value, ensure_ascii=False)

@@ -38,7 +38,7 @@ def started(words: Words, folder: Path, out: str) -> float:
     if words == OTHER_DISPLAY:
         import pixsim
 
-        known = Path(pixsim.__file__).parent / "studies/chen2000.toml"
+        known = Path(pixsim.__file__).parent / "data/studies/chen2000.toml"
         study = folder / "display.toml"
         study.write_text(known.read_text(encoding="utf-8").replace("[display]", "[display]\ngamma = 1.8"), encoding="utf-8")
         words = ["study", str(study)]

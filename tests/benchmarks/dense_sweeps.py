@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import pixsim
-from pixsim.evaluations import study_pitches_um
-from pixsim.sweep import load_study
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.study import load_study
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
 SENSORS = 8

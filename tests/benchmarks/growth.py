@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import pixsim
-from pixsim.sweep import render_for, study
+from pixsim.studies.study import render_for, study
 
 CONSTANT = 0.2  # an exponent that is none, within the noise of the machine
 GIB = 1 << 20  # of ru_maxrss, in KiB on Linux
@@ -32,9 +32,9 @@ PITCHES_UM = np.geomspace(5.2, 15.0, 64).round(4).tolist()
 
 def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
     """The stages of `pixsim run csf` on a film of so many samples a side."""
-    from pixsim.convergence import render_until
-    from pixsim.score import make_bench
-    from pixsim.sensor_plan import make_plan
+    from pixsim.scene.convergence import render_until
+    from pixsim.scene.plan import make_plan
+    from pixsim.viewer.score import make_bench
 
     seconds: dict[str, float] = {}
     for size in (64, resolution):
@@ -60,8 +60,8 @@ def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
 
 def bands_run(count: int) -> dict[str, float]:
     """Diffraction of a general image of 1024², a transform a band."""
-    from pixsim.pixel import derive
-    from pixsim.sensor import diffracted_rate
+    from pixsim.sensor.integration import diffracted_rate
+    from pixsim.sensor.pixel import derive
 
     rng = np.random.default_rng(0)
     image = pixsim.SpectralImage(np.linspace(400, 700, count), 300 / count, 2.65, data=rng.random((1024, 1024, count), np.float32))
@@ -114,7 +114,7 @@ def exponent(values: list[int], seconds: list[float]) -> float:
 
 
 def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Path) -> None:
-    from pixsim.figures import COLOURS, new_figure, save_svg
+    from pixsim.show.figures import COLOURS, new_figure, save_svg
 
     figure = new_figure(9.0, 5.6)
     grid = figure.subplots(2, len(results) // 2, squeeze=False)

@@ -4,7 +4,7 @@
 
 Simulated studies of a known curve, that of chen2000 at 0.35 µm. The grid is 16 pitches, evenly in their logarithm, with 2 to 32
 sensors each. The rounds are those of a study with target_ci_um, from other even grids. Half widths are of the interval of
-`pixsim.optimum`; both curves are medians over the studies.
+`pixsim.studies.optimum`; both curves are medians over the studies.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from joblib import Parallel, delayed, parallel_config
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from dense_curves import covers, simulated
 
-from pixsim.evaluations import study_pitches_um
-from pixsim.figures import LOOKS, new_figure, save_svg
-from pixsim.parameters import Study
-from pixsim.sweep import load_study
+from pixsim.base.parameters import Study
+from pixsim.show.figures import LOOKS, new_figure, save_svg
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.study import load_study
 
 CURVE = "chen2000_0.35um"
 GRID_PITCHES, GRID_SENSORS = 16, (2, 3, 4, 6, 8, 12, 16, 24, 32)
@@ -32,7 +32,7 @@ MOST = 192  # evaluations of a study with rounds
 
 
 def even(study: Study, count: int) -> list[float]:
-    """The range of chen2000 at 0.35 µm, as `pixsim.evaluations` divides it."""
+    """The range of chen2000 at 0.35 µm, as `pixsim.studies.evaluations` divides it."""
     table = study.model_dump(mode="json", exclude={"quick"})
     table["pitch"]["count"] = count
     return study_pitches_um(Study.model_validate(table), "0.35um").tolist()

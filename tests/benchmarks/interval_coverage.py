@@ -25,7 +25,7 @@ from joblib import Parallel, delayed, parallel_config
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from dense_curves import Sensors, SimulatedStudy, covers, simulated, truth_of
 
-from pixsim.optimum import FittedCurve
+from pixsim.studies.optimum import FittedCurve
 
 OUT = Path(__file__).parents[1] / "data" / "interval_coverage.csv"
 CURVES = ("chen2000_0.35um", "evening", "flat", "near_an_end", "skewed")

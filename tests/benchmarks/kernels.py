@@ -19,17 +19,18 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import fftconvolve
 
-from pixsim import optics, scielab
-from pixsim.charts import csf_value
-from pixsim.display import WHITE_XYZ, frame_luminance
-from pixsim.eye_filters import PUBLISHED_GAUSSIANS
-from pixsim.parameters import Camera, Display, Exposure, Pixel
-from pixsim.pixel import PixelPhysics, derive
-from pixsim.pixel_grid import diffracted_rate
-from pixsim.planes import dct, empty_planes, inverse_dct
-from pixsim.score import Bench, bench_of, project, stream
-from pixsim.sensor import capture_rate, draw_sensor
-from pixsim.spectral import SpectralImage, d65
+from pixsim import optics
+from pixsim.base.arrays import dct, empty_planes, inverse_dct, stream
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage, d65
+from pixsim.scene.charts import csf_value
+from pixsim.sensor.integration import diffracted_rate
+from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.readout import capture_rate, draw_sensor
+from pixsim.viewer import scielab
+from pixsim.viewer.display import WHITE_XYZ, frame_luminance
+from pixsim.viewer.scielab import PUBLISHED_GAUSSIANS
+from pixsim.viewer.score import Bench, bench_of, project
 
 Work = Callable[[], object]
 NM = np.arange(400.0, 701.0, 10.0)

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from pixsim.paper import REFERENCE_TECHNOLOGY
-from pixsim.sensitivity import turned_words
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY
+from pixsim.studies.sensitivity import turned_words
 
 
 def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:

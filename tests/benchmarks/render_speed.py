@@ -22,13 +22,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 import pixsim
-from pixsim.mitsuba_xml import speaking_mitsuba
-from pixsim.parameters import Pixel
-from pixsim.pixel import derive
-from pixsim.plan import Plan
-from pixsim.renderer import Renderer
-from pixsim.sensor import ideal_rate
-from pixsim.spectral import photons_per_joule
+from pixsim.base.parameters import Pixel
+from pixsim.light.spectral import photons_per_joule
+from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.plan import Plan
+from pixsim.scene.renderer import Renderer
+from pixsim.sensor.integration import ideal_rate
+from pixsim.sensor.pixel import derive
 
 TARGETS = {"csf": (1e-3, 100.0, 3.0), "macbeth": (1e-3, 50.0, 2.0), "still_life": (5e-2, 1.5, 1.0)}  # error, ratios asked for
 BANDS_NM = np.arange(400.0, 701.0, 10.0)

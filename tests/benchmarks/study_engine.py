@@ -16,8 +16,8 @@ import time
 from pathlib import Path
 
 import pixsim
-from pixsim.evaluations import Lights, bench_at, stream_key
-from pixsim.sweep import render_for
+from pixsim.studies.evaluations import Lights, bench_at, stream_key
+from pixsim.studies.study import render_for
 
 PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
 TIMED = 100  # evaluations of each pitch that tell what the work costs

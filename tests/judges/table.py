@@ -19,7 +19,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]  # as pytest does; and the package beside these tests
 
-from pixsim import cache  # noqa: E402
+from pixsim.base.files import FOLDER_VARIABLE  # noqa: E402
 
 GROUPED = ("EMVA", "ISO 15739", "ISO 12232")
 COLUMNS = ("judge", "standard", "gate", "measured", "met")
@@ -91,7 +91,7 @@ def main(arguments: list[str]) -> int:
         print(f"got {arguments}; allowed: --full, --short", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory() as folder:  # as tests/conftest.py: the user's cache is neither read nor written
-        os.environ[cache.FOLDER_VARIABLE] = folder
+        os.environ[FOLDER_VARIABLE] = folder
         rows = [each for name in judges() for each in verdicts(name, "--full" in arguments)]
     print(markdown(condensed(rows) if "--short" in arguments else rows))
     return int(not rows or not all(each["met"] for each in rows))

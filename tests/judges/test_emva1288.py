@@ -1,7 +1,7 @@
 """The package `emva1288` 1.0.2 measures pixsim's sensor from its frames, and judges pixsim's own estimators on them.
 
 Source: the reference implementation of EMVA 1288, https://github.com/EMVA1288/emva1288 (GPL; in the tests only). It is given the
-frames of `pixsim.datasheet_experiment` and finds K, QE, σ_d, DSNU1288, PRNU1288 and the saturation by itself.
+frames of `pixsim.measure.experiment` and finds K, QE, σ_d, DSNU1288, PRNU1288 and the saturation by itself.
 
 Gates, two-sided, with the statistical error of one sensor of 480 × 480 pixels:
 
@@ -10,7 +10,7 @@ Gates, two-sided, with the statistical error of one sensor of 480 × 480 pixels:
 - σ_d within 0.5 %, with bits that make it 1 DN and more: one dark pair (0.15 %) and K: 0.18 %.
 - DSNU and PRNU within 0.5 % of the realised maps: offset, column and dark charge of this individual, √(offset² + column² +
   (σ_DSNU·dark)²), and its gains. Enough frames in the stacks that temporal noise leaves 0.12 %, and K: 0.15 %.
-- the saturation within one exposure step of the peak of the model's own variance (`pixsim.expected_frames`).
+- the saturation within one exposure step of the peak of the model's own variance (`pixsim.measure.datasheet`).
 - pixsim's estimators within 1e-4 of the package's on the same frames: the formulas are the same, whatever the noise.
 
 What would not be met is tried too: another gain, another pattern in each frame, a dark that is clipped.
@@ -27,16 +27,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim.datasheet import DataSheet
-from pixsim.datasheet_experiment import Experiment, make_experiment
-from pixsim.datasheet_series import measure
-from pixsim.datasheet_truth import dark_map_e
-from pixsim.expected_frames import variance_peak_e
-from pixsim.frame_statistics import Frames
-from pixsim.parameters import Pixel
-from pixsim.photon_transfer import saturation_index
-from pixsim.score import stream
-from pixsim.sensor import draw_sensor
+from pixsim.base.arrays import stream
+from pixsim.base.parameters import Pixel
+from pixsim.measure.datasheet import DataSheet, dark_map_e, variance_peak_e
+from pixsim.measure.estimators import Frames, saturation_index
+from pixsim.measure.experiment import Experiment, make_experiment, measure
+from pixsim.sensor.readout import draw_sensor
 
 process = pytest.importorskip("emva1288.process")
 from emva1288.process import routines  # noqa: E402

@@ -36,12 +36,13 @@ import pytest
 from scipy.signal.windows import tukey
 
 import pixsim
-from pixsim import charts
-from pixsim.parameters import Camera, Exposure, Pixel
-from pixsim.pixel import derive
-from pixsim.sensor import capture, capture_rate, draw_sensor, electrons_per_joule, mean_signal_rate
-from pixsim.sfr import BINS_A_PIXEL, HALF_WINDOW_PX, NYQUIST_CY_PER_PX, TAPER, EdgeResponse, edge_response
-from pixsim.spectral import SpectralImage
+from pixsim.base.parameters import Camera, Exposure, Pixel
+from pixsim.light.spectral import SpectralImage
+from pixsim.measure.sfr import BINS_A_PIXEL, HALF_WINDOW_PX, NYQUIST_CY_PER_PX, TAPER, EdgeResponse, edge_response
+from pixsim.scene import charts
+from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import capture, capture_rate, draw_sensor
 
 STANDARD = "ISO 12233:2023 e-SFR"
 PITCHES_UM = (5.3, 6.5, 15.0)

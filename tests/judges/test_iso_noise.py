@@ -24,13 +24,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim.datasheet import make_datasheet
-from pixsim.datasheet_entries import SPEED, entries
-from pixsim.datasheet_experiment import Experiment, make_experiment
-from pixsim.datasheet_truth import dark_map_e
-from pixsim.iso_noise import daylight_e_per_lx_s, noise_15739
-from pixsim.parameters import Pixel
-from pixsim.pixel import derive
+from pixsim.base.parameters import Pixel
+from pixsim.measure.datasheet import SPEED, dark_map_e, entries, make_datasheet
+from pixsim.measure.estimators import daylight_e_per_lx_s, noise_15739
+from pixsim.measure.experiment import Experiment, make_experiment
+from pixsim.sensor.pixel import derive
 
 NOISE_GATE, LIGHT_GATE, SATURATION_GATE, SPEED_GATE = 0.005, 0.002, 0.002, 0.02
 NOISE_STANDARD, SPEED_STANDARD = "ISO 15739", "ISO 12232"
@@ -144,5 +142,5 @@ def test_two_per_cent_more_noise_is_found_out() -> None:
 
 
 def test_another_light_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.iso_noise.d65", lambda nm: np.ones_like(nm))
+    monkeypatch.setattr("pixsim.measure.estimators.d65", lambda nm: np.ones_like(nm))
     assert abs(light_off(CASES[0])) > LIGHT_GATE

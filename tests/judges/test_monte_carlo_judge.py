@@ -28,11 +28,11 @@ from gates import not_met, row
 from scipy.stats import ttest_ind_from_stats
 
 import pixsim
-from pixsim.pixel import derive
-from pixsim.renderer import Renderer
-from pixsim.sensor import ideal_rate
-from pixsim.sensor_plan import make_plan
-from pixsim.variant import find_llvm
+from pixsim.scene.plan import make_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.variant import find_llvm
+from pixsim.sensor.integration import ideal_rate
+from pixsim.sensor.pixel import derive
 
 SIGNIFICANCE, PASSING = 0.01, 0.9975
 LIKELY = (0.01, 0.12)  # of the pixels at p < 0.05, where 0.05 is expected

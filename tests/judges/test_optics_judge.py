@@ -35,8 +35,9 @@ from scipy.optimize import brentq
 
 import pixsim
 from pixsim import optics
-from pixsim.mitsuba_xml import speaking_mitsuba
-from pixsim.spectral import luminous_weight, photons_per_joule
+from pixsim.light.spectral import luminous_weight, photons_per_joule
+from pixsim.optics import diffraction
+from pixsim.scene.mitsuba import speaking_mitsuba
 
 ISETCAM = Path(__file__).parents[1] / "data" / "isetcam_optics" / "isetcam_optics.npz"
 Law = Callable[[float, float], float]  # E/L of f-number and tangent of the field angle
@@ -332,7 +333,7 @@ def test_a_square_pupil_has_no_airy_disc(monkeypatch):
     def along_x_and_y(frequency, wavelength_nm, f_number):
         return np.maximum(1 - np.abs(frequency) / optics.cutoff_cy_per_mm(wavelength_nm, f_number), 0)
 
-    monkeypatch.setattr(optics, "diffraction_otf", along_x_and_y)
+    monkeypatch.setattr(diffraction, "diffraction_otf", along_x_and_y)
     zero, inside = airy.__wrapped__()
     assert abs(zero / FIRST_ZERO - 1) > 2e-4
     assert abs(inside / INSIDE_IT - 1) > 1e-4

@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim.datasheet_experiment import with_black_level
-from pixsim.frame_statistics import pair
-from pixsim.parameters import Pixel
-from pixsim.pixel import PixelPhysics, derive
-from pixsim.score import stream
-from pixsim.sensor import draw_sensor, expose, frame_mean_dn
+from pixsim.base.arrays import stream
+from pixsim.base.parameters import Pixel
+from pixsim.measure.estimators import pair
+from pixsim.measure.experiment import with_black_level
+from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.readout import draw_sensor, expose, frame_mean_dn
 
 STANDARD = "Chen et al. (2000), eqs. (1) and (2)"
 SECONDS = 0.030

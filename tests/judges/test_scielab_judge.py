@@ -28,7 +28,8 @@ import numpy as np
 import pytest
 from gates import not_met, row
 
-from pixsim import eye_filters, scielab
+from pixsim.viewer import scielab
+from pixsim.viewer import scielab as eye_filters
 
 DATA = Path(__file__).parents[1] / "data" / "scielab"
 PAIRS = ["constant_offset", "csf_sweep_vs_blur", "dark_noise", "edge_vs_blurred_edge", "redgreen_grating_vs_mean"]

@@ -35,7 +35,7 @@ def test_the_table_holds_every_judge_and_fails_with_one(tmp_path, monkeypatch, c
     }.items():
         (tmp_path / f"test_made_up_{name}.py").write_text(f"from gates import row\n{body}\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv(table.cache.FOLDER_VARIABLE, str(tmp_path))
+    monkeypatch.setenv(table.FOLDER_VARIABLE, str(tmp_path))
     monkeypatch.setattr(table, "judges", lambda: ["test_made_up_fine", "test_made_up_deep", "test_made_up_silent"])
     assert table.main([]) == 0
     told = capsys.readouterr().out.splitlines()

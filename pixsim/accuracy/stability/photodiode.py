@@ -1,0 +1,140 @@
+"""The stiff one: a photodiode from hours of darkness to picoseconds in the forward bias, 77 to 400 K, four processes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from pixsim.accuracy.solvers import solve_ode
+from pixsim.accuracy.stability import Case, compare
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Pixel
+from pixsim.sensor.photodiode import (
+    LINEAR_WITHIN,
+    collected_charge_e,
+    converted_e,
+    default_diode,
+    diode_of,
+    kept_charge_e,
+    kept_level_e,
+    level_table,
+    linear_limit_e,
+)
+from pixsim.sensor.pixel import E_PER_FC, Diode, derive
+
+CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
+TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
+TEMPERATURES_K = (77.0, 300.15, 400.0)
+PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
+FORWARD = (1e12, 0.03)  # e-/s and s: 0.5 V forward at 300 K, beyond the 0.4 V of the sidewall at 0.18 µm
+HOURS_S = 36000.0
+
+
+def cases() -> Iterator[Case]:
+    yield from constant_capacitance()
+    yield from limits()
+    yield from implicit_solver()
+    yield from without_diode_current()
+    yield from tables()
+
+
+def closed_form_e(total_e_per_s: Array, time_s: Array, capacitance_e_per_v: float, diode: Diode) -> Array:
+    """C(V_0 - V) with e^(V/V_T) = I_s/a + (e^(V_0/V_T) - I_s/a) e^(-at/CV_T), in long double; small charges by log1p."""
+    v_t = np.longdouble(diode.thermal_v)
+    reset = np.exp(np.longdouble(diode.reset_voltage_v) / v_t)
+    ratio = np.longdouble(diode.saturation_current_e_per_s) / total_e_per_s.astype(np.longdouble)
+    spent = total_e_per_s.astype(np.longdouble) * time_s / (capacitance_e_per_v * v_t)
+    late = np.log(reset) - np.log(ratio + (reset - ratio) * np.exp(-spent))
+    early = -np.log1p((1 - ratio / reset) * np.expm1(-np.minimum(spent, 1)))
+    return (capacitance_e_per_v * v_t * np.where(spent < 1, early, late)).astype(float)
+
+
+def constant_capacitance() -> Iterator[Case]:
+    for temperature_k in TEMPERATURES_K:
+        diode = diode_of(Pixel(capacitance="paper", temperature_k=temperature_k))
+        current, time_s = np.meshgrid(CURRENTS_E_PER_S, TIMES_S)
+        e_per_v = E_PER_FC * diode.node_capacitance_ff
+        expected = closed_form_e(current + diode.saturation_current_e_per_s, time_s, e_per_v, diode)
+        name = f"constant capacitance, {temperature_k:g} K, 20 decades of light, 1 ns to 10 h"
+        yield compare(name, expected, collected_charge_e(current, time_s, diode), 1e-8, "closed form")
+
+
+def spice_ff(diode: Diode, bias_v: float) -> float:
+    """C(V) as SPICE writes it, for the forward voltage -V."""
+    total = diode.node_capacitance_ff
+    for zero_bias_ff, built_in_v, grading in diode.junctions:
+        ratio = -bias_v / built_in_v
+        line = (1 - 0.5 * (1 + grading) + grading * ratio) / 0.5 ** (1 + grading)
+        total += zero_bias_ff * (line if ratio > 0.5 else (1 - ratio) ** -grading)
+    return total
+
+
+def charge_to_e(diode: Diode, low_v: float) -> float:
+    """∫C dV/q from the reset down to a bias, by Simpson's rule between the corners of `spice_ff`."""
+    ends = sorted({diode.reset_voltage_v, low_v, *(knee for knee in diode.knees_v if knee > low_v)})
+    total = 0.0
+    for low, high in pairwise(ends):
+        v = np.linspace(low, high, 4001)
+        weight = np.where(np.arange(v.size) % 2, 4.0, 2.0)
+        weight[[0, -1]] = 1.0
+        total += float((weight * np.array([spice_ff(diode, each) for each in v])).sum()) * (high - low) / 12000
+    return E_PER_FC * total
+
+
+def limits() -> Iterator[Case]:
+    for technology, pitch_um in PITCHES_UM.items():
+        diode = diode_of(Pixel(technology=technology, pitch_um=pitch_um))
+        bright = np.array([1e6, 1e11, 1e17])
+        expected = [charge_to_e(diode, -diode.thermal_v * math.log1p(i / diode.saturation_current_e_per_s)) for i in bright]
+        got = collected_charge_e(bright, HOURS_S, diode)
+        yield compare(f"{technology}: 10 h end at V_oc = -V_T ln(1 + i/I_s)", expected, got, 1e-9, "SPICE's C(V), Simpson")
+        got_dark = collected_charge_e(0.0, 1e3 * HOURS_S, diode)
+        yield compare(f"{technology}: dark charge ends at V = 0", charge_to_e(diode, 0.0), got_dark, 1e-9, "SPICE's C(V), Simpson")
+        half_e = charge_to_e(diode, diode.reset_voltage_v / 2)
+        current, time_s = np.meshgrid(CURRENTS_E_PER_S, TIMES_S)
+        generated = (current + diode.saturation_current_e_per_s) * time_s
+        kept = np.where(generated < half_e, collected_charge_e(current, time_s, diode), 0.0)
+        expected_kept = np.where(generated < half_e, generated, 0.0)
+        # At 0.18 µm the diode takes 1e-12 even there: e^(-V/V_T) of half the reset voltage, 0.58 V, over hours.
+        yield compare(f"{technology}: all is kept before saturation", expected_kept, kept, 1e-11, "conservation of charge")
+
+
+def implicit_solver() -> Iterator[Case]:
+    pixels = [(Pixel(technology=name, pitch_um=pitch), *FORWARD) for name, pitch in PITCHES_UM.items()]
+    pixels += [(Pixel(temperature_k=each), 7e6, 0.03) for each in (77.0, 400.0)]
+    pixels += [(Pixel(), 1e17, HOURS_S)]
+    for pixel, current, time_s in pixels:
+        diode = diode_of(pixel)
+        expected, _, failure = solve_ode(diode, current, time_s, "Radau")
+        name = f"{pixel.technology}, {pixel.temperature_k:g} K, {current:g} e-/s for {time_s:g} s"
+        yield compare(name, expected, collected_charge_e(current, time_s, diode), 1e-8, f"Radau (implicit) {failure}".strip())
+
+
+def without_diode_current() -> Iterator[Case]:
+    for saturation, name in ((0.0, "no diode current: all light is kept"), (1e-300, "a diode current of 1e-300 e-/s")):
+        diode = replace(default_diode(), saturation_current_e_per_s=saturation)
+        current = CURRENTS_E_PER_S[CURRENTS_E_PER_S < 1e6] if saturation else CURRENTS_E_PER_S
+        yield compare(name, current * 0.03, collected_charge_e(current, 0.03, diode), 1e-12, "conservation of charge")
+
+
+def tables() -> Iterator[Case]:
+    for (technology, pitch_um), temperature_k in zip(PITCHES_UM.items(), (400.0, 300.15, 77.0, 400.0), strict=True):
+        for time_s, conversion in ((1e-3, "linear"), (HOURS_S, "junction")):
+            options = {"well_limit": "diode", "conversion": conversion, "temperature_k": temperature_k}
+            physics = derive(Pixel.model_validate({"technology": technology, "pitch_um": pitch_um, **options}))
+            diode, well_e = diode_of(physics), physics.full_well_e
+            generated = np.concatenate([np.linspace(0, 2 * well_e, 1501), well_e * np.logspace(-4, 15, 301)])
+            kept = kept_charge_e(generated, time_s, diode)
+            expected = converted_e(kept, well_e, diode) if conversion == "junction" else kept
+            got = kept_level_e(generated, time_s, physics)
+            name = f"{technology}, {temperature_k:g} K, {time_s:g} s, {conversion}"
+            yield compare(f"table: {name}", expected, got, 1e-6, "quadrature", scale=well_e)
+            fall = float(np.diff(level_table(diode, well_e, time_s, conversion == "junction").level_e).min())
+            yield compare(f"table never falls: {name}", 0.0, min(fall, 0.0), 0.0, "f_t is monotone")
+            below = np.linspace(0, 1 - 1e-9, 65) * linear_limit_e(diode, well_e, time_s)
+            lost = below - kept_charge_e(below, time_s, diode)
+            yield compare(f"linear law below its limit: {name}", 0.0, lost, LINEAR_WITHIN, "quadrature", scale=well_e)

@@ -1,0 +1,216 @@
+"""Light at its narrowest, and light that is missing: 1 nm lines anywhere, dark bands, nothing that the sensor sees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from pixsim.accuracy.stability import Case, compare
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera, Display, Pixel
+from pixsim.light.spectral import (
+    HIGH_NM,
+    LIGHT_SPEED_M_PER_S,
+    LOW_NM,
+    LUMINOUS_EFFICACY_LM_PER_W,
+    PLANCK_J_S,
+    SpectralImage,
+    Spectrum,
+    photons_per_joule,
+    photopic_efficiency,
+)
+from pixsim.scene.bands import Bands, Response, Witness, fit, place_bands
+from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
+from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.viewer.display import white_rate
+
+# Whole and broken nanometres, borders of bands, ends of the response (400 and 800 nm) and of the range.
+CENTRES_NM = (
+    360.0,
+    360.2,
+    361.0,
+    365.0,
+    365.5,
+    393.7,
+    400.0,
+    400.3,
+    447.31,
+    532.0,
+    555.03,
+    632.8,
+    700.0,
+    799.7,
+    800.0,
+    829.3,
+    830.0,
+)
+LINE = "360 to 830 nm, on and off the borders of bands"
+SURFACES = np.zeros((0, 471))  # none
+BANDS_TOLERANCE = 2.5e-4  # what bands may cost in a render of the default tolerance
+LUMINANCE_TOLERANCE = 1e-3
+SUMMED = 1e-13  # of the roundings of a running sum over up to 15 040 cells
+GRID_NM = np.arange(LOW_NM, HIGH_NM + 0.05, 0.1)  # every table has its nodes here
+PITCH_UM = 10.0
+CAMERA = Camera()
+
+
+def cases() -> Iterator[Case]:
+    yield from _lines()
+    yield from _missing_light()
+    yield from _blind()
+
+
+def line(centre_nm: float, width_nm: float = 1.0) -> Spectrum:
+    """1 W m⁻² in a triangle, `width_nm` wide at half its height."""
+    return Spectrum(np.array([centre_nm - width_nm, centre_nm, centre_nm + width_nm]), np.array([0.0, 1 / width_nm, 0.0]))
+
+
+def power_in_range(centre_nm: float) -> float:
+    """What of a triangle 1 nm wide lies within 360-830 nm, in closed form."""
+
+    def below(nm: float) -> float:
+        u = min(max(nm - centre_nm, -1.0), 1.0)
+        return (1 + u) ** 2 / 2 if u < 0 else 1 - (1 - u) ** 2 / 2
+
+    return below(HIGH_NM) - below(LOW_NM)
+
+
+def seen(lamp: Spectrum, response: Response) -> float:
+    """∫ lamp · response, by Gauss's rule between the nodes of both."""
+    low, high = max(LOW_NM, lamp.nodes_nm[0]), min(HIGH_NM, lamp.nodes_nm[-1])
+    inside = GRID_NM[(low < GRID_NM) & (high > GRID_NM)]
+    nodes = np.unique(np.concatenate([[low, high], inside, np.clip(lamp.nodes_nm, low, high)]))
+    x, weight = np.polynomial.legendre.leggauss(3)
+    half = np.diff(nodes)[:, None] / 2
+    at = nodes[:-1, None] + half * (1 + x)
+    return float((half * weight * lamp.at(at) * response(at)).sum())
+
+
+def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
+    """An even field lit by the lamp, W m⁻² nm⁻¹, of 8×8 samples."""
+    spectrum = lamp.cell_means(bands.edges_nm)
+    within = bands.nodes_nm, bands.shares
+    return SpectralImage(
+        bands.wavelength_nm, bands.width_nm, 2 * PITCH_UM, factors=(spectrum, np.ones((1, 8, 8))), within=within, header={}
+    )
+
+
+def _lines() -> Iterator[Case]:
+    physics = derive(Pixel(pitch_um=PITCH_UM))
+    flat = derive(Pixel(pitch_um=PITCH_UM, quantum_efficiency=0.5))
+
+    def electrons(nm: Array) -> Array:
+        return physics.quantum_efficiency(nm) * photons_per_joule(nm)
+
+    witnesses = [Witness(electrons), Witness(photopic_efficiency)]
+    placed = [(line(nm), place_bands([line(nm)], SURFACES, witnesses, BANDS_TOLERANCE)) for nm in CENTRES_NM]
+    images = [image_of(*each) for each in placed]
+    power = [power_in_range(nm) for nm in CENTRES_NM]
+    light = [float((image.mean_spectrum() * image.band_width_nm).sum()) for image in images]
+    yield compare(f"power of a 1 nm line in its bands, {LINE}", power, light, SUMMED, "area of the triangle within 360-830 nm")
+    fits = [(fit(lamp, bands, SURFACES, witnesses, BANDS_TOLERANCE), bands) for lamp, bands in placed]
+    told = [math.nan if found is None else float((found.spectra.sum(axis=0) * bands.width_nm).sum()) for found, bands in fits]
+    yield compare(f"power of a 1 nm line told by one pulse of the renderer, {LINE}", power, told, SUMMED, "the same area")
+    yield compare(
+        f"electrons from a 1 nm line, QE of the 0.35 µm process, {LINE}",
+        [seen(lamp, electrons) for lamp, _ in placed],
+        [_electrons(image, physics) for image in images],
+        BANDS_TOLERANCE,
+        "∫ QE λ/hc E dλ, by quadrature; what bands may cost",
+    )
+    yield compare(
+        f"illuminance of a 1 nm line, {LINE}",
+        [LUMINOUS_EFFICACY_LM_PER_W * seen(lamp, photopic_efficiency) for lamp, _ in placed],
+        [image.illuminance_lx()[0, 0] for image in images],
+        LUMINANCE_TOLERANCE,
+        "683.002 ∫ ȳ E dλ, by quadrature; what bands may cost",
+    )
+    lasers = [nm for nm in CENTRES_NM if LOW_NM + 1 < nm < HIGH_NM - 1 and nm not in (400.0, 800.0)]  # no step within the line
+    thin = [line(nm, 0.01) for nm in lasers]
+    images = [image_of(lamp, place_bands([lamp], SURFACES, witnesses, BANDS_TOLERANCE)) for lamp in thin]
+    yield compare(
+        "electrons from a laser 0.01 nm wide, QE 0.5, 361 to 829 nm",
+        [0.5 * nm * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S) for nm in lasers],
+        [_electrons(image, flat) for image in images],
+        1 / 64 / LOW_NM,
+        "QE λ/hc · power; the wavelength is known to half a cell of 1/32 nm",
+    )
+    area_m2 = physics.photodiode_area_um2 * 1e-12
+    yield compare(
+        "electrons of every pixel from a laser, behind the diffracting lens",
+        (electrons(np.array(lasers)) * area_m2)[:, None, None],
+        [mean_signal_rate(image, CAMERA, physics) for image in images],
+        BANDS_TOLERANCE,
+        "QE(λ) λ/hc · power · photodiode area, in all pixels alike; what bands may cost",
+    )
+
+
+def _electrons(image: SpectralImage, physics: PixelPhysics) -> float:
+    return float((electrons_per_joule(physics, image) * image.mean_spectrum()).sum())
+
+
+def _missing_light() -> Iterator[Case]:
+    physics = derive(Pixel(pitch_um=PITCH_UM))
+    nm = np.arange(365.0, 826.0, 10.0)
+    for name, lit in (("every second band dark", np.arange(nm.size) % 2 == 0), ("one band lit of 47", nm == 555.0)):
+        spectrum = np.where(lit, 0.02, 0.0)
+        qe = physics.quantum_efficiency(nm).tolist()
+        one = [0.02 * 10 * q * each * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S) for q, each in zip(qe, nm.tolist(), strict=True)]
+        wanted = math.fsum(each for each, on in zip(one, lit, strict=True) if on) * physics.photodiode_area_um2 * 1e-12
+        yield compare(
+            f"electrons of every pixel, {name}",
+            wanted,
+            [mean_signal_rate(image, CAMERA, physics) for image in _even_images(nm, spectrum)],
+            1e-7,
+            "sum over the lit bands; irradiance is stored in float32, 6e-8",
+        )
+    dark = place_bands([line(555.0) * 0.0], SURFACES, [Witness(photopic_efficiency)], BANDS_TOLERANCE)
+    yield compare("shares of light in the bands of a lamp that is off", 1.0, dark.shares.sum(axis=1), 1e-15, "they add up to 1")
+    bright = [
+        _electrons(image, physics) for image in (_even_images(nm, np.full(nm.size, 10.0**k))[0] for k in (-30, -12, 0, 12, 30))
+    ]
+    yield compare(
+        "electrons against irradiance, 1e-30 to 1e30 W m⁻² nm⁻¹",
+        [bright[2] * 10.0**k for k in (-30, -12, 0, 12, 30)],
+        bright,
+        1e-14,
+        "proportional; roundings",
+    )
+
+
+def _even_images(nm: Array, spectrum: Array) -> list[SpectralImage]:
+    """The same even field as one spectrum times a picture, and as data."""
+    shape = (8, 6)
+    factored = SpectralImage(nm, 10.0, 2 * PITCH_UM, factors=(spectrum, np.ones((1, *shape))))
+    return [factored, SpectralImage(nm, 10.0, 2 * PITCH_UM, data=np.broadcast_to(spectrum, (*shape, nm.size)))]
+
+
+def _blind() -> Iterator[Case]:
+    nm = np.arange(365.0, 826.0, 10.0)
+    outside = {
+        "below and above the response, 400-800 nm": (Pixel(pitch_um=PITCH_UM), (nm < 400) | (nm > 800)),
+        "beyond the infrared cut": (Pixel(pitch_um=PITCH_UM, technology="4t-bsi", infrared_cut_nm=650.0), nm > 655),
+    }
+    for name, (pixel, lit) in outside.items():
+        images = _even_images(nm, np.where(lit, 0.02, 0.0))
+        physics = derive(pixel)
+        rates = [mean_signal_rate(image, CAMERA, physics) for image in images]
+        yield compare(f"electrons of every pixel, light only {name}", 0.0, rates, 0.0, "nothing is collected: exactly 0")
+    physics = derive(Pixel(pitch_um=PITCH_UM))
+    refused = [
+        _is_refused(image, physics) for lit in (nm < 400, nm < 0) for image in _even_images(nm, np.where(lit, 0.02, 0.0))[:1]
+    ]
+    yield compare(
+        "white of which the sensor sees nothing, or which is dark", 1.0, refused, 0.0, "refused with a reason, not divided by"
+    )
+
+
+def _is_refused(image: SpectralImage, physics: PixelPhysics) -> float:
+    try:
+        white_rate(image, CAMERA, physics, Display(white_cd_per_m2=1000.0))
+    except PixsimError:
+        return 1.0
+    return 0.0

@@ -1,0 +1,188 @@
+"""The viewer at the extremes: from 0.5 to 2000 samples a degree, from no light to 1e12 times white, tiny pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pixsim.accuracy.stability import Case, compare
+from pixsim.base.arrays import Array
+from pixsim.viewer.scielab import CIE_LAB, Filters, delta_e, delta_e_map, filtered_grey_lab, filtered_lab, xyz_to_lab
+
+WHITE = np.array([95.047, 100.0, 108.883])
+DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
+SHAPES = ((1, 1), (1, 2), (2, 1), (1, 9), (3, 5), (33, 20))  # the widest Gaussian, 4.3°, is larger than each
+VIEWS = "0.5 to 2000 samples/deg, 1×1 to 33×20 samples"
+BOTH: tuple[Filters, ...] = ("published", "zhang1996")
+# S-CIELAB as in Zhang & Wandell (1997), typed again: (weight, spread in degrees).
+GAUSSIANS = (
+    ((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)),
+    ((0.531, 0.0392), (0.330, 0.494)),
+    ((0.488, 0.0536), (0.371, 0.386)),
+)
+OPPONENT = np.array([[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]])
+THRESHOLD, SLOPE = (6 / 29) ** 3, (29 / 3) ** 3  # CIE 15: of Y/Yn; L* per Y/Yn below it
+# Roundings of transforms of values near 1, times the slope of Lab, up to 903 in L* and 500·7.8 in a*: 1e-15 · 4e3 · 10.
+LAB_ROUNDED = 1e-10
+
+
+def cases() -> Iterator[Case]:
+    pictures = [np.random.default_rng(number).uniform(0.02, 1.2, (*shape, 3)) * WHITE for number, shape in enumerate(SHAPES)]
+    yield from _views(pictures)
+    yield from _amounts(pictures)
+    yield from _threshold()
+
+
+def lab_of(relative: Array) -> Array:
+    """CIELAB of X/Xn, Y/Yn, Z/Zn, as in CIE 15, branch by branch."""
+    f = [[t ** (1 / 3) if t > THRESHOLD else (SLOPE * t + 16) / 116 for t in one] for one in relative.reshape(-1, 3).tolist()]
+    lab = np.array([(116 * y - 16, 500 * (x - y), 200 * (y - z)) for x, y, z in f])
+    return lab.reshape(relative.shape)
+
+
+def view(samples_per_deg: float, filters: Filters = "published", unit: float = 1.0) -> dict[str, Any]:
+    return {"white_xyz": WHITE * unit, "samples_per_deg": samples_per_deg, "filters": filters}
+
+
+def _views(pictures: list[Array]) -> Iterator[Case]:
+    colours = np.array([[1.0, 1.0, 1.0], [0.3, 0.2, 0.9], [1e-3, 2e-3, 1e-4], [0.0, 0.0, 0.0]])
+    flat = [np.broadcast_to(colour * WHITE, (*shape, 3)) for colour in colours for shape in SHAPES]
+    expected = [np.broadcast_to(lab_of(colour), (*shape, 3)).ravel() for colour in colours for shape in SHAPES]
+    yield compare(
+        f"CIELAB of even pictures, {VIEWS}",
+        np.tile(np.concatenate(expected), len(DENSITIES)),
+        np.concatenate([filtered_lab(each, **view(density)).ravel() for density in DENSITIES for each in flat]),
+        LAB_ROUNDED,
+        "the eye's blur changes nothing: CIE 15; ΔE, roundings",
+        scale=1.0,
+    )
+    gratings = [(density, order) for density in DENSITIES for order in (1, 5, 15)]
+    yield compare(
+        "CIELAB of coloured gratings, 0.5 to 2000 samples/deg",
+        np.concatenate([lab_of(_blurred_grating(*each)) for each in gratings]),
+        np.concatenate([filtered_lab(_grating(order)[None] * WHITE, **view(density))[0] for density, order in gratings]),
+        LAB_ROUNDED,
+        "Σ w exp(-π² s² f²)/Σ w of each opponent channel, closed form; ΔE, roundings",
+        scale=1.0,
+    )
+    for filters in BOTH:
+        whole, part = [], []
+        for density in DENSITIES:
+            for each in pictures:
+                mirrored = np.concatenate([each, each[:, ::-1]], axis=1)
+                mirrored = np.concatenate([mirrored, mirrored[::-1]], axis=0)
+                part.append(filtered_lab(each, **view(density, filters)).ravel())
+                whole.append(filtered_lab(mirrored, **view(density, filters))[: each.shape[0], : each.shape[1]].ravel())
+        yield compare(
+            f"pictures smaller than the eye's blur, filters '{filters}', {VIEWS}",
+            np.concatenate(whole),
+            np.concatenate(part),
+            LAB_ROUNDED,
+            "symmetry: a picture and the same one with its mirror images beside it look alike; ΔE, roundings",
+            scale=1.0,
+        )
+    far = [filtered_lab(each, **view(1e9)).reshape(-1, 3) for each in pictures]
+    mean = [np.broadcast_to(lab_of(each.mean(axis=(0, 1)) / WHITE), one.shape) for each, one in zip(pictures, far, strict=True)]
+    yield compare(
+        "pictures from far away, 1e9 samples/deg", np.concatenate(mean), np.concatenate(far), LAB_ROUNDED, "their mean", 1.0
+    )
+
+
+def _grating(order: int, samples: int = 16) -> Array:
+    """X/Xn, Y/Yn, Z/Zn (samples, 3) of a grating in all three opponent channels."""
+    wave = np.cos(np.pi * order * (np.arange(samples) + 0.5) / samples)
+    return 0.5 + wave[:, None] * np.array([0.3, 0.1, -0.2])
+
+
+def _blurred_grating(samples_per_deg: float, order: int, samples: int = 16) -> Array:
+    frequency_cy_per_deg = order / (2 * samples) * samples_per_deg
+    gain = [
+        sum(w * math.exp(-((math.pi * s * frequency_cy_per_deg) ** 2)) for w, s in channel) / sum(w for w, _ in channel)
+        for channel in GAUSSIANS
+    ]
+    filtered = np.linalg.inv(OPPONENT) @ np.diag(gain) @ OPPONENT
+    even = 0.5 * WHITE
+    return (even + (_grating(order, samples) * WHITE - even) @ filtered.T) / WHITE
+
+
+def _amounts(pictures: list[Array]) -> Iterator[Case]:
+    same = [
+        delta_e_map(each * k, each * k, **view(23.0, filters))
+        for filters in BOTH
+        for each in pictures
+        for k in (0, -1, 1e-12, 1e12)
+    ]
+    yield compare("ΔE of pictures with themselves: black, negative, 1e-12 and 1e12 times white", 0.0, _flat(same), 0.0, "exactly 0")
+    black = [filtered_lab(np.zeros((*shape, 3)), **view(density)) for shape in SHAPES for density in DENSITIES]
+    yield compare(f"CIELAB of black, XYZ = 0, {VIEWS}", 0.0, _flat(black), 0.0, "exactly 0")
+    pairs = list(zip(pictures, [each[::-1, ::-1] * 0.9 for each in pictures], strict=True))
+    plain = [delta_e_map(*each, **view(23.0)) for each in pairs]
+    for name, units, allowed in (
+        ("1e-12 and 1e12", (1e-12, 1e12), LAB_ROUNDED),
+        ("2^-1000 and 2^1000", (2.0**-1000, 2.0**1000), 0.0),
+    ):
+        scaled = [delta_e_map(a * unit, b * unit, **view(23.0, unit=unit)) for unit in units for a, b in pairs]
+        source = "the unit of XYZ does not matter" + ("; roundings of the images" if allowed else ": not a bit")
+        yield compare(f"ΔE of images and white times {name}", np.tile(_flat(plain), 2), _flat(scaled), allowed, source, 1.0)
+    faint = np.array([1e-150, 1e-12, 1e-6, 1e-3])
+    found = [delta_e_map(np.zeros((4, 4, 3)), np.full((4, 4, 3), k) * WHITE, **view(23.0)) for k in faint]
+    yield compare("ΔE of black and grey of 1e-150 to 1e-3 of white", SLOPE * faint[:, None, None], found, 1e-12, "(29/3)³ Y/Yn")
+    glare = np.array([1e3, 1e12, 1e100])
+    found = [filtered_lab(np.full((4, 4, 3), k) * WHITE, **view(23.0))[..., 0] for k in glare]
+    yield compare(
+        "L* of grey of 1e3 to 1e100 times white", 116 * np.cbrt(glare)[:, None, None] - 16, found, 1e-13, "116 ∛(Y/Yn) - 16"
+    )
+    noise = np.random.default_rng(9).uniform(-THRESHOLD / 2, THRESHOLD / 2, (24, 24, 3)) * WHITE
+    yield compare(
+        "CIELAB of noise around black, negative XYZ included",
+        -filtered_lab(noise, **view(23.0)),
+        filtered_lab(-noise, **view(23.0)),
+        LAB_ROUNDED,
+        "symmetry: CIELAB is straight through zero, nothing is clipped; ΔE, roundings",
+        scale=1.0,
+    )
+    grey = [each[..., 1] / 100 for each in pictures]
+    yield compare(
+        f"grey pictures by one transform and by three, {VIEWS}",
+        _flat([filtered_lab(each[..., None] * WHITE, **view(density)) for density in DENSITIES for each in grey]),
+        _flat([filtered_grey_lab(each, **view(density)) for density in DENSITIES for each in grey]),
+        LAB_ROUNDED,
+        "the same picture; ΔE, roundings",
+        scale=1.0,
+    )
+
+
+def _flat(arrays: list[Array]) -> Array:
+    return np.concatenate([each.ravel() for each in arrays])
+
+
+def _threshold() -> Iterator[Case]:
+    """f(t) and its slope where the cube root meets the straight line, as the package computes them."""
+    threshold = CIE_LAB[0]
+    beside = np.array([np.nextafter(threshold, 0), threshold, np.nextafter(threshold, 1)])
+    lightness = xyz_to_lab(beside[:, None] * WHITE, WHITE)[:, 0]
+    yield compare(
+        "L* on either side of CIELAB's threshold, Y/Yn = 216/24389", 8.0, lightness, 1e-14, "116 · 6/29 - 16 = 8: no step"
+    )
+    around = threshold * (1 + np.array([-0.5, -1e-2, -1e-4, -1e-8, 1e-8, 1e-4, 1e-2, 0.5]))[:, None] * np.array([1.0, 1.05, 0.95])
+    found = xyz_to_lab(around * WHITE, WHITE)
+    yield compare(
+        "CIELAB from 0.5 to 1.5 of its threshold", lab_of(around), found, 1e-12, "CIE 15, branch by branch; ΔE", scale=1.0
+    )
+    step = 1e-6 * threshold
+    near = threshold + step * np.array([-1.0, 0.0, 1.0])
+    slope = np.diff(xyz_to_lab(near[:, None] * WHITE, WHITE)[:, 0]) / step
+    yield compare(
+        "slope of L* on either side of CIELAB's threshold", SLOPE, slope, 1e-5, "(29/3)³: no kink; the cube root's own bend, 3e-7"
+    )
+    below, above = (filtered_lab(np.full((3, 3, 3), threshold * t) * WHITE, **view(23.0)) for t in (1 - 1e-9, 1 + 1e-9))
+    yield compare(
+        "ΔE of two greys across CIELAB's threshold, 2e-9 of it apart",
+        SLOPE * threshold * 2e-9,
+        delta_e(below, above),
+        1e-5,
+        "slope times distance; roundings of L* = 8, 1e-15, over 1.6e-8",
+    )

@@ -1,0 +1,3 @@
+"""The version of pixsim."""
+
+VERSION = "0.1.0"

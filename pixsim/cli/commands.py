@@ -1,0 +1,623 @@
+"""The commands: run, plan, study, accuracy, datasheet, sfr, chart, template, schema, cache, completion and doctor."""
+
+from __future__ import annotations
+
+import json as json_format
+import os
+import shutil
+import sys
+import textwrap
+from contextlib import nullcontext
+from dataclasses import asdict, replace
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from pixsim.base.config import checked, read_toml, study_layers
+from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.files import output_folder
+from pixsim.cli.options import (
+    DEFAULT_OUT,
+    FILE_WIDTH,
+    NO_CAMERA,
+    NO_DISPLAY,
+    NO_EXPOSURE,
+    NO_PIXEL,
+    CameraTable,
+    Config,
+    Define,
+    DisplayTable,
+    ExposureTable,
+    Full,
+    Json,
+    Out,
+    PixelTable,
+    Seed,
+    SensorId,
+    Tolerance,
+    Variant,
+    app,
+    definitions,
+    described,
+    given,
+    settings_of,
+    show,
+    stages,
+)
+
+if TYPE_CHECKING:
+    from pixsim.cli.doctor import Finding
+    from pixsim.scene.plan import Plan
+
+
+@app.command
+def run(
+    scene: str,
+    *,
+    config: Config = None,
+    define: Define | None = None,
+    camera: CameraTable = NO_CAMERA,
+    pixel: PixelTable = NO_PIXEL,
+    exposure: ExposureTable = NO_EXPOSURE,
+    display: DisplayTable = NO_DISPLAY,
+    seed: Seed = None,
+    tolerance_e: Tolerance = None,
+    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
+    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
+    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    full: Full = False,
+    sensor: SensorId = None,
+    variant: Variant = None,
+    units: Annotated[str | None, Parameter(help="Of a picture whose file does not tell them, as W.m^-2.nm^-1.")] = None,
+    raw: Annotated[
+        list[Literal["tiff", "png", "npz"]] | None,
+        Parameter(help="Write the raw frame in this format too, beside raw.exr.", consume_multiple=False),
+    ] = None,
+    no_irradiance: Annotated[bool, Parameter(help="Leave out irradiance.exr, the largest file.")] = False,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Render a scene, take its picture with one sensor and score it.
+
+    Example: pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
+
+    Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
+
+    Writes irradiance.exr, raw.exr (for --raw in other formats too), ideal.png, image.png, delta_e.exr, delta_e.png,
+    score.json, and report.html, which shows them.
+
+    Parameters
+    ----------
+    scene
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
+        Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry.
+    """
+    from pixsim.report.run import run_and_write
+    from pixsim.report.wording import budget_lines, dark_note, score_line
+
+    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
+    values = {
+        "seed": seed,
+        "tolerance_e": tolerance_e,
+        "tolerance_delta_e": tolerance_delta_e,
+        "render_noise": render_noise,
+        "max_seconds": max_seconds,
+    }
+    chosen = settings_of(config, tables, define, values)
+    folder = out or DEFAULT_OUT / Path(scene).stem
+    with stages() as stage:
+        result = run_and_write(
+            scene,
+            chosen,
+            folder,
+            full=full,
+            sensor=sensor,
+            variant=variant,
+            units=units,
+            raw_suffixes=[f".{each}" for each in raw or []],
+            irradiance_too=not no_irradiance,
+            progress=stage,
+        )
+    noise = result.get("render_noise")
+    show(
+        result,
+        json,
+        score_line(result)
+        + (f"; noise of the render {noise['fraction']:.2g} of the sensor's" if noise else "")
+        + f"; report: {folder / 'report.html'}"
+        + "".join(f"\n{line}" for line in [*dark_note(result), *budget_lines(result)]),
+    )
+
+
+@app.command
+def plan(
+    scene: str,
+    *,
+    config: Config = None,
+    define: Define | None = None,
+    camera: CameraTable = NO_CAMERA,
+    pixel: PixelTable = NO_PIXEL,
+    exposure: ExposureTable = NO_EXPOSURE,
+    tolerance_e: Tolerance = None,
+    full: Full = False,
+    sensor: SensorId = None,
+    variant: Variant = None,
+    json: Json = False,
+) -> None:
+    """What a scene needs, what is left out, why, and what leaving it out can cost at most; nothing is rendered.
+
+    Example: pixsim plan macbeth --tolerance-e 1e-4
+
+    Parameters
+    ----------
+    scene
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
+    """
+    from pixsim.scene.plan import make_plan
+    from pixsim.scene.scene import load_scene
+
+    tables = {"camera": camera, "pixel": pixel, "exposure": exposure}
+    chosen = settings_of(config, tables, define, {"tolerance_e": tolerance_e})
+    loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
+    how: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
+    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **how)
+    if json:
+        show(made.as_dict(), True, "")
+    else:
+        print(plan_table(made, None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH))
+
+
+def plan_table(plan: Plan, width: int | None = None) -> str:
+    """The decisions as a table, as wide as the terminal or as told."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "", "why", "saved", "bound on e-"):
+        table.add_column(name, justify="right" if name.startswith("bound") else "left")
+    for each in plan.decisions:
+        bound = f"{each.bound_e:.1e}" if each.bound_e else ("0" if not each.kept else "")
+        bound = bound if each.bounded else "not known"
+        table.add_row(each.subject, "kept" if each.kept else "left out", each.reason, each.saved, bound)
+    text = StringIO()
+    Console(file=text, width=width or Console().width).print(table)
+    lines = [line.rstrip() for line in text.getvalue().splitlines()]
+    lines += [f"warning: {note}" for note in plan.warnings]
+    lines.append(
+        f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples (the scene says {plan.full_spp}); "
+        f"mean electrons right to {plan.bound_e:.1e}{'' if plan.bounded else ' and what is not known'}, "
+        f"asked for {plan.tolerance_e:g}"
+    )
+    return "\n".join(lines)
+
+
+@app.command
+def study(
+    study: str,
+    *,
+    config: Config = None,
+    define: Define | None = None,
+    pixel: PixelTable = NO_PIXEL,
+    quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
+    jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
+    scheduler: Annotated[
+        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786), whose workers take the place of --jobs.")
+    ] = None,
+    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
+    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
+    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    variant: Variant = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Sweep the pixel size and find the one with the least visible error.
+
+    Example: pixsim study chen2000 --quick
+
+    Example: pixsim study chen2000 --pixel.response scaled --out scaled
+
+    Writes results.csv, summary.json, figures (with a contact sheet), provenance.json, report.html; an interrupted
+    study goes on where it stopped when the same command is given again.
+
+    Parameters
+    ----------
+    study
+        A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.
+    """
+    from pixsim.report.wording import budget_lines, found_line, sensitivity_lines, study_dark_notes, target_notes
+    from pixsim.studies import study as sweep
+
+    table = sweep.read_study(study)
+    effort = {"tolerance_delta_e": tolerance_delta_e, "render_noise": render_noise, "max_seconds": max_seconds}
+    options: dict[str, Any] = {name: value for name, value in effort.items() if value is not None}
+    if define:
+        options["scene"] = {"parameters": definitions(define)}
+    if own := given(pixel):
+        options["pixel"] = own
+    if "vary" in table.table and (config or define or own):
+        mend = "Copy the study that it varies, set them there, and name the copy as its base."
+        raise refuse("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", mend)
+    layers = study_layers(table, config or [], options)
+    seconds: dict[str, float] = {}
+    how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
+    with stages(seconds) as stage:
+        if "vary" in table.table:
+            from pixsim.studies.sensitivity import Sensitivity, run_sensitivity, write_sensitivity_report
+
+            moved: Sensitivity = checked(Sensitivity, layers)
+            folder = study_folder(out, moved.name, quick)
+            outcome = run_sensitivity(moved, folder, progress=stage, **how)
+            stage("report")
+            report = write_sensitivity_report(outcome, folder, seconds)
+            found, lines = outcome.as_dict(), sensitivity_lines(outcome)
+        else:
+            from pixsim.report.study import write_report
+            from pixsim.studies.engine import Workers, workers_here
+
+            plan = sweep.checked_study(layers)
+            folder = study_folder(out, plan.name, quick)
+            result = sweep.study(plan, folder, progress=stage, **how)
+            stage("report")
+            report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
+            found = result.as_dict()
+            lines = [
+                *(found_line(curve) for curve in result.curves),
+                *target_notes(result),
+                *study_dark_notes(result),
+                *budget_lines(found),
+            ]
+    show(found, json, "\n".join([*lines, f"report: {report}"]))
+
+
+def study_folder(out: Path | None, name: str, quick: bool) -> Path:
+    return out or DEFAULT_OUT / (name + ("-quick" if quick else ""))
+
+
+@app.command
+def accuracy(
+    scene: str,
+    *,
+    quick: Annotated[bool, Parameter(help="Fewer rungs, a minute in all.")] = False,
+    config: Config = None,
+    define: Define | None = None,
+    camera: CameraTable = NO_CAMERA,
+    pixel: PixelTable = NO_PIXEL,
+    exposure: ExposureTable = NO_EXPOSURE,
+    display: DisplayTable = NO_DISPLAY,
+    seed: Seed = None,
+    sensor: SensorId = None,
+    variant: Variant = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """How wrong a result may be, what it costs to be less wrong, and what holds at the extremes.
+
+    Example: pixsim accuracy csf --quick
+
+    Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json, report.html.
+
+    Parameters
+    ----------
+    scene
+        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
+    """
+    from pixsim.accuracy.report import accuracy_lines, write_accuracy
+    from pixsim.accuracy.survey import survey
+
+    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
+    settings = settings_of(config, tables, define, {"seed": seed})
+    with stages() as stage, output_folder(out) if out else nullcontext():  # told before a minute of work
+        found = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
+        stage("report")
+        folder = out or DEFAULT_OUT / f"{found.name}-accuracy"
+        report = write_accuracy(found, folder)
+    show(found.as_dict(), json, "\n".join([*accuracy_lines(found), f"report: {report}"]))
+
+
+@app.command
+def datasheet(
+    pixel_file: Annotated[str | None, Parameter(name="PIXEL")] = None,
+    *,
+    config: Config = None,
+    pixel: PixelTable = NO_PIXEL,
+    exposure: ExposureTable = NO_EXPOSURE,
+    wavelength_nm: Annotated[float | None, Parameter(help="Of the light [default: where the response peaks].")] = None,
+    seed: Annotated[str | None, Parameter(help="Of the individual sensor and its noise [default: 0].")] = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Measure a pixel as EMVA 1288, ISO 15739 and ISO 12232 do, beside what is true.
+
+    Example: pixsim datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12
+
+    Example: pixsim datasheet my_sensor.toml
+
+    Example: pixsim datasheet --pixel.technology 4t-bsi --pixel.pitch-um 1.2 --seed 1
+
+    A photon-transfer experiment with one individual sensor of 200 × 200 pixels: 50 pairs of frames from dark to beyond
+    saturation, stacks for the spatial terms, dark series over time and temperature. A black level of less than 6 σ of the
+    dark is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv, report.html.
+
+    Parameters
+    ----------
+    pixel_file
+        A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a
+        table [pixel]; without one, the pixel of the options.
+    """
+    from pixsim.measure.datasheet import make_datasheet
+    from pixsim.measure.datasheet import sheet_summary as summary
+    from pixsim.measure.datasheet_report import datasheet_lines, sheet_name, write_datasheet
+
+    files, table = pixel_of_argument(pixel_file, config, pixel)
+    settings = settings_of(files, {"pixel": table, "exposure": exposure}, None, {"seed": seed})
+    how: dict[str, Any] = {"wavelength_nm": wavelength_nm, "seed": settings.seed}
+    with output_folder(out) if out else nullcontext(), stages() as stage:  # refused before the measurement, not after it
+        sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, **how)
+        stage("report")
+        report = write_datasheet(sheet, out or DEFAULT_OUT / sheet_name(sheet))
+    show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
+
+
+def pixel_of_argument(name: str | None, config: list[Path] | None, table: Any) -> tuple[list[Path], Any]:
+    """What PIXEL means: a file of settings, below the others, or the technology option."""
+    files = list(config or [])
+    if name is None:
+        return files, table
+    if name.endswith(".toml") and "pixel" in read_toml(Path(name)):
+        return [Path(name), *files], table
+    if table.technology is not None:
+        raise PixsimError(f"PIXEL: got '{name}' beside --pixel.technology {table.technology}; give one of them.")
+    return files, replace(table, technology=name)
+
+
+@app.command
+def sfr(
+    image: Path,
+    *,
+    pitch_um: Annotated[float | None, Parameter(help="Of the pixels, where the file does not tell it; gives cycles/mm.")] = None,
+    black_level_dn: Annotated[float | None, Parameter(help="Where the file does not tell it [default: 0]; contrast only.")] = None,
+    region: Annotated[str | None, Parameter(help="x0,y0,x1,y1 in pixels from the upper left, ends not included.")] = None,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Spatial frequency response of a slanted edge, as ISO 12233 measures it.
+
+    Example: pixsim run slanted_edge
+
+    Example: pixsim sfr pixsim-out/slanted_edge/raw.exr
+
+    Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json.
+
+    Parameters
+    ----------
+    image
+        A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png or .tiff of 16 bits.
+    """
+    from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, write_sfr
+    from pixsim.measure.sfr import sfr_summary as summary
+
+    if pitch_um is not None and not 0 < pitch_um < float("inf"):
+        raise refuse("--pitch-um", f"{pitch_um:g}", "a number above 0")
+    picture = read_edge_picture(image)
+    pitch = picture.pitch_um if pitch_um is None else pitch_um
+    black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
+    saturation = None if picture.top is None else picture.top - black
+    found = edge_response(picture.data.astype(float) - black, region=corners(region), saturation=saturation)
+    result = summary(found, pitch)
+    folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
+    write_sfr(folder, found, pitch, result)
+    show(result, json, f"{sfr_line(result)}; curves in {folder}")
+
+
+def corners(region: str | None) -> tuple[int, int, int, int] | None:
+    """Four whole numbers."""
+    if region is None:
+        return None
+    try:
+        x0, y0, x1, y1 = (int(each) for each in region.split(","))
+    except ValueError:
+        raise PixsimError(f"--region: got '{region}'; allowed: x0,y0,x1,y1, whole numbers. Write --region 100,0,400,512.") from None
+    return x0, y0, x1, y1
+
+
+@app.command
+def chart(
+    kind: str,
+    *,
+    output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR, row 0 on top.")],
+    width: Annotated[int | None, Parameter(help="Texels across.")] = None,
+    height: Annotated[int | None, Parameter(help="Texels down.")] = None,
+    die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+    json: Json = False,
+) -> None:
+    """Make a chart texture for -D chart=FILE.
+
+    Example: pixsim chart siemens_star -o star.exr
+
+    Parameters
+    ----------
+    kind
+        csf, flat, siemens_star or slanted_edge.
+    """
+    from pixsim.scene import charts
+
+    texels = charts.make_chart(kind, width, height, die_mm)
+    charts.write_chart(output, texels)
+    height_texels, width_texels = texels.shape
+    found = {"file": str(output), "kind": kind, "width": width_texels, "height": height_texels}
+    show(found, json, f"{width_texels} × {height_texels} texels in {output}")
+
+
+@app.command
+def template(
+    kind: str,
+    *,
+    output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
+    json: Json = False,
+) -> None:
+    """Write a commented configuration file with every field, its unit, default and allowed range.
+
+    Example: pixsim template sensor -o my_sensor.toml
+
+    Example: pixsim template study -o my_study.toml
+
+    Parameters
+    ----------
+    kind
+        sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or study, for `pixsim study FILE`.
+    """
+    from pixsim.base.files import write_new
+    from pixsim.cli import templates
+
+    text = templates.template(kind)
+    if output is None:
+        show({"template": text}, json, text.rstrip())
+        return
+    if output.suffix != ".toml":
+        raise refuse("--output", f"'{output}'", "a name that ends in .toml, as the commands know it by")
+    write_new(output, text)
+    use = f"pixsim run csf --config {output}" if kind == "sensor" else f"pixsim study {output}"
+    show({"file": str(output), "use": use}, json, f"{output}: replace the numbers, then: {use}")
+
+
+@app.command
+def schema(kind: str = "sensor", *, json: Json = True) -> None:
+    """Print the JSON schema of a configuration file, for editors that check and complete TOML.
+
+    Example: pixsim schema study > study.schema.json
+
+    Parameters
+    ----------
+    kind
+        sensor or study.
+    """
+    from pixsim.cli import templates
+
+    show(templates.json_schema(kind), json, "")
+
+
+MIB = 1 << 20
+
+
+@app.command
+def cache(
+    *,
+    clear: Annotated[bool, Parameter(help="Remove what is kept.")] = False,
+    kind: Annotated[str | None, Parameter(help="Only entries of this kind, as the list names them.")] = None,
+    json: Json = False,
+) -> None:
+    """Show or clear what is kept between runs: renders, frames of studies, calibrations.
+
+    Example: pixsim cache --clear
+
+    An entry is named by the hash of all that made it, so that nothing in it is ever out of date: clearing only frees
+    space. PIXSIM_CACHE_DIR moves the folder, PIXSIM_CACHE_GIB bounds it (4 by default, 0 keeps nothing); what was not used
+    for the longest time goes first. Mitsuba's kernels and Matplotlib's fonts lie beside the entries; --kind names them too.
+    """
+    from pixsim.base import cache as kept
+
+    kinds = sorted(summary()["kinds"])
+    if kind is not None and kind not in kinds:
+        raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
+    freed = kept.clear(kind) if clear else None
+    found = summary(kind)
+    lines = [f"{kept.folder()}: {found['size_bytes'] / MIB:.1f} MiB of {found['limit_bytes'] / MIB:.0f}"]
+    lines += [
+        f"  {name:<12} {own['entries']:>6} entries {own['size_bytes'] / MIB:>10.1f} MiB" for name, own in found["kinds"].items()
+    ]
+    if freed is not None:
+        found["freed_bytes"] = freed
+        lines.insert(0, f"removed {freed / MIB:.1f} MiB")
+    show(found, json, "\n".join(lines))
+
+
+def summary(kind: str | None = None) -> dict[str, Any]:
+    """The folder, its limit, and entries and bytes of each kind, or of one."""
+    from pixsim.base import cache as kept
+
+    kinds: dict[str, dict[str, int]] = {}
+    for each in [kind] if kind else [None, *kept.HELPERS]:
+        for entry in kept.entries(each):
+            own = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
+            own["entries"] += 1
+            own["size_bytes"] += entry.size_bytes
+    return {
+        "folder": str(kept.folder()),
+        "limit_bytes": kept.limit_bytes(),
+        "size_bytes": sum(own["size_bytes"] for own in kinds.values()),
+        "kinds": dict(sorted(kinds.items())),
+    }
+
+
+@app.command
+def completion(shell: Literal["bash", "zsh", "fish"], *, json: Json = False) -> None:
+    """Print a script that makes a shell complete commands and options.
+
+    Example: pixsim completion bash > ~/.local/share/bash-completion/completions/pixsim
+
+    Example: pixsim completion fish > ~/.config/fish/completions/pixsim.fish
+
+    Parameters
+    ----------
+    shell
+        bash, zsh (into a folder of $fpath, as _pixsim) or fish.
+    """
+    script = app.generate_completion(prog_name="pixsim", shell=shell)
+    show({"shell": shell, "script": script}, json, script)
+
+
+SICK = 1  # exit code
+SUBJECT_WIDTH = 20
+
+
+@app.command
+def doctor(
+    *,
+    out: Out = None,
+    limit_s: Annotated[float | None, Parameter(help="For each process that tries something [default: 20].")] = None,
+    json: Json = False,
+) -> None:
+    """What this machine has for pixsim, whether renders work and are right, and the command that mends what does not.
+
+    Example: pixsim doctor
+
+    A line is marked ok, note (renders work all the same) or problem. The exit code is 0 without a problem, else 1.
+    """
+    from pixsim.cli.doctor import LIMIT_S, PROBLEM, examine
+
+    if limit_s is not None and not 0 < limit_s < float("inf"):
+        raise refuse("--limit-s", f"{limit_s:g}", "a number above 0")
+    findings = examine(Path(out or DEFAULT_OUT), LIMIT_S if limit_s is None else limit_s)
+    sick = any(each.mark == PROBLEM for each in findings)
+    if json:
+        print(json_format.dumps({"ok": not sick, "findings": [asdict(each) for each in findings]}, indent=2, ensure_ascii=False))
+    else:
+        print(report(findings, shutil.get_terminal_size().columns if sys.stdout.isatty() else FILE_WIDTH))
+    if sick:
+        sys.exit(SICK)
+
+
+def report(findings: list[Finding], width: int) -> str:
+    """A line for each finding under its room, the mending command below it, and a summary."""
+    from pixsim.cli.doctor import NOTE, PROBLEM
+
+    lines: list[str] = []
+    room = None
+    for each in findings:
+        if each.room != room:
+            room = each.room
+            lines += [*([""] if lines else []), room]
+        start = f"  {each.mark:<8} {each.subject:<{SUBJECT_WIDTH}} "
+        wrapped = textwrap.wrap(each.found, max(width - len(start), SUBJECT_WIDTH), break_long_words=False, break_on_hyphens=False)
+        lines += [start + ("\n" + " " * len(start)).join(wrapped)]
+        if each.mend:  # never wrapped, so that it can be copied
+            lines.append(" " * 11 + f"mend it: {each.mend}")
+    problems, notes = (sum(each.mark == mark for each in findings) for mark in (PROBLEM, NOTE))
+    verdict = "pixsim does not work here as it is" if problems else "renders work here"
+    return "\n".join([*lines, "", f"{verdict}: {_count(problems, 'problem')}, {_count(notes, 'note')}"])
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -1,0 +1,294 @@
+"""Spectral light in other programs' files: their units, EXR in Fichet's layout, `.npz` and ENVI."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array, read_arrays
+from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.files import read_bytes, size_of
+from pixsim.light.exr import read_channels, read_header
+from pixsim.light.spectral import LIGHT_SPEED_M_PER_S
+
+IRRADIANCE_UNIT = "W.m^-2.nm^-1"  # pixsim's own; the layout of Fichet et al. spells it so
+ALLOWED_UNITS = (
+    "spectral irradiance or radiance, as W.m^-2.nm^-1, mW/m^2/um, W.m^-2.sr^-1.nm^-1, W/(m^2 sr um), uW/cm^2/sr/nm or W.m^-3"
+)
+HOW_TO_STATE = f'State them: units="{IRRADIANCE_UNIT}" in Python, --units {IRRADIANCE_UNIT} on the command line.'
+# fmt: off
+PREFIXES = {
+    "Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1,
+    "d": -1, "c": -2, "m": -3, "u": -6, "n": -9, "p": -12,
+}
+# fmt: on
+PREFIX = "|".join(PREFIXES)
+NM = PREFIXES["n"]
+TOKEN = r"[A-Za-z]+|\^?[+-]?\d+|[*/()]"
+UNIT = re.compile(rf"({PREFIX})?(W|m|[sS][rR])")
+AS_ASCII = str.maketrans("µμ·⋅.−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "uu***--0123456789")
+# No such symbol; nothing behind a sign or in a bracket; powers and brackets without end.
+NOT_A_UNIT = (AttributeError, IndexError, ValueError, OverflowError, RecursionError)
+Powers = NDArray[np.int64]  # of watt, metre, steradian and ten
+
+
+@dataclass(frozen=True)
+class LightUnit:
+    """10^exponent W m⁻² nm⁻¹, times sr⁻¹ for a radiance; without nm⁻¹ where the text names no wavelength."""
+
+    exponent: int
+    radiance: bool
+    spectral: bool = True
+
+    @property
+    def factor(self) -> float:
+        """What turns a value into W m⁻² nm⁻¹ or W m⁻² sr⁻¹ nm⁻¹; the nearest double to the power of ten."""
+        return float(f"1e{self.exponent}")
+
+
+def parse_light_unit(text: str, what: str = "units") -> LightUnit:
+    """Read `W.m^-2.nm^-1`, `W m-2 nm-1`, `W/m2/nm`, `uW/(cm² sr nm)`, `nW/(cm)^2/(nm)/(sr)`, `W.m^-3` and their like.
+
+    A slash divides by the one factor or bracket behind it: `uW/cm2*nm*sr` is refused, since it does not say what it means.
+
+    Raises PixsimError for what does not parse, and for what is neither irradiance nor radiance.
+    """
+    plain = re.sub(r"\^[({]([+-]?\d+)[)}]", r"^\1", text.translate(AS_ASCII).replace("**", "^"))
+    watt = metre = steradian = ten = 0
+    tokens = re.findall(TOKEN, plain)
+    if "".join(tokens) == "".join(plain.split()):
+        with suppress(*NOT_A_UNIT):
+            watt, metre, steradian, ten = _product(tokens).tolist()
+        if not tokens and watt == 1 and metre in (-2, -3) and steradian in (0, -1):
+            spectral = metre == -3  # an area and a wavelength
+            return LightUnit(ten + NM if spectral else ten, steradian == -1, spectral)
+    raise refuse(what, f"'{text}'", ALLOWED_UNITS, HOW_TO_STATE)
+
+
+def _product(tokens: list[str]) -> Powers:
+    total = _factor(tokens)
+    while tokens and tokens[0] != ")":
+        sign = {"*": 1, "/": -1}.get(tokens[0])
+        if sign:
+            tokens.pop(0)
+        total = total + (sign or 1) * _factor(tokens)
+    return total
+
+
+def _factor(tokens: list[str]) -> Powers:
+    token = tokens.pop(0)
+    if token == "(":
+        powers = _product(tokens)
+        tokens.pop(0)
+    else:
+        prefix, unit = UNIT.fullmatch(token).groups()  # type: ignore[union-attr]  # None ends in NOT_A_UNIT
+        powers = np.array([unit == "W", unit == "m", unit.lower() == "sr", PREFIXES.get(prefix, 0)], np.int64)
+    if tokens and tokens[0].lstrip("^+-").isdigit():
+        powers = powers * int(tokens.pop(0).lstrip("^"))
+    return powers
+
+
+MOST_VALUES = 1 << 31  # 8 GiB of float32
+SHOWN_NAMES = 12
+# Fichet et al.: a Stokes component, a number with a decimal comma, a prefix, and metres or hertz.
+CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
+NPZ_NEEDED = ("data", "wavelength_nm", "units")
+NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
+LARGEST_BESIDE = 1 << 16  # bytes of what stands beside the picture
+LARGEST_ENVI_HEADER, MOST_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
+ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
+ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 1e3, "µm": 1e3, "μm": 1e3}
+ENVI_INTERLEAVES = ("bsq", "bil", "bip")
+ENVI_COMPLEX = ("6", "9")  # data types
+# Fields that say that the stored values are not the light itself, and what makes them harmless.
+ENVI_NEUTRAL = {
+    "data gain values": 1.0,
+    "data offset values": 0.0,
+    "reflectance scale factor": 1.0,
+    "calibration scale factor": 1.0,
+    "bbl": 1.0,  # 0 marks a bad band
+}
+
+
+@dataclass(frozen=True)
+class Cube:
+    """A file's own values (H, W, B) and band centres (B,), and what else it tells; nothing where it does not.
+
+    per_nm : the format means W m⁻² sr⁻¹ nm⁻¹ where it says W m⁻² sr⁻¹
+    """
+
+    data: NDArray[Any]
+    wavelength_nm: Array
+    units: str
+    band_width_nm: Any = None
+    pitch_um: Any = None
+    white_cd_per_m2: Any = None
+    per_nm: bool = False
+
+
+def shortened(items: Sequence[object]) -> str:
+    """A list for a message."""
+    return ", ".join(map(str, items[:SHOWN_NAMES])) + (" …" if len(items) > SHOWN_NAMES else "")
+
+
+def read_cube(path: Path) -> Cube:
+    """Read an EXR in the layout of Fichet et al., a `.npz` or an ENVI header with its raw file.
+
+    Raises PixsimError for files that are missing, damaged, too large, or hold something else than unpolarised light.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise refuse("picture", f"'{path}'", "a file that ends in .exr, .npz or .hdr (ENVI, its raw file beside it)")
+    size_of(path, "picture", "a readable file")
+    return reader(path)
+
+
+def _check_size(path: Path, shape: tuple[int, ...]) -> None:
+    if min(shape, default=1) < 1 or math.prod(shape) > MOST_VALUES:
+        raise refuse(f"size of '{path}'", " × ".join(map(str, shape)) + " values", f"1 to {MOST_VALUES} values")
+
+
+def read_spectral_exr(path: Path) -> Cube:
+    """Fichet et al., JCGT 10(3), 2021; pbrt-v4's SpectralFilm and ART write it. Further channels (R, G, B, A) are left.
+
+    Its one unit, "W.m^-2.sr^-1", names no wavelength. The values are per nm all the same: the authors' code (spectral-exr,
+    SpectrumConverter) sums value × CMF at 1 nm, and pbrt-v4 averages radiance over each of its buckets.
+    (With pbrt-v4's realistic camera they are no radiance, whatever the file says; its source notes it as a flaw.)
+    """
+    header = read_header(path)
+    names = header["channels"]
+    found = f"the channels {shortened(names)} in '{path}'"
+    if any(name.startswith("T.") for name in names):
+        raise refuse("spectral EXR", f"reflectances, {found}", "light, S0.550,0nm", "Light the surface and render it.")
+    matches = {name: match for name in names if (match := CHANNEL.fullmatch(name))}
+    centre_nm = {name: _channel_nm(match) for name, match in matches.items() if match[1] == "S0"}
+    if not centre_nm:
+        mend = 'RGB has no spectrum: render spectrally (in pbrt-v4 with Film "spectral").'
+        raise refuse("spectral EXR", found, "a channel for each wavelength, named as S0.550,0nm", mend)
+    window, whole = header["dataWindow"], header["displayWindow"]
+    if not np.array_equal(window, whole) or header.get("pixelAspectRatio", 1.0) != 1:
+        raise refuse("spectral EXR", f"a crop or oblong samples in '{path}'", "the whole picture in square samples")
+    width, height = (np.asarray(window[1], int) - window[0] + 1).tolist()
+    _check_size(path, (height, width, len(names)))
+    planes, _ = read_channels(path)
+    if any(planes[name].any() for name, match in matches.items() if match[1] != "S0"):
+        raise refuse("spectral EXR", f"polarised light, {found}", "S0 alone, or S1 to S3 of zeros")
+    order = sorted(centre_nm, key=lambda name: centre_nm[name])
+    try:
+        data = np.stack([planes[name] for name in order], axis=2)
+    except ValueError as error:
+        raise refuse("spectral EXR", f"{found} ({error})", "channels of one size") from None
+    # OpenEXR's other types of attribute may not even print.
+    plain = {key: value for key, value in header.items() if isinstance(value, str | int | float | np.ndarray)}
+    told: dict[str, Any] = {key: plain.get(key) for key in NPZ_OPTIONAL}
+    centres = np.array([centre_nm[name] for name in order])
+    return Cube(data, centres, str(plain.get("emissiveUnits", "")), per_nm=True, **told)
+
+
+def _channel_nm(match: re.Match[str]) -> float:
+    # In decimal, so that 0,55um is 550 nm to the last bit.
+    number = Decimal(match[2].replace(",", ".") + (match[3] or "")).scaleb(PREFIXES.get(match[4], 0))
+    if match[5] == "m":
+        return float(number.scaleb(9))
+    return LIGHT_SPEED_M_PER_S * 1e9 / float(number) if float(number) else math.inf
+
+
+def read_npz(path: Path) -> Cube:
+    """Arrays as `write_npz` names them; nothing pickled is loaded."""
+    told: dict[str, Any] = read_arrays(path, "npz file", "a readable file of numpy.savez, without pickled objects")
+    if {"data", "wavelength_nm"} - set(told) or set(told) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
+        allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
+        raise refuse(f"arrays in '{path}'", shortened(list(told)) or "none", allowed)
+    for name, array in told.items():
+        _check_size(path, array.shape)
+        if name != "data" and array.size * array.itemsize > LARGEST_BESIDE:
+            raise refuse(f"{name} in '{path}'", f"{array.size} values", f"up to {LARGEST_BESIDE} bytes")
+    data, nm = told.pop("data"), told.pop("wavelength_nm")
+    if data.ndim != 3 or data.dtype.kind not in "iuf" or nm.ndim != 1 or nm.dtype.kind not in "iuf":
+        got = f"data {data.dtype} {data.shape}, wavelength_nm {nm.dtype} {nm.shape}"
+        raise refuse(f"arrays in '{path}'", got, "real numbers, data (H, W, B) and wavelength_nm (B,)")
+    return Cube(data, nm.astype(float), str(told.pop("units", "")), **told)
+
+
+def read_envi(path: Path) -> Cube:
+    """An ENVI header and the raw file beside it, by SPy.
+
+    The unit stands in `data units`: ENVI's list of header fields has none, but its radiometric calibration writes this one
+    (also read: `radiance data units` of NERC-ARF's tools). `fwhm` is a band's width where bands do not overlap: that of
+    finely sampled spectra, wider than their spacing, would count light twice. `pitch_um` and `white_cd_per_m2` are taken
+    where somebody wrote them.
+    """
+    try:
+        import spectral
+        from spectral.io import envi
+    except ImportError:
+        raise refuse("ENVI file", f"'{path}' and no SPy to read it", "pip install 'pixsim[envi]'") from None
+    name = str(path.absolute())
+    if read_bytes(path, "ENVI file", "an ENVI header", LARGEST_ENVI_HEADER).count(b"\n") > MOST_ENVI_LINES:
+        raise refuse("ENVI file", f"'{path}' of more than {MOST_ENVI_LINES} lines", "an ENVI header")
+    try:
+        with warnings.catch_warnings(action="ignore"):  # about capitals in field names
+            header: dict[str, Any] = envi.read_envi_header(name)
+            envi.check_compatibility(header)
+            _check_envi(path, header)
+            image = envi.open(name)
+        if not image.using_memmap:
+            got = f"{Path(image.filename).stat().st_size} bytes in '{image.filename}'"
+            raise refuse("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' tells of")
+        data = image.open_memmap(interleave="bip")
+        nm, width_nm = _envi_nm(path, header, "wavelength"), _envi_nm(path, header, "fwhm")
+        gaps = np.argwhere(data == float(header["data ignore value"])) if "data ignore value" in header else np.empty((0, 3))
+    except PixsimError:
+        raise
+    except (*ENVI_DAMAGE, spectral.SpyException) as error:
+        got = f"'{path}' ({type(error).__name__}: {error})"
+        raise refuse("ENVI file", got, "an ENVI header with its raw file beside it") from None
+    if gaps.size:
+        got = f"no data ({header['data ignore value']}) at row {gaps[0, 0]}, column {gaps[0, 1]}, band {gaps[0, 2]}"
+        raise refuse(f"light in '{path}'", got, "a value everywhere", "Fill the gaps or cut them off.")
+    if nm is None:
+        raise refuse("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
+    if width_nm is not None and width_nm.shape == nm.shape and np.any(np.diff(nm) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2):
+        width_nm = None
+    extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
+    units = header.get("data units", header.get("radiance data units", ""))
+    return Cube(data, nm, ", ".join(np.atleast_1d(units)), width_nm, **extra)
+
+
+def _check_envi(path: Path, header: dict[str, Any]) -> None:
+    """Refuse what SPy would read as something else, before it reads."""
+    _check_size(path, tuple(int(str(header[field])) for field in ("lines", "samples", "bands")))
+    fields = "file type", "interleave", "byte order", "data type"
+    kind, interleave, order, number = told = [str(header.get(field, "ENVI Standard")).lower() for field in fields]
+    if kind != "envi standard" or interleave not in ENVI_INTERLEAVES or order not in "01" or number in ENVI_COMPLEX:
+        got = ", ".join(f"{field} = {value}" for field, value in zip(fields, told, strict=True)) + f" in '{path}'"
+        raise refuse("ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers")
+    for field, neutral in ENVI_NEUTRAL.items():
+        if any(float(value) != neutral for value in np.atleast_1d(header.get(field, []))):
+            allowed = f"none, or {neutral:g} for each band"
+            raise refuse(
+                f"'{field}' in '{path}'", header[field], allowed, "Apply it (leave bad bands out) and write the light itself."
+            )
+
+
+def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
+    if field not in header:
+        return None
+    unit = str(header.get("wavelength units", "none"))
+    scale = ENVI_NM.get(unit.strip().lower().rstrip("s"))
+    if scale is None:
+        raise refuse(f"wavelength units in '{path}'", unit, "Nanometers or Micrometers", "Write them into the header.")
+    return scale * np.atleast_1d(header[field]).astype(float)
+
+
+READERS: dict[str, Callable[[Path], Cube]] = {".exr": read_spectral_exr, ".npz": read_npz, ".hdr": read_envi}

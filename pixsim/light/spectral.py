@@ -1,0 +1,292 @@
+"""Spectral irradiance on the sensor plane, the value that flows from the renderer to the sensor; functions of wavelength.
+
+Pictures are stored upright: row 0 is the top of the scene and column 0 its left, as the photographer sees it
+(the light on a real die is this picture turned by 180°).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pixsim.base.arrays import Array, row_blocks
+from pixsim.base.errors import PixsimError, refuse
+
+# What the reference shows; the rest is for pixsim itself.
+__all__ = ["SpectralImage", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
+
+PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
+LIGHT_SPEED_M_PER_S = 299792458.0
+WHOLE = slice(None)
+LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
+
+
+def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
+    """λ/(hc), (...) as the wavelengths, with the constants of the SI of 2019."""
+    return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
+
+
+@lru_cache
+def _photometric_table() -> Array:
+    return np.loadtxt(str(resources.files("pixsim") / "data/photopic_and_d65.csv"), delimiter=",", skiprows=3)
+
+
+def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
+    """ȳ(λ) of the CIE 1931 observer (CIE 018:2019), (...) as the wavelengths, 1 at its peak, zero outside 360-830 nm."""
+    table = _photometric_table()
+    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 1], left=0.0, right=0.0)
+
+
+def d65(wavelength_nm: ArrayLike) -> Array:
+    """Relative spectral power of CIE D65 (CIE 15:2018), (...) as the wavelengths, 100 at 560 nm; zero outside 360-830 nm."""
+    table = _photometric_table()
+    return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
+
+
+def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
+    """What turns band values per nm into photometric ones, (B,): lx from W m⁻² nm⁻¹, cd/m² from W m⁻² sr⁻¹ nm⁻¹.
+
+    683.002 lm/W times `photopic_efficiency` times the width (CIE 018:2019).
+    """
+    return LUMINOUS_EFFICACY_LM_PER_W * photopic_efficiency(wavelength_nm) * np.asarray(band_width_nm, float)
+
+
+class SpectralImage:
+    """Spectral irradiance on the sensor plane before diffraction.
+
+    Parameters
+    ----------
+    wavelength_nm, band_width_nm : (B,) band centres and widths; a value is the mean over its band
+    pitch_um : sampling pitch on the sensor
+    data : (H, W, B) float32, W m⁻² nm⁻¹; or
+    factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.
+        With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
+    within : where in each band its light is, (nodes in nm (B, n), shares of the light (B, n)); None takes it at the centre
+    header : what made it (camera, scene hash, seed, samples, versions); JSON, travels in the file
+
+    Raises PixsimError for arrays whose shapes do not fit, and for a pitch or bands that are not positive.
+
+    >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
+    >>> light.illuminance_lx()[0].round(2).tolist()  # 683.002 lm/W · ȳ(550 nm) · 10 nm · 1 mW m⁻² nm⁻¹
+    [6.8, 6.8, 6.8]
+    """
+
+    def __init__(
+        self,
+        wavelength_nm: ArrayLike,
+        band_width_nm: ArrayLike,
+        pitch_um: float,
+        *,
+        data: ArrayLike | None = None,
+        factors: tuple[ArrayLike, ArrayLike] | None = None,
+        within: tuple[ArrayLike, ArrayLike] | None = None,
+        header: dict[str, Any] | None = None,
+    ) -> None:
+        self.wavelength_nm = np.asarray(wavelength_nm, float)
+        self.band_width_nm = np.broadcast_to(np.asarray(band_width_nm, float), self.wavelength_nm.shape).copy()
+        self.pitch_um = float(pitch_um)
+        self.header = dict(header or {})
+        if (data is None) == (factors is None):
+            raise PixsimError("a SpectralImage is made of data or of factors, one of them")
+        self.factors: tuple[Array, NDArray[np.float32]] | None = None
+        if factors is not None:
+            self.factors = np.atleast_2d(np.asarray(factors[0], float)), np.asarray(factors[1], np.float32)
+            spectra, pictures = self.factors
+            if pictures.ndim != 3 or spectra.shape != (len(pictures), self.wavelength_nm.size):
+                raise refuse("factors", f"{spectra.shape} and {pictures.shape}", "spectra (r, B), pictures (r, H, W)")
+        else:
+            self.data = np.ascontiguousarray(data, np.float32)
+            if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
+                raise refuse("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
+        positive = (self.wavelength_nm > 0) & (self.band_width_nm > 0)
+        if not (self.pitch_um > 0 and positive.size and positive.all()):
+            got = f"pitch {pitch_um} µm, bands {self.band_width_nm} nm at {self.wavelength_nm} nm"
+            raise refuse("sampling", got, "positive pitch and band widths, at positive wavelengths")
+        if within is None:
+            within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
+        self.within = np.asarray(within[0], float), np.asarray(within[1], float)
+        if not self.within[0].shape == self.within[1].shape == (self.wavelength_nm.size, self.within[0].shape[-1]):
+            raise refuse("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, (B, n) each")
+
+    @cached_property
+    def data(self) -> NDArray[np.float32]:
+        """(H, W, B) float32, W m⁻² nm⁻¹; made from the factors when first asked for."""
+        return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
+
+    def band(self, index: int, rows: slice = WHOLE) -> NDArray[np.float32]:
+        """(H, W) float32, W m⁻² nm⁻¹, of the band of an `index`, or some of its `rows`."""
+        if not self.factors:
+            return self.data[rows, :, index]
+        spectra, pictures = self.factors[0].astype(np.float32), self.factors[1][:, rows]
+        total = np.zeros(pictures.shape[1:], np.float32)
+        for spectrum, picture in zip(spectra, pictures, strict=True):
+            total += spectrum[index] * picture
+        return total
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
+
+    def weighted(self, weight: Array) -> Array:
+        """Σ_b weight_b · E_b per pixel, (H, W) float64; elementwise, so that it does not depend on threads.
+
+        weight : (B,), any unit per W m⁻² nm⁻¹
+        """
+        total = np.empty(self.shape)
+        for rows in row_blocks(*self.shape):  # so that no second picture of this size is needed
+            total[rows] = self.weighted_part(weight, (rows, WHOLE))
+        return total
+
+    def weighted_part(self, weight: Array, part: tuple[slice, slice]) -> Array:
+        """`weighted` of some rows and columns, to the same bits: (rows, columns).
+
+        weight : (B,), any unit per W m⁻² nm⁻¹
+        part : rows and columns
+        """
+        if self.factors:
+            totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
+            terms = ((total, picture[part]) for total, picture in zip(totals, self.factors[1], strict=True))
+        else:
+            terms = ((weight[band], self.data[part][:, :, band]) for band in np.flatnonzero(weight))
+        height, width = (len(range(*each.indices(n))) for each, n in zip(part, self.shape, strict=True))
+        total = np.zeros((height, width))
+        for factor, picture in terms:
+            total += factor * picture.astype(float)
+        return total
+
+    def mean_spectrum(self) -> Array:
+        """Mean over the picture, (B,) W m⁻² nm⁻¹."""
+        if not self.factors:
+            return self.data.mean(axis=(0, 1), dtype=float)
+        spectra, pictures = self.factors
+        return (spectra * pictures.mean(axis=(1, 2), dtype=float)[:, None]).sum(axis=0)
+
+    def band_mean(self, response: Callable[[Array], Array]) -> Array:
+        """Mean of `response`, a function of nm, over each band, weighted by the light in it, (B,) in its unit."""
+        nodes_nm, shares = self.within
+        return (shares * response(nodes_nm)).sum(axis=1)
+
+    def luminous_weight(self) -> Array:
+        """What turns band values into lx, (B,); cd/m² where they are radiances."""
+        return LUMINOUS_EFFICACY_LM_PER_W * self.band_mean(photopic_efficiency) * self.band_width_nm
+
+    def illuminance_lx(self) -> Array:
+        """(H, W) lx: 683.002 ∫ ȳ E dλ."""
+        return self.weighted(self.luminous_weight())
+
+    def __repr__(self) -> str:
+        height, width = self.shape
+        count = len(self.factors[0]) if self.factors else 0
+        kind = f"{count} {'spectrum × picture' if count == 1 else 'spectra × pictures'}" if count else "general"
+        return (
+            f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm, {self.wavelength_nm.size} bands "
+            f"{self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g} nm, {kind}, W m^-2 nm^-1>"
+        )
+
+
+LOW_NM, HIGH_NM = 360.0, 830.0  # what Mitsuba samples
+# Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
+# Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
+# their ratios are exact in Mitsuba's float32 and its combined response has its nodes where ours are.
+STEPS_NM = (1.0, 1 / 8, 1 / 32)
+MOST = 1e30  # of any unit
+FINEST_REGULAR_NM, MOST_REGULAR_VALUES = 0.1, 8192
+COARSE_SPACING_NM = 0.199  # of a table's nodes: 0.2 nm but for rounding; closer ones get the finest step
+
+
+def grid_nm(step_nm: float = 1.0) -> Array:
+    return np.arange(LOW_NM, HIGH_NM + step_nm / 2, step_nm)
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """A piecewise linear function of wavelength, zero outside its nodes."""
+
+    nodes_nm: Array = field(repr=False)
+    values: Array = field(repr=False)
+
+    def __post_init__(self) -> None:
+        x = self.nodes_nm
+        if x.size < 2 or x.shape != self.values.shape or not np.all(np.diff(x) >= 0):
+            raise refuse("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in rising order")
+        if not (np.isfinite(x).all() and np.isfinite(self.values).all()):
+            raise refuse("spectrum", "nan or infinity among its wavelengths or values", "finite numbers")
+        if self.values.max() > MOST or self.values.min() < -MOST:
+            raise refuse("spectrum", f"values up to {np.abs(self.values).max():.3g}", f"up to {MOST:g}, which float32 holds")
+
+    def at(self, wavelength_nm: Array) -> Array:
+        return np.interp(wavelength_nm, self.nodes_nm, self.values, left=0.0, right=0.0)
+
+    @property
+    def step_nm(self) -> float:
+        """Of the grid that resolves it: 1 nm for tables at whole nanometres, finer for lines between them."""
+        if np.all(self.nodes_nm == np.rint(self.nodes_nm)):
+            return STEPS_NM[0]
+        return STEPS_NM[1] if np.diff(self.nodes_nm).min(initial=1.0) >= COARSE_SPACING_NM else STEPS_NM[2]
+
+    def cell_means(self, edges_nm: Array) -> Array:
+        """Means over the cells between rising edges, exact: no line falls between two points."""
+        x, y = self.nodes_nm, self.values
+        running = np.concatenate([[0.0], np.cumsum(np.diff(x) * (y[1:] + y[:-1]) / 2)])
+        at = np.clip(edges_nm, x[0], x[-1])
+        index = np.clip(np.searchsorted(x, at, side="right") - 1, 0, x.size - 2)
+        over = at - x[index]
+        width = np.maximum(x[index + 1] - x[index], np.finfo(float).tiny)
+        integral = running[index] + over * (y[index] + over / width * (y[index + 1] - y[index]) / 2)
+        return np.diff(integral) / np.diff(edges_nm)
+
+    def integral(self, low_nm: float = LOW_NM, high_nm: float = HIGH_NM) -> float:
+        """∫ over a range, exact."""
+        return float(self.cell_means(np.array([low_nm, high_nm]))[0] * (high_nm - low_nm))
+
+    def on_grid(self, step_nm: float) -> Array:
+        """Means over the cells around the nodes of `grid_nm`: trapezoids over them add up to the integral."""
+        nodes = grid_nm(step_nm)
+        return self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
+
+    def __mul__(self, factor: float) -> Spectrum:
+        return Spectrum(self.nodes_nm, self.values * factor)
+
+
+def tabulated(values: Array) -> Spectrum:
+    """A smooth spectrum from its values at 360 … 830 nm, every nanometre."""
+    return Spectrum(grid_nm(), np.asarray(values, float))
+
+
+def regular_values(table: Spectrum) -> Array | None:
+    """Values at equal steps between the first and the last node that mean the same table; None where no step fits."""
+    distances = np.diff(table.nodes_nm) / FINEST_REGULAR_NM
+    whole = np.rint(distances).astype(int)
+    if not np.allclose(distances, whole, rtol=0, atol=1e-6) or not np.all(whole > 0):
+        return None
+    count = int(whole.sum()) // int(np.gcd.reduce(whole)) + 1
+    if count > MOST_REGULAR_VALUES:
+        return None
+    return table.at(np.linspace(table.nodes_nm[0], table.nodes_nm[-1], count))
+
+
+LARGEST = float(np.finfo(np.float32).max)
+
+
+def refuse_impossible_light(irradiance: SpectralImage) -> None:
+    """PixsimError for light that is not finite, or negative where it is not one of several factors that add up."""
+    picture = irradiance.factors[1] if irradiance.factors else irradiance.data
+    spectra = irradiance.factors[0] if irradiance.factors else np.ones((1, 1))
+    low, high = (float(picture.min()), float(picture.max())) if picture.size else (math.nan, math.nan)  # NaN comes through both
+    beside = irradiance.pitch_um, irradiance.wavelength_nm, irradiance.band_width_nm, *irradiance.within, spectra
+    if not all(np.abs(each).max() <= LARGEST for each in (low, high, *beside)):
+        raise refuse(
+            "irradiance",
+            f"a picture from {low:g} to {high:g}, or what goes with it",
+            f"light, spectra and bands that are finite, at most {LARGEST:.4g}",
+        )
+    if len(spectra) == 1 and min(low, float(spectra.min())) < 0:
+        raise refuse("irradiance", f"values from {low:g} to {high:g}", "0 and more", "Take what is below zero for darkness first.")

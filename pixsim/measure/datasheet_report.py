@@ -1,0 +1,339 @@
+"""A data sheet on disk and in the terminal: table, CSV, summary.json, figures and one HTML file that opens offline."""
+
+from __future__ import annotations
+
+import math
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.files import output_folder, versions, write_json
+from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, sheet_summary
+from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, Stack, straight_line
+from pixsim.sensor.readout import BLACK_SIGMAS
+from pixsim.sensor.technology import file_label, label_of
+from pixsim.show.figures import COLOURS, LOOKS, new_figure
+from pixsim.show.pages import Column, Plate, shown_value, write_page, write_plates, write_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+BLUE, ORANGE = COLOURS[:2]
+DARK, LIGHT = LOOKS[2:4]  # far apart in grey, for lines that lie over each other
+MARKED = 12  # markers along a line of many points, which tell it in grey
+BINS = 101
+
+
+def datasheet_plates(sheet: DataSheet) -> list[Plate]:
+    makers = [photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate]
+    return [*(make(sheet) for make in makers), histogram_plate(sheet), spectrogram_plate(sheet), profile_plate(sheet)]
+
+
+def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = "best") -> None:
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.grid(alpha=0.25)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize=8, loc=legend)
+
+
+def plain_powers(axes: Axes) -> None:
+    """Plain numbers at 1, 2 and 5 on a short logarithmic axis."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def photon_transfer_plate(sheet: DataSheet) -> Plate:
+    """Temporal variance against mean, both above the dark."""
+    t, light, e = sheet.transfer, sheet.measured.light, sheet.experiment
+    signal, variance = sheet.signal_dn, light.variance_dn2 - sheet.measured.dark.variance_dn2
+    mean, expected = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
+    dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.physics)
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    axes.plot(mean - dark_mean, expected - dark_variance, color="0.6", lw=1, label="expected of the model")
+    axes.plot(signal, variance, "o", ms=3.5, mfc="none", color=BLUE, label="measured")
+    axes.plot(signal[t.fitted], variance[t.fitted], "o", ms=3.5, color=BLUE, label=f"fitted, up to {100 * SENSITIVITY_SHARE:.0f} %")
+    reach = np.array([0.0, signal[t.saturation_index]])
+    k = t.gain_dn_per_e
+    axes.plot(reach, k.value * reach, "--", color=ORANGE, lw=1.2, label=f"K = {k.value:.4g} ± {k.error:.1g} DN/e⁻")
+    axes.plot(signal[t.saturation_index], variance[t.saturation_index], "v", ms=9, mfc="white", mec=ORANGE, mew=1.5,
+              label="saturation")  # fmt: skip
+    finish(axes, "mean gray value above the dark, μ_y − μ_y.dark (DN)", "temporal variance, σ²_y − σ²_y.dark (DN²)")
+    caption = (
+        "Photon transfer. The slope between 0 and 70 % of saturation is the system gain K; the peak of the variance is saturation: "
+        "beyond it pixels fill, those of more gain first."
+    )
+    table = {"photons_p": light.at.tolist(), "signal_dn": signal.tolist(), "variance_dn2": variance.tolist(),
+             "expected_signal_dn": (mean - dark_mean).tolist(), "expected_variance_dn2": (expected - dark_variance).tolist(),
+             "fitted": [int(each) for each in t.fitted]}  # fmt: skip
+    return Plate("photon_transfer", caption, figure, table)
+
+
+def responsivity_plate(sheet: DataSheet) -> Plate:
+    """Mean against photons."""
+    t, light, signal = sheet.transfer, sheet.measured.light, sheet.signal_dn
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    axes.plot(light.at, signal, "o", ms=3.5, mfc="none", color=BLUE, label="measured")
+    axes.plot(light.at[t.fitted], signal[t.fitted], "o", ms=3.5, color=BLUE, label=f"fitted, up to {100 * SENSITIVITY_SHARE:.0f} %")
+    r, reach = t.responsivity_dn_per_p, np.array([0.0, light.at[-1]])
+    axes.plot(reach, r.value * reach, "--", color=ORANGE, lw=1.2, label=f"R = {r.value:.5g} DN/photon")
+    axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="saturation")
+    axes.set_ylim(top=1.15 * signal.max())
+    finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "mean gray value above the dark (DN)")
+    caption = "Sensitivity. The slope is the responsivity R; over K it is the quantum efficiency of the whole pixel, η = R/K."
+    return Plate("responsivity", caption, figure, {"photons_p": light.at.tolist(), "signal_dn": signal.tolist()})
+
+
+def snr_plate(sheet: DataSheet) -> Plate:
+    """Signal to temporal noise and to total noise against photons, logarithmic."""
+    t, m = sheet.transfer, sheet.measured
+    below = slice(0, t.saturation_index + 1)
+    photons = np.concatenate([m.dim.at, m.light.at[below]])
+    signal = np.concatenate([m.dim.mean_dn, m.light.mean_dn[below]]) - m.dark.mean_dn
+    temporal = np.sqrt(np.concatenate([m.dim.variance_dn2, m.light.variance_dn2[below]]))
+    total = np.sqrt(np.concatenate([m.dim.frame_variance_dn2, m.light.frame_variance_dn2[below]]))
+    seen = signal > 0
+    figure = new_figure(6.4, 4.2)
+    axes = figure.subplots()
+    electrons = t.efficiency.value * photons
+    model = electrons / np.sqrt(t.dark_noise_e.value**2 + 1 / 12 / t.gain_dn_per_e.value**2 + electrons)
+    axes.loglog(photons, np.sqrt(electrons), ":", color="0.4", lw=1, label="ideal sensor of this η: √μ_e")
+    axes.loglog(photons, model, "-", color=BLUE, lw=1, label="from K, η and σ_d")
+    axes.loglog(photons[seen], (signal / temporal)[seen], "o", ms=3.5, color=BLUE, label="measured, temporal noise")
+    axes.loglog(
+        photons[seen], (signal / total)[seen], "s", ms=3.5, color=ORANGE, label="measured, total noise (with fixed pattern)"
+    )
+    axes.axvline(t.threshold_p.value, color="0.5", lw=1, ls="--", label="μ_p.min, where the SNR is 1")
+    axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls="-.", label="μ_p.sat")
+    axes.set_ylim(bottom=0.1)
+    finish(
+        axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "SNR, mean over standard deviation", "lower right"
+    )
+    caption = (
+        "Signal-to-noise ratio against light. Between the two thresholds lies the dynamic range; PRNU ends the rise of the total."
+    )
+    table = {"photons_p": photons.tolist(), "snr_temporal": (signal / temporal).tolist(), "snr_total": (signal / total).tolist(),
+             "snr_model": model.tolist()}  # fmt: skip
+    return Plate("snr", caption, figure, table)
+
+
+def linearity_plate(sheet: DataSheet) -> Plate:
+    """Relative deviation from the line."""
+    found, light = sheet.linearity, sheet.measured.light
+    percent, inside = 100 * found.deviation, found.within
+    error = 100 * np.sqrt(light.variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn
+    figure = new_figure(6.4, 3.6)
+    axes = figure.subplots()
+    axes.axhline(0.0, color="0.5", lw=0.8)
+    reach = f"{100 * LINEARITY_SHARES[0]:.0f} to {100 * LINEARITY_SHARES[1]:.0f} %"
+    shown = np.arange(light.at.size) <= np.flatnonzero(inside)[-1] + 1
+    axes.errorbar(light.at[inside], percent[inside], error[inside], fmt="o", ms=3.5, lw=1, color=BLUE,
+                  label=f"{reach} of saturation: LE = {100 * found.error:.2g} %")  # fmt: skip
+    outside = shown & np.logical_not(inside)
+    axes.plot(light.at[outside], percent[outside], "o", ms=3.5, mfc="none", color=BLUE, label="outside the range")
+    widest = 1.3 * float((np.abs(percent) + error)[inside].max())
+    axes.set_ylim(-widest, widest)
+    finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "deviation from the line (%)")
+    caption = "Linearity: relative deviation of the mean signal from the line of least relative deviations. Bars: standard error."
+    table = {"photons_p": light.at.tolist(), "deviation_percent": percent.tolist(), "within": [int(each) for each in inside]}
+    return Plate("linearity", caption, figure, table)
+
+
+def dark_current_plate(sheet: DataSheet) -> Plate:
+    """Mean and variance of the dark against time, and the dark current against temperature."""
+    dark, k = sheet.measured.dark_series, sheet.transfer.gain_dn_per_e.value
+    temperatures, warm = sheet.warm_currents
+    figure = new_figure(9.6 if warm else 6.4, 3.6)
+    panels = np.atleast_1d(figure.subplots(1, 3 if warm else 2))
+    columns = (dark.mean_dn / k, "mean with the black level (e⁻)", "μ_I.mean", sheet.dark_current.from_mean_e_per_s), (
+        dark.variance_dn2 / k**2, "variance (e⁻²)", "μ_I.var", sheet.dark_current.from_variance_e_per_s)  # fmt: skip
+    for axes, (values, label, symbol, found) in zip(panels, columns, strict=False):
+        axes.plot(dark.at, values, "o", ms=4, color=BLUE)
+        slope, start = straight_line(dark.at, values, np.zeros_like(values))
+        axes.plot(dark.at, start.value + slope.value * dark.at, color=ORANGE, lw=1, label=f"{symbol} = {found.value:.4g} e⁻/s")
+        finish(axes, "integration time (s)", f"dark {label}")
+    if warm:
+        panels[2].errorbar(temperatures, [each.value for each in warm], [each.error for each in warm], fmt="o", ms=4, color=BLUE)
+        panels[2].set_yscale("log")
+        plain_powers(panels[2])
+        finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
+    caption = "Dark current: slopes of the dark's mean and variance over time, which agree where dark charge alone adds noise"
+    caption += "; and its growth with temperature." if warm else "."
+    table = {
+        "integration_s": dark.at.tolist(),
+        "mean_dn": dark.mean_dn.tolist(),
+        "variance_dn2": dark.variance_dn2.tolist(),
+        "temperature_k": temperatures.tolist(),
+        "dark_current_e_per_s": [each.value for each in warm],
+    }
+    return Plate("dark_current", caption, figure, filled(table))
+
+
+def filled(table: dict[str, list[float]]) -> dict[str, Column]:
+    """Columns of one length: NaN beyond the end of the shorter ones."""
+    longest = max(len(each) for each in table.values())
+    return {key: each + [float("nan")] * (longest - len(each)) for key, each in table.items()}
+
+
+def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
+    """(name, label, flat map): the dark image in electrons and the bright one in per cent of the signal, less their means."""
+    m, k = sheet.measured, sheet.transfer.gain_dn_per_e.value
+    dark = (m.dark_stack.mean_dn - m.dark_stack.mean_dn.mean()) / k
+    light = m.bright_stack.mean_dn - m.dark_stack.mean_dn
+    return [
+        ("DSNU", "dark, deviation from the mean (e⁻)", dark),
+        ("PRNU", "response, deviation from the mean (%)", 100 * (light / light.mean() - 1)),
+    ]
+
+
+def histogram_plate(sheet: DataSheet) -> Plate:
+    """Logarithmic histograms of the stacks' mean images, with the normal law of the same spread."""
+    figure = new_figure(8.6, 3.6)
+    table: dict[str, list[float]] = {}
+    for axes, (name, label, map_), colour in zip(figure.subplots(1, 2), deviations(sheet), COLOURS, strict=False):
+        reach = 1.02 * max(float(np.abs(map_).max()), 1e-9)
+        counts, edges = np.histogram(map_, np.linspace(-reach, reach, BINS + 1))
+        centres, sigma = (edges[1:] + edges[:-1]) / 2, max(float(map_.std()), 1e-12)
+        normal = map_.size * np.diff(edges) / (sigma * np.sqrt(2 * np.pi)) * np.exp(-((centres / sigma) ** 2) / 2)
+        axes.step(centres, np.maximum(counts, 0.5), where="mid", color=colour, lw=1, label=f"{name}: {map_.size} pixels")
+        axes.plot(centres, normal, "--", color="0.4", lw=1, label="normal law of the same spread")
+        axes.set_yscale("log")
+        axes.set_ylim(0.5, 3 * counts.max())
+        finish(axes, label, "pixels per bin")
+        table |= {
+            f"{name.lower()}_bin": centres.tolist(),
+            f"{name.lower()}_pixels": counts.tolist(),
+            f"{name.lower()}_normal": normal.tolist(),
+        }
+    caption = (
+        "Logarithmic histograms of the mean dark image and of the mean response; what stands beside the normal law is defective."
+    )
+    return Plate("histograms", caption, figure, dict(table))
+
+
+def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
+    """Power of the lines along an axis, averaged over them, and its frequencies in periods per pixel (section 8.4)."""
+    power = np.abs(np.fft.rfft(map_ - map_.mean(), axis=axis)) ** 2 / map_.shape[axis]
+    return np.asarray(np.fft.rfftfreq(map_.shape[axis]), float), np.asarray(power.mean(axis=1 - axis))
+
+
+def spectrogram_plate(sheet: DataSheet) -> Plate:
+    """Square roots of the power spectra along rows and columns."""
+    stacks: tuple[tuple[str, Array, Stack], ...] = tuple(
+        (name, map_, images)
+        for (name, _, map_), images in zip(deviations(sheet), (sheet.measured.dark_stack, sheet.measured.bright_stack), strict=True)
+    )
+    figure = new_figure(8.6, 3.6)
+    table: dict[str, list[float]] = {}
+    for axes, (name, map_, _) in zip(figure.subplots(1, 2), stacks, strict=True):
+        for label, axis, look in (("horizontal", 1, DARK), ("vertical", 0, LIGHT)):
+            frequency, power = spectrogram(map_, axis)
+            style = look.line | {"ls": "-", "markevery": max(1, power.size // MARKED)}
+            axes.plot(frequency[1:], np.sqrt(power[1:]), lw=0.9, ms=4, label=f"{name}, {label}", **style)
+            table[f"{name.lower()}_{label}_frequency"] = frequency.tolist()
+            table[f"{name.lower()}_{label}_amplitude"] = np.sqrt(power).tolist()
+        axes.axhline(float(map_.std()), color="0.5", lw=0.8, ls=":")
+        axes.set_ylim(0.0, 1.35 * axes.get_ylim()[1])
+        finish(axes, "frequency (periods per pixel)", "standard deviation (" + ("e⁻)" if name == "DSNU" else "%)"))
+    caption = (
+        "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is "
+        "level (dotted: the spread of all pixels); column offsets lift the horizontal one above the vertical one."
+    )
+    return Plate("spectrograms", caption, figure, filled(table))
+
+
+def profile_plate(sheet: DataSheet) -> Plate:
+    """Means of the columns and of the rows."""
+    figure = new_figure(8.6, 3.6)
+    table: dict[str, list[float]] = {}
+    for axes, (name, label, map_) in zip(figure.subplots(1, 2), deviations(sheet), strict=True):
+        for words, axis, look in (("columns", 0, DARK), ("rows", 1, LIGHT)):
+            mean = map_.mean(axis=axis)
+            style = look.line | {"ls": "-", "markevery": max(1, mean.size // MARKED)}
+            axes.plot(np.arange(mean.size), mean, lw=0.9, ms=4, label=f"{name}, means of {words}", zorder=2 + axis, **style)
+            table[f"{name.lower()}_{words}"] = mean.tolist()
+        finish(axes, "number of the column or row", label.replace(", deviation from the mean", ""))
+    caption = (
+        f"Profiles: means over columns and rows, less the mean. The black level leaves {BLACK_SIGMAS:g} σ of the dark below it."
+    )
+    return Plate("profiles", caption, figure, filled(table))
+
+
+TERMINAL_WIDTH = 132
+ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but for dark currents in the deep cold
+
+
+def sheet_name(sheet: DataSheet) -> str:
+    pixel = sheet.experiment.physics.pixel
+    return f"datasheet-{file_label(label_of(pixel.technology))}-{pixel.pitch_um:g}um"
+
+
+def number(value: float, digits: int = 5) -> str:
+    """In so many digits; a dash where there is none, 0 for what is one but for rounding."""
+    if not math.isfinite(value):
+        return "–"
+    return "0" if abs(value) < ROUNDING else f"{value:.{digits}g}"
+
+
+def off(entry: Entry) -> str:
+    """measured/true - 1 in per cent; nothing where that says nothing."""
+    return f"{100 * entry.off:+.2f} %" if math.isfinite(entry.off) and abs(entry.off) < 10 else ""
+
+
+def described(sheet: DataSheet) -> str:
+    """What was measured, in a line."""
+    e, p = sheet.experiment, sheet.experiment.physics
+    rows, columns = e.sensor.shape
+    return (
+        f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels, {p.pixel.bits} bits, black level {p.pixel.black_level_dn:g} DN, "
+        f"{p.pixel.temperature_k:g} K; {columns} × {rows} pixels, {e.wavelength_nm:g} nm, {1e3 * e.integration_s:.4g} ms"
+    )
+
+
+def datasheet_lines(sheet: DataSheet) -> list[str]:
+    """The sheet as a table, then what a reader has to know."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "", "measured", "± s.e.", "true", "unit", "off"):
+        table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
+    standard = ""
+    for each in entries(sheet):
+        if each.standard != standard:
+            standard = each.standard
+            table.add_row(f"[bold]{standard}[/bold]")
+        numbers = number(each.measured), number(each.standard_error, 2), number(each.true)
+        table.add_row(f"  {each.quantity}", each.symbol, *numbers, each.unit, off(each))
+    text = StringIO()
+    Console(file=text, width=TERMINAL_WIDTH).print(table)
+    return [described(sheet), *(line.rstrip() for line in text.getvalue().splitlines()), *(f"note: {each}" for each in sheet.notes)]
+
+
+def write_datasheet(sheet: DataSheet, out: Path) -> Path:
+    """Write everything into a folder; returns the report's path."""
+    plates, pixel = datasheet_plates(sheet), sheet.experiment.physics.pixel
+    with output_folder(out) as folder:
+        shown = write_plates(folder, plates)
+        write_table(folder / "datasheet.csv", [each.as_dict() for each in entries(sheet)])
+        write_json(folder / "summary.json", sheet_summary(sheet))
+        page = {
+            "described": described(sheet),
+            "sheet": sheet,
+            "entries": entries(sheet),
+            "number": number,
+            "off": off,
+            "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
+            "plates": shown,
+            "versions": versions(),
+        }
+        return write_page(folder / "report.html", "datasheet.html.j2", page)

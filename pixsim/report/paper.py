@@ -1,0 +1,169 @@
+"""Figures 2 to 6 of Chen, Catrysse, El Gamal and Wandell (2000) from pixsim's own numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from pixsim.report.merit import study_mtf_terms, system_mtf
+from pixsim.report.pictures import CONTRAST_LABEL, extent, picture_axes
+from pixsim.report.views import draw_iso, study_pictures
+from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.sensor.pixel import physics_of
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure
+from pixsim.show.pages import Column, Plate, coarse_table
+from pixsim.show.pictures import DELTA_E_SHOWN
+from pixsim.studies.claims import (
+    FIGURE_2B_PITCHES_UM,
+    FIGURE_6_PITCHES_UM,
+    OPTIMUM_UM,
+    REFERENCE_TECHNOLOGY,
+    Evidence,
+    dr_and_snr_db,
+    frequency_contrast_table,
+    reference_process,
+)
+from pixsim.studies.result import StudyResult
+
+FIGURE_5_PITCH_UM = 8.0
+SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
+
+
+def scene_plates(result: StudyResult) -> list[Plate]:
+    """The paper's Figures 2 and 4: pixels and scene."""
+    return [figure_2a(result), figure_2b(result), figure_4(result)]
+
+
+def map_plates(evidence: Evidence) -> list[Plate]:
+    """The paper's Figures 5 and 6, and where the errors are: from mean ΔE maps of many sensors."""
+    return [figure_5(evidence), figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
+
+
+def figure_2a(result: StudyResult) -> Plate:
+    """DR, and SNR at 20 % well, against pitch, at 30 ms, for both capacitances."""
+    pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
+    figure = new_figure(6.0, 3.8)
+    axes = figure.subplots()
+    table: dict[str, Column] = {"pitch_um": pitch_um.tolist()}
+    looks = iter(LOOKS)
+    for capacitance in ("paper", "mosis"):
+        for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, capacitance, process), strict=True):
+            look = next(looks)
+            axes.plot(pitch_um, db, ms=4, markevery=6, label=f"{name}, capacitance '{capacitance}'", **look.line)
+            table[f"{name.split()[0].lower()}_{capacitance}_db"] = db.tolist()
+    axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("dynamic range, and SNR (dB)")
+    axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
+    caption = "Figure 2a. Dynamic range and SNR at 20 % of the well against pixel size, 0.35 µm, 30 ms: equations (1) and (2)."
+    return Plate("figure_2a_dr_snr", caption, figure, table)
+
+
+def figure_2b(result: StudyResult) -> Plate:
+    """System MTF of four pixels against frequency over the Nyquist frequency of 6 µm ones; all terms for the paper's optimum."""
+    relative = np.linspace(0.0, 1.0, 101)
+    frequency = relative * SIX_UM_NYQUIST_CY_PER_MM
+    figure = new_figure(9.0, 3.9)
+    axes, terms_axes = figure.subplots(1, 2, sharey=True)
+    table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist(), "frequency_lp_per_mm": frequency.tolist()}
+    for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
+        physics = physics_of(result.study, REFERENCE_TECHNOLOGY, pitch_um)
+        mtf = system_mtf(result, physics, frequency)
+        axes.plot(relative, mtf, markevery=20, ms=4, label=f"{pitch_um:g} µm", **look.line)
+        nyquist = 6.0 / pitch_um
+        axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=look.colour, lw=1)
+        table[f"mtf_{pitch_um:g}um"] = mtf.tolist()
+    axes.set_title("system MTF: scene to sensor")
+    axes.set_xlabel("frequency over the Nyquist frequency of\n6 µm pixels (83.3 lp/mm)")
+    axes.set_ylabel("MTF: contrast over the scene's")
+    axes.set_ylim(0, 1)
+    axes.legend(title="pixel size", frameon=False, handlelength=LEGEND_LINE)
+
+    physics = physics_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM)
+    terms = study_mtf_terms(result, physics, frequency)
+    shown = draw_terms(terms_axes, frequency, terms, result.study.display.interpolation)
+    table |= {f"{name}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
+    nyquist = 1e3 / (2 * OPTIMUM_UM)
+    terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
+    terms_axes.set_title(f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
+    terms_axes.set_xlabel("frequency on the sensor (lp/mm)")
+    terms_axes.set_xlim(0, SIX_UM_NYQUIST_CY_PER_MM)
+    caption = (
+        "Figure 2b. Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
+        "frequency of each pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch "
+        f"suggests. Right: every term from the scene to the viewer's display, for {OPTIMUM_UM:g} µm pixels, and their product. "
+        "The interpolation between pixels and the mean over a dot belong to the display."
+    )
+    return Plate("figure_2b_mtf", caption, figure, table)
+
+
+def figure_4(result: StudyResult) -> Plate:
+    """The CSF scene as rendered: illuminance on the sensor."""
+    lux = result.irradiance.illuminance_lx()
+    figure = new_figure(4.6, 4.4)
+    axes = figure.subplots()
+    draw_picture(axes, lux / lux.max(), picture_axes(result.irradiance))
+    table = coarse_table(lux, "illuminance_lx")
+    caption = f"Figure 4. The scene as rendered on the sensor plane, {lux.min():.3g} to {lux.max():.3g} lx, fall-off included."
+    return Plate("figure_4_scene", caption, figure, table)
+
+
+def figure_5(evidence: Evidence) -> Plate:
+    """Ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
+    result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
+    (score,) = result.scores(curve.technology, FIGURE_5_PITCH_UM, 1)
+    plate = study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], "figure_5_pictures_8um")
+    return replace(plate, caption="Figure 5. " + plate.caption)
+
+
+def figure_6(evidence: Evidence) -> Plate:
+    """Curves of ΔE = 3 for four pixel sizes."""
+    level = evidence.result.study.iso_delta_e
+    _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
+    figure = new_figure(5.4, 5.0)
+    axes = figure.subplots()
+    vertices: list[tuple[float, float, float]] = []
+    for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
+        smooth = gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
+        down, across = evidence.border(pitch_um)
+        border_um = 1e3 * down * height_mm, 1e3 * across * width_mm
+        where = picture_axes(evidence.result.irradiance, border_um)
+        lines = draw_iso(axes, where, smooth, [level], [look], [1.6], [f"{pitch_um:g} µm"])
+        vertices += [(pitch_um, x / width_mm, y / height_mm) for x, y in lines]
+    handles = [axes.plot([], [], label=f"{p:g} µm", **look.stroke)[0]
+               for p, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False)]  # fmt: skip
+    axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
+    pitch_um_of, x, y = np.array(vertices).T.reshape(3, -1)
+    table: dict[str, Column] = {
+        "pitch_um": pitch_um_of.tolist(),
+        "frequency_lp_per_mm": csf_frequency_lp_per_mm(x).tolist(),
+        "contrast": csf_contrast(y).tolist(),
+    }
+    caption = (
+        f"Figure 6. Curves of ΔE = {level:g} for four pixel sizes (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
+        "dots). Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the better the pixel. "
+        "The table holds the curves' points."
+    )
+    return Plate("figure_6_iso_delta_e", caption, figure, table)
+
+
+def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
+    """Mean ΔE in cells of frequency and contrast, at 8 µm."""
+    frequency, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))
+    figure = new_figure(5.4, 4.0)
+    axes = figure.subplots()
+    image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=DELTA_E_SHOWN)
+    for (row, column), value in np.ndenumerate(values):
+        axes.text(
+            column, row, f"{value:.1f}", ha="center", va="center", fontsize=8, color="w" if value < DELTA_E_SHOWN / 2 else "k"
+        )
+    axes.set_xticks(range(frequency.size), [f"{each:.2g}" for each in frequency])
+    axes.set_yticks(range(contrast.size), [f"{each:.2g}" for each in contrast])
+    axes.set_xlabel("spatial frequency on the sensor (lp/mm)")
+    axes.set_ylabel(CONTRAST_LABEL)
+    figure.colorbar(image, ax=axes, label="mean ΔE", extend="max")
+    table: dict[str, Column] = {"contrast": contrast.tolist()}
+    table |= {f"delta_e_at_{each:.3g}_lp_per_mm": values[:, index].tolist() for index, each in enumerate(frequency)}
+    return Plate("delta_e_by_frequency_and_contrast", "Mean ΔE by spatial frequency and contrast, 8 µm pixels.", figure, table)

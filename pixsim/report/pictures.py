@@ -1,0 +1,92 @@
+"""The pictures of a result: their axes on the sensor, and details of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
+from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_colours, grey_codes
+from pixsim.viewer.display import picture_size_um
+from pixsim.viewer.score import Score
+
+MOST_TICKS = 7
+CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
+Border = tuple[float, float]  # µm above and below, and left and right, that a picture leaves out of what was rendered
+NO_BORDER: Border = (0.0, 0.0)
+
+
+def extent(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on top."""
+    height_um, width_um = picture_size_um(irradiance)
+    down_um, across_um = border_um
+    return 1e-3 * across_um, 1e-3 * (width_um - across_um), 1e-3 * (height_um - down_um), 1e-3 * down_um
+
+
+def is_csf(irradiance: SpectralImage) -> bool:
+    header = irradiance.header
+    return bool(header.get("scene") == "csf.xml" and "chart" not in header.get("parameters", {}))
+
+
+def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float]:
+    """Lowest and highest frequency of the CSF chart within a border: it fills the die, so another die than its own scales them."""
+    left, right, _, _ = extent(irradiance, border_um)
+    width_mm = extent(irradiance)[1]
+    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(at / width_mm)) for at in (left, right))
+    return lowest, highest
+
+
+def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> PictureAxes:
+    """Frequency and contrast for the CSF chart, else the position on the sensor; marks within the border."""
+    extent_mm = extent(irradiance, border_um)
+    left, right, bottom, top = extent_mm
+    if is_csf(irradiance):
+        height_mm = extent(irradiance)[2]
+        return PictureAxes(extent_mm, *_csf_axes(irradiance, height_mm, border_um, (left, right), (top, bottom)), fixed=True)
+    across, down = _even_ticks(left, right), _even_ticks(top, bottom)
+    return PictureAxes(extent_mm, Axis("x on the sensor (mm)", across), Axis("y on the sensor (mm)", down))
+
+
+def _csf_axes(
+    irradiance: SpectralImage, height_mm: float, border_um: Border, x_mm: tuple[float, float], y_mm: tuple[float, float]
+) -> tuple[Axis, Axis]:
+    """Between two places across and two down, of a chart that fills a die; the ends have marks of their own."""
+    lowest, highest = csf_range_lp_per_mm(irradiance, border_um)
+    inner = np.array([1, 2, 5, 10, 20, 50, 100, 200])
+    frequencies = np.array([lowest, *inner[(inner > 1.4 * lowest) & (inner < 0.75 * highest)], highest])
+    at_x_mm = x_mm[0] + np.log(frequencies / lowest) / np.log(highest / lowest) * (x_mm[1] - x_mm[0])
+    faintest, strongest = (float(csf_contrast(at / height_mm)) for at in y_mm)
+    steps = np.array([0.03, 0.1, 0.3])
+    contrasts = np.array([faintest, *steps[(steps > 1.4 * faintest) & (steps < 0.75 * strongest)], strongest])
+    at_y_mm = y_mm[0] + np.log(contrasts / faintest) / np.log(strongest / faintest) * (y_mm[1] - y_mm[0])
+    across = _ticks(at_x_mm, (f"{f:.3g}" for f in frequencies))
+    return Axis("spatial frequency on the sensor (lp/mm)", across), Axis(
+        CONTRAST_LABEL, _ticks(at_y_mm, (f"{c:.3g}" for c in contrasts))
+    )
+
+
+def _ticks(at_mm: Array, texts: Iterable[str]) -> tuple[tuple[float, str], ...]:
+    return tuple(zip(at_mm.tolist(), texts, strict=True))
+
+
+def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...]:
+    """In steps of 1, 2 or 5 times a power of ten."""
+    rough = (last_mm - first_mm) / (MOST_TICKS - 1)
+    unit = 10.0 ** math.floor(math.log10(rough))
+    step = unit * min(each for each in (1, 2, 5, 10) if each * unit >= rough * (1 - 1e-9))
+    steps = range(math.ceil(first_mm / step * (1 - 1e-9)), math.floor(last_mm / step * (1 + 1e-9)) + 1)
+    return tuple((step * n, f"{step * n:.3g}") for n in steps)
+
+
+def crops(score: Score, window: Window, name: str) -> tuple[Picture, ...]:
+    """A detail of the ideal image, of the output and of its ΔE map, with what it has of ΔE."""
+    inside = window.of(score.delta_e)
+    return (
+        Picture.of(grey_codes(window.of(score.ideal)), "ideal image"),
+        Picture.of(grey_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
+        Picture.of(delta_e_colours(inside), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
+    )

@@ -1,0 +1,309 @@
+"""One run from scene to score, the files it leaves (all of them, or none), and its page."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import refuse
+from pixsim.base.files import output_folder, versions, write_json
+from pixsim.base.parameters import Camera, Display, Exposure, Run
+from pixsim.light.exr import write_channels, write_exr
+from pixsim.light.spectral import SpectralImage
+from pixsim.report.merit import blur_words
+from pixsim.report.pictures import crops, extent, picture_axes
+from pixsim.report.settings import FILLED, Light, only_sheets, record_rows, scene_rows
+from pixsim.report.wording import budget_lines, dark_note, score_line
+from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
+from pixsim.sensor.technology import label_of
+from pixsim.show.pages import write_page
+from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced, save_delta_e_png, save_png, scale, worst_window
+from pixsim.viewer.display import white_header, white_rate
+from pixsim.viewer.score import Bench, Score, dark_clip, describe, make_bench
+
+if TYPE_CHECKING:
+    from pixsim.studies.budget import Settled
+
+
+# What lies beside the page.
+FILES = {
+    "score.json": "all numbers and settings, for programs",
+    "irradiance.exr": "light on the sensor, before diffraction",
+    "raw.exr": "digital numbers of the sensor",
+    "ideal.png": "what an ideal camera would have shown",
+    "image.png": "what the viewer is shown",
+    "delta_e.exr": "S-CIELAB map, for programs",
+    "delta_e.png": "S-CIELAB map, with axes",
+    "provenance.json": "versions and times",
+}
+AFTERWARDS = ("score.json", "provenance.json")
+MEANINGS = {
+    "pitch_um": "pixel size, centre to centre (µm)",
+    "fill_factor": "photodiode area over pixel area",
+    "full_well_e": "full well (electrons)",
+    "integration_s": "exposure time (s)",
+    "saturated_fraction": "saturated pixels, of all: their charge reached the well, or their DN the top code",
+    "mean_electrons_e": "mean photo-electrons of all pixels",
+    "mean_delta_e": "mean ΔE",
+    "median_delta_e": "median ΔE",
+    "p90_delta_e": "ΔE that 90 % of the dots are below",
+    "p99_delta_e": "ΔE that 99 % of the dots are below",
+    "max_delta_e": "largest ΔE",
+}
+
+
+def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summary: dict[str, Any]) -> None:
+    """Write report.html beside the run's other files, which it names, and whose pictures it holds."""
+    window = worst_window([score.delta_e])
+    width_mm, height_mm = extent(irradiance)[1:3]
+    left_mm, right_mm, bottom_mm, top_mm = extent(irradiance, score.border_um)
+    physics, header = score.physics, irradiance.header
+    parameters = header.get("parameters")  # in a file from elsewhere it may be anything
+    name = f"{physics.pitch_um:g} µm pixels"
+    ideal = shown_picture(folder / "ideal.png", score.ideal, "ideal image")
+    image = shown_picture(folder / "image.png", score.image, name)
+    rows, columns = score.frame.dn.shape
+    camera = Camera.model_validate(summary["camera"])
+    display = Display.model_validate(summary["display"])
+    light = Light.of(irradiance, display, [summary["integration_s"]])
+    sheet = only_sheets([physics.technology.name])
+    told = score.statistics()
+    if sheet and told["fill_factor"] > FILLED:
+        del told["fill_factor"]  # none was told
+    records = {
+        "camera": camera,
+        "pixel": physics.pixel,
+        "exposure": Exposure.model_validate(summary["exposure"]),
+        "display": display,
+    }
+    page = {
+        "scene": Path(str(header.get("scene", header.get("source", "a picture made elsewhere")))).stem,
+        "line": score_line(summary),
+        "summary": summary,
+        "physics": physics,
+        "label": label_of(physics.technology.name),
+        "pixels": (columns, rows),
+        "die_mm": (width_mm, height_mm),
+        "camera": camera,
+        "well": float(score.frame.mean_e.max()) / physics.full_well_e,
+        "ideal": ideal,
+        "image": image,
+        "samples_per_deg": display.samples_per_deg,
+        "reduced": factor_for(score.ideal),
+        "crops": crops(score, window, "the sensor's picture"),
+        "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
+        "border_um": score.border_um,
+        "dots": (score.delta_e.shape[1], score.delta_e.shape[0]),
+        "scale_bar": scale(),
+        "map": (folder / "delta_e.png").read_bytes(),
+        "statistics": [(MEANINGS[key], value) for key, value in told.items()],
+        "notes": dark_note(summary),
+        "blur": blur_words(irradiance, camera, physics, display),
+        "budget": budget_lines(summary),
+        "light": light,
+        "settings": [
+            ("scene", scene_rows(irradiance, parameters if isinstance(parameters, dict) else {}, light)),
+            *((title, record_rows(title, record, sheet)) for title, record in records.items()),
+        ],
+        "sheet": sheet,
+        "header": header,
+        "files": files_in(folder),
+    }
+    write_page(folder / "report.html", "run.html.j2", page)
+
+
+def files_in(folder: Path) -> dict[str, str]:
+    """What lies there and what it is, and what comes after the page."""
+    more = {path.name: "the same as raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES}
+    return {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS} | more
+
+
+def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
+    """A whole picture: its file, or, where it is large, the `reduced` one."""
+    if factor_for(luminance) == 1:
+        return Picture(name, "", path.read_bytes(), luminance.shape[1], luminance.shape[0])
+    return Picture.of(grey_codes(reduced(luminance)), name)
+
+
+Stage = Callable[[str], Callable[..., None]]
+OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # files that a run may write or not
+PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
+
+
+def run_and_write(
+    source: str,
+    settings: Run,
+    out: Path,
+    *,
+    full: bool,
+    sensor: str | None,
+    variant: str | None,
+    units: str | None = None,
+    raw_suffixes: Sequence[str] = (),
+    irradiance_too: bool = True,
+    progress: Stage,
+) -> dict[str, Any]:
+    """Render a scene (or read a spectral picture), sense, score and write; returns what stands in score.json.
+
+    raw_suffixes : of formats in which the frame is written beside raw.exr
+    irradiance_too : whether irradiance.exr, the largest file, is written
+
+    Raises PixsimError for unusable input; the folder then holds what it held before.
+    """
+    from pixsim.sensor.pixel import derive
+
+    derive(settings.pixel)
+    if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
+        raise refuse("--raw", f"tiff or png for an ADC of {settings.pixel.bits} bits", f"{BITS_OF_PICTURES} bits; npz for more")
+    if settings.tolerance_delta_e and full:
+        raise refuse("--tolerance-delta-e", "with --full", "one of them: the first leaves out what it can, the second nothing")
+    seconds: dict[str, float] = {}
+    clock = time.perf_counter()
+
+    def lap(name: str) -> None:
+        nonlocal clock
+        seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
+
+    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
+        if settings.scene or sensor or variant or settings.tolerance_delta_e:
+            options = "-D, --sensor, --variant, --tolerance-delta-e"
+            raise refuse(options, f"'{source}', a picture", "a Mitsuba scene for these options")
+        prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]] = partial(_read, source, settings, units)
+    else:
+        if units:
+            raise refuse("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr): a render's units are known")
+        prepared = _prepare(source, settings, full, sensor, variant, progress)
+    with output_folder(out) as folder:
+        irradiance, camera, more = prepared()
+        lap("read" if not more else "render")
+        progress("sense and score")
+        irradiance.header |= white_header(irradiance, camera, settings.display)
+        bench = make_bench(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
+        score = bench.score("evaluate", settings.seed)
+        more |= sensors_mean(bench, score, settings.seed, more)
+        lap("sense and score")
+        progress("write")
+        summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
+        written = write_all(folder, irradiance, score, summary, raw_suffixes, irradiance_too)
+        # Of an earlier run, whose pictures are gone.
+        for stale in (folder / name for name in OPTIONAL if name not in written):
+            if stale.is_file() and not (Path(source).exists() and stale.samefile(source)):
+                stale.unlink()
+        lap("write")
+        write_json(folder / "provenance.json", {"versions": versions(), "seconds": seconds})
+    return summary
+
+
+def summary_of(
+    score: Score, irradiance: SpectralImage, camera: Camera, exposure: Exposure, display: Display, seed: int
+) -> dict[str, Any]:
+    """score.json: what was found, and all that it was found with."""
+    records = {"camera": camera, "exposure": exposure, "display": display}
+    physics, time_s = score.physics, score.frame.integration_s
+    white_e = white_rate(irradiance, camera, physics, display) * physics.photodiode_area_um2 * time_s
+    dark = {"dark": dark_clip(physics, time_s, white_e)}
+    return describe(score, irradiance) | dark | {name: each.model_dump() for name, each in records.items()} | {"seed": seed}
+
+
+def sensors_mean(bench: Bench, score: Score, seed: int, more: dict[str, Any]) -> dict[str, Any]:
+    """Mean ΔE over as many sensors as the error budget asks for, the pictured one among them."""
+    if "error_budget" not in more:
+        return {}
+    sensors = more["error_budget"]["settings"]["sensors"]
+    others = [bench.score("evaluate", seed, number).mean_delta_e for number in range(1, sensors)]
+    return {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
+
+
+def _prepare(
+    source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
+) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
+    """Everything that can be refused before a render, and the render."""
+    from pixsim.scene.convergence import render_until
+    from pixsim.scene.plan import make_plan
+    from pixsim.scene.scene import load_scene
+
+    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
+    camera = scene.camera(settings.camera)
+    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    settled: Settled | None = None
+    if settings.tolerance_delta_e:
+        from pixsim.studies.budget import Setup, settle
+
+        progress("calibrate")
+        settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
+        chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
+        scene, settings = settled.scene, settings.model_copy(update=chosen)
+    plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e, full=full)
+    for note in plan.warnings:
+        warnings.warn(note, stacklevel=2)
+    if plan.resolution:
+        scene = scene.with_parameters(resolution=plan.resolution)
+
+    def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
+        image, noise = render_until(
+            scene,
+            camera,
+            plan,
+            [settings.pixel],
+            settings.exposure,
+            settings.seed,
+            render_noise=settings.render_noise,
+            max_seconds=settings.max_seconds,
+            progress=progress("render"),
+            keep=True,
+        )
+        more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict()}
+        if settled:
+            more["error_budget"] = settled.budget(noise, plan.bound_e if plan.bounded else None, settled.choice.sensors)
+        return image, camera, more
+
+    return render
+
+
+def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage, Camera, dict[str, Any]]:
+    """A picture made elsewhere, and the camera that it is taken with."""
+    from pixsim.optics.exchange import read_with_camera
+
+    image, camera = read_with_camera(source, settings.camera, units)
+    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    return image, camera, {}
+
+
+def write_all(
+    folder: Path,
+    irradiance: SpectralImage,
+    score: Score,
+    summary: dict[str, Any],
+    raw_suffixes: Sequence[str] = (),
+    irradiance_too: bool = True,
+) -> set[str]:
+    """Write into a folder beside the target's files, then move them over: an interruption leaves no half file. Returns names."""
+    partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
+    try:
+        if irradiance_too:
+            write_exr(partial / "irradiance.exr", irradiance)
+        for suffix in dict.fromkeys((".exr", *raw_suffixes)):
+            write_frame(partial / f"raw{suffix}", score.frame)
+        write_channels(partial / "delta_e.exr", {"delta_e": score.delta_e}, {})
+        save_png(partial / "ideal.png", score.ideal)
+        save_png(partial / "image.png", score.image)
+        save_delta_e_png(partial / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um))
+        write_json(partial / "score.json", summary)
+        write_run_page(partial, score, irradiance, summary)
+        made = sorted(partial.iterdir())
+        for path in made:
+            path.replace(folder / path.name)
+        return {path.name for path in made}
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)

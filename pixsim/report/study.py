@@ -1,0 +1,307 @@
+"""The report of a study: figures with their data, summary.json, and one HTML file that opens offline."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pixsim.base.files import output_folder, replacing, versions, write_json
+from pixsim.base.parameters import NO_TECHNOLOGY, Record
+from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
+from pixsim.report.paper import map_plates, scene_plates
+from pixsim.report.pictures import is_csf
+from pixsim.report.settings import FILLED, Light, Row, only_sheets, record_rows, scene_rows
+from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
+from pixsim.report.wording import study_dark_notes, target_notes
+from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.technology import Technology, technology_of
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
+from pixsim.show.pages import Column, Drawn, Plate, write_drawn, write_page
+from pixsim.show.pictures import scale
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
+from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.result import (
+    OTHER_STATISTICS,
+    Curve,
+    StudyResult,
+    curve_table,
+    delta_e_against_pitch,
+    interval_columns,
+    interval_words,
+    with_ends,
+    within_words,
+)
+
+ROOM_FOR_LEGEND = 1.35  # over the highest point, for a legend of three lines
+
+
+def other_statistics(result: StudyResult, curve: Curve) -> Plate:
+    """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
+    figure = new_figure(6.4, 3.6)
+    axes = figure.subplots()
+    for name, look in zip(("mean_delta_e", *OTHER_STATISTICS), LOOKS, strict=False):
+        values = curve.mean(name)
+        label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
+        axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("ΔE over its least value of all pixel sizes")
+    axes.set_ylim(0.9, 3.0)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
+    caption = (
+        f"The same pictures judged by other statistics of ΔE ({curve.label}), each divided by its smallest value. The "
+        "pitch in the legend is the best of those tried."
+    )
+    if is_csf(result.irradiance):
+        caption += (
+            " The maximum belongs to single dots of the darkest bars, where S-CIELAB, which blurs colour more widely than "
+            "luminance, is at its most sensitive."
+        )
+    return Plate("other_statistics", caption, figure, curve_table([curve]))
+
+
+def optimum_against_technology(result: StudyResult) -> Plate:
+    """Optima with their intervals, next to what 'proportional to technology' would give."""
+    curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
+    feature_um = np.array([curve.feature_size_um for curve in curves])
+    size_um = np.array([curve.optimum.pitch_um for curve in curves])
+    low_um, high_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in curves]).T
+    figure = new_figure(5.4, 4.0)
+    axes = figure.subplots()
+    bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
+    axes.errorbar(feature_um, size_um, bars, fmt="o", color=COLOURS[0], lw=2, capsize=4, label="optimum, 95 % interval")
+    proportional = size_um[-1] / feature_um[-1] * feature_um
+    axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
+    axes.set_xlabel("feature size (µm)")
+    axes.set_ylabel("optimal pixel size (µm)")
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False)
+    table = {
+        "technology": [curve.label for curve in curves],
+        "feature_size_um": feature_um.tolist(),
+        "optimum_um": size_um.tolist(),
+        **interval_columns(curves),
+        "optimum_features": (size_um / feature_um).tolist(),
+        "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
+        "proportional_um": proportional.tolist(),
+    }
+    caption = "Optimal pixel size against technology, and the line that the largest process scaled in proportion would follow."
+    return Plate("optimum_against_technology", caption, figure, table)
+
+
+def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
+    """MTF50 and MPE30 of each pitch, the two sides of the trade-off; and what each term of the blur leaves of fine detail."""
+    pixels = [physics_of(result.study, curve.technology, pitch) for pitch in curve.pitch_um.tolist()]
+    mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
+    shown50 = [mtf50_cy_per_mm(result, physics, shown_mtf) for physics in pixels]
+    mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
+    figure = new_figure(6.4, 6.8)
+    axes, lower = figure.subplots(2, 1, sharex=True)
+    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor, left")
+    detail += axes.plot(curve.pitch_um, shown50, "^:", ms=4, color=COLOURS[0], label="MTF50 on the display, left")
+    axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
+    axes.set_ylim(0, ROOM_FOR_LEGEND * max(mtf50))
+    other = axes.twinx()
+    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure, right")
+    other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
+    other.spines["right"].set_visible(True)
+    axes.legend(handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE)
+
+    frequency, name = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
+    of_pixels = [study_mtf_terms(result, physics, np.array(frequency)) for physics in pixels]
+    terms = {term: np.array([float(each[term]) for each in of_pixels]) for term in of_pixels[0]}
+    shown = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
+    table: dict[str, Column] = {
+        "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
+    }  # fmt: skip
+    table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
+    lower.set_xlabel("pixel size (µm)")
+    lower.set_ylabel(f"contrast left at {frequency:.3g} lp/mm")
+    lower.set_ylim(0, 1.02)
+    lower.grid(alpha=0.25)
+    caption = (
+        f"Both sides of the trade-off ({curve.label}). Above: the frequency at which the MTF is one half, from the scene to the "
+        "sensor and to the viewer's display, and the least exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High "
+        f"detail and little light are good. Below: what each term leaves of the scene's contrast at {frequency:.3g} lp/mm, {name}, "
+        "and their product."
+    )
+    return Plate("light_against_detail", caption, figure, table)
+
+
+# Of the paper, for the curves that any study has.
+FIGURE_NUMBERS = {
+    "delta_e_against_pitch": "Figure 7. ",
+    "delta_e_against_pitch_all": "Figure 8. ",
+    "optimum_against_technology": "Figure 9. ",
+}
+# Of the page, and the sections whose figures stand under them.
+HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
+
+
+@dataclass(frozen=True)
+class Section:
+    """Figures that are drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
+
+    number: int
+    kind: str
+    technology: str = ""
+
+    def __str__(self) -> str:
+        return f"figures of {self.technology or self.kind}"
+
+
+def sections_of(result: StudyResult) -> list[Section]:
+    """The figures of a study, in the report's order."""
+    kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
+    kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
+    return [Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)]
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a section came to: its figures, the pictures that people see, and what it found."""
+
+    section: Section
+    drawn: list[Drawn]
+    views: Views | None = None
+    rows: tuple[Finding, ...] = ()
+
+
+def draw_section(section: Section, result: StudyResult) -> Made:
+    by_name = {curve.technology: curve for curve in result.curves}
+    first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
+    rows: list[Finding] = []
+    views = None
+    if section.kind == "curves":
+        plates = plates_of_curves(result, first)
+    elif section.kind == "pictures":
+        curve = by_name[section.technology]
+        scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
+        maps = [score.delta_e for score in scores]
+        plates = [study_pictures(result, curve, scores[0], maps, f"pictures_{curve.file_label}")]
+        views = study_views(result, curve, scores[0])
+    elif section.kind == "more":
+        plates = [other_statistics(result, first), light_against_detail(result, first)]
+    elif section.kind == "paper's scene":
+        plates = scene_plates(result)
+    else:
+        evidence = Evidence(result, by_name)
+        rows, plates = findings(evidence), map_plates(evidence)
+    return Made(section, [Drawn.of(plate) for plate in plates], views, tuple(rows))
+
+
+def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
+    plates = [delta_e_against_pitch(result, [first])]
+    if len(result.curves) > 1:
+        plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
+        processes = all(curve.technology != NO_TECHNOLOGY for curve in result.curves)
+        if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
+            plates.append(optimum_against_technology(result))
+    if not result.study.paper:
+        return plates
+    return [replace(plate, caption=FIGURE_NUMBERS[plate.name] + plate.caption) for plate in plates]
+
+
+def write_report(
+    result: StudyResult,
+    folder: str | os.PathLike[str],
+    seconds: dict[str, float] | None = None,
+    workers: Workers | None = None,
+) -> Path:
+    """Write report.html and what it shows: figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
+
+    Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
+    depend on the workers that draw the figures.
+
+    Parameters
+    ----------
+    result : of `study`
+    folder : made if need be
+    seconds : stage -> s that it took, to be told
+    workers : processes that draw; None draws here
+
+    Returns the path of report.html. Raises PixsimError for a folder that cannot be written to.
+    """
+    with output_folder(folder) as made:
+        return _write(result, made, seconds or {}, workers or Workers())
+
+
+def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
+    longest_first = reversed(sections_of(result))
+
+    def itself() -> StudyResult:
+        return result
+
+    calls = [(section, itself) for section in longest_first]
+    made = sorted(results_of(draw_section, calls, workers), key=lambda each: each.section.number)
+    rows = [row for each in made for row in each.rows]
+    views = [each.views for each in made if each.views]
+    shown = {
+        heading: write_drawn(folder, [drawn for each in made if each.section.kind in kinds for drawn in each.drawn])
+        for heading, kinds in HEADINGS.items()
+    }
+    for each in views:
+        with replacing(folder / "figures" / f"contact_sheet_{each.file_label}.png") as partial:
+            partial.write_bytes(each.sheet)
+    paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}
+    write_json(folder / "summary.json", result.as_dict() | paper_table)
+    provenance = {"versions": versions(), "seconds": seconds}
+    write_json(folder / "provenance.json", provenance)
+
+    def light_of(curves: Sequence[Curve]) -> Light:
+        times_s = np.concatenate([curve.mean("integration_s") for curve in curves])
+        return Light.of(result.irradiance, result.study.display, times_s)
+
+    def blur_of(curve: Curve) -> str:
+        physics = physics_of(result.study, curve.technology, curve.optimum.pitch_um)
+        return blur_words(result.irradiance, result.camera, physics, result.study.display)
+
+    light = light_of(result.curves)
+    page = {
+        "study": result.study,
+        "interval": interval_words,
+        "within": within_words,
+        "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
+        "blurs": [(curve, blur_of(curve)) for curve in result.curves],
+        "plates": shown,
+        "views": views,
+        "scale_bar": scale(),
+        "findings": rows,
+        "notes": [each.removeprefix("note: ") for each in (*target_notes(result), *study_dark_notes(result))],
+        "response_note": response_note(result.study) if result.study.paper else "",
+        "budget": result.budget,
+        "header": result.irradiance.header,
+        "settings": settings(result, light),
+        "filled": FILLED,
+        "sheets": NO_TECHNOLOGY in result.study.technologies,
+        "technologies": [
+            (process.name, technology_rows(process))
+            for process in (technology_of(result.study, name) for name in result.study.technologies if name != NO_TECHNOLOGY)
+        ],
+        "provenance": provenance,
+    }
+    return write_page(folder / "report.html", "report.html.j2", page)
+
+
+def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
+    """The parameters with their meaning and source, as the report's tables show them; unset ones come from the technology."""
+    study = result.study
+    records: dict[str, Record] = {
+        "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
+    }  # fmt: skip
+    sheets = only_sheets(study.technologies)
+    tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
+    return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
+
+
+def technology_rows(process: Technology) -> list[tuple[str, float | str, str, str]]:
+    """Name, value, plausible range and source of each number of a process, for the report's table."""
+    values = process.content | process.numbers
+    ranges = {name: f"{low:g} to {high:g}" for name, (low, high) in process.ranges.items()}
+    return [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]

@@ -1,0 +1,210 @@
+"""What people see of a study: axes of a picture on the sensor, details from every pixel size, and whole pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from pixsim.base import cache
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Exposure
+from pixsim.report.pictures import crops, picture_axes
+from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.readout import frame_of
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, Look, draw_delta_e, draw_picture, label_axes, new_figure
+from pixsim.show.pages import Plate, coarse_table
+from pixsim.show.pictures import (
+    Picture,
+    PictureAxes,
+    Tile,
+    Window,
+    contact_sheet_png,
+    factor_for,
+    grey_codes,
+    reduced,
+    window_at,
+    worst_window,
+)
+from pixsim.studies.evaluations import bench_at, block_key, stream_key
+from pixsim.studies.result import Curve, StudyResult
+from pixsim.viewer import display as displays
+from pixsim.viewer.score import Projection, Score
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+# Of four pictures and a bar of colours with room for its numbers.
+MARGINS = {"left": 0.075, "right": 0.985, "bottom": 0.06, "top": 0.965, "wspace": 0.05, "hspace": 0.22}
+WIDTHS = (1, 0.05, 0.28, 1)
+SENSORS_SHOWN = 8  # in mean maps
+
+
+def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
+    """Ideal image, one output image, its ΔE map, and curves of equal ΔE of the mean of several sensors' maps."""
+    mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
+    smooth = gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
+    figure = new_figure(8.6, 7.6)
+    figure.set_layout_engine(None)  # the labels' sizes are known, and finding room for them takes a fifth of the drawing
+    grid = figure.add_gridspec(2, len(WIDTHS), width_ratios=WIDTHS, **MARGINS)
+    ideal, image, map_, iso = (figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (0, 3))
+    where = picture_axes(result.irradiance, score.border_um)
+    ideal.set_title("ideal image")
+    draw_picture(ideal, score.ideal, where)
+    image.set_title(f"image from {pitch_um:.2f} µm pixels")
+    draw_picture(image, score.image, where)
+    map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
+    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where)
+    iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
+    level = result.study.iso_delta_e
+    levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
+    draw_iso(iso, where, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
+    caption = (
+        f"What {pitch_um:.2f} µm pixels show ({curve.label}): the ideal image, the picture of one sensor, its ΔE map "
+        f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
+    )
+    return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
+
+
+def draw_iso(
+    axes: Axes,
+    where: PictureAxes,
+    smooth: Array,
+    levels: Sequence[float],
+    looks: Sequence[Look],
+    widths: Sequence[float],
+    labels: Sequence[str],
+) -> list[tuple[float, float]]:
+    """Curves of equal ΔE in the axes of the picture; returns their points, (x, y) in mm."""
+    points: list[tuple[float, float]] = []
+    left, right, bottom, top = where.extent_mm
+    x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
+    y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
+    there = [i for i, level in enumerate(levels) if smooth.min() < level < smooth.max()]
+    if there:
+        lines = axes.contour(
+            x,
+            y,
+            smooth,
+            levels=[levels[i] for i in there],
+            colors=[looks[i].colour for i in there],
+            linestyles=[looks[i].dashes for i in there],
+            linewidths=[widths[i] for i in there],
+        )
+        handles = [axes.plot([], [], lw=widths[i], label=labels[i], **looks[i].stroke)[0] for i in there]
+        axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
+        points = [(float(px), float(py)) for segments in lines.allsegs for segment in segments for px, py in segment]
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_aspect("equal")
+    label_axes(axes, where)
+    for spine in axes.spines.values():
+        spine.set(visible=True, color="0.8")
+    return points
+
+
+@dataclass(frozen=True)
+class Views:
+    """Pictures of one technology.
+
+    tiles : the ideal image's detail, then that of every pitch
+    crops : for some pitches, the detail of the ideal image, of the output, and of its ΔE map
+    ideal, outputs : whole pictures
+    factor : how many dots of the ideal image a side are one of the whole picture
+    sheet : the tiles as one labelled PNG
+    """
+
+    label: str
+    file_label: str
+    place: tuple[float, float]
+    tiles: tuple[Picture, ...]
+    crops: tuple[tuple[Picture, ...], ...]
+    ideal: Picture
+    factor: int
+    outputs: tuple[Picture, ...]
+    sheet: bytes = field(repr=False)
+
+
+def best_place(curve: Curve) -> int:
+    """Index of the evaluated pitch with the least mean ΔE."""
+    return int(np.argmin(curve.mean()))
+
+
+def is_best(curve: Curve, place: int) -> bool:
+    """Whether a pitch is shown as the best of those evaluated; one at an end of the range is not, without an optimum inside."""
+    return place == best_place(curve) and (curve.optimum.inside or 0 < place < curve.pitch_um.size - 1)
+
+
+def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
+    """The smallest, the best and the largest pixels against the ideal image, and a detail from every pitch.
+
+    best : the first sensor's score at `best_place`
+    """
+    at, last = best_place(curve), curve.pitch_um.size - 1
+    ends = sorted({0, at, last})
+    scores = {place: best if place == at else result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in ends}
+    ideal = max((score.ideal for score in scores.values()), key=lambda each: each.size)
+    shape = ideal.shape[0], ideal.shape[1]
+    where = result.study.detail
+    window = window_at(where, shape) if where else worst_window([scores[0].delta_e, scores[last].delta_e])
+    tiles = [Tile(grey_codes(window.of(ideal)), "ideal image", "")]
+    for place in range(last + 1):
+        part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
+        tiles.append(Tile(grey_codes(part), *words(curve, place), is_best(curve, place)))
+    named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
+    return Views(
+        label=curve.label,
+        file_label=curve.file_label,
+        place=window.centre,
+        tiles=tuple(Picture.of(tile.codes, tile.name, tile.note, tile.best) for tile in tiles),
+        crops=tuple(crops(scores[place], window, called(curve, place)) for place in ends),
+        ideal=Picture.of(grey_codes(reduced(ideal)), "ideal image"),
+        factor=factor_for(ideal),
+        outputs=tuple(Picture.of(grey_codes(reduced(scores[place].image)), named[place], words(curve, place)[1]) for place in ends),
+        sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1; framed: the best of these", tiles),
+    )
+
+
+def words(curve: Curve, place: int) -> tuple[str, str]:
+    """Pixel size, and mean ΔE over the whole picture and the sensors."""
+    return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.mean()[place]:.3f}"
+
+
+def called(curve: Curve, place: int) -> str:
+    """A pitch by its part in the story."""
+    parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, "best of these": is_best(curve, place)}
+    return ", ".join(part for part, is_so in parts.items() if is_so)
+
+
+def pixels_of(size_um: tuple[float, float], pitch_um: float) -> tuple[int, ...]:
+    return tuple(pixels_along(um, pitch_um) for um in size_um)
+
+
+def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> Array:
+    """A part of the first sensor's picture of a pitch, shown luminance: that of `result.scores`, without its ΔE.
+
+    What the cache holds is only shown, in a fifth of the time that the light on the pixels takes.
+    """
+    study, pitch_um = result.study, float(curve.pitch_um[place])
+    light = result.lights.of(curve.technology)
+    key = block_key(result.content.frames(curve.technology, pitch_um), 0)
+    kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
+    if not isinstance(light, Projection) or kept is None or kept.shape != pixels_of(light.size_um, pitch_um):
+        bench = bench_at(study, light, result.camera, curve.technology, pitch_um)
+        frame = bench.capture(*stream_key(study, bench.physics.technology.name, pitch_um, 0))
+        white_e, size_um, edges_um = bench.white_e_per_s * frame.integration_s, bench.size_um, bench.dot_edges_um
+    else:
+        physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
+        white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
+        edges_um = light.dot_edges_um
+        # Nothing that is shown depends on the saturated fraction or on the mean signal.
+        unknown = np.broadcast_to(np.nan, kept.shape)
+        frame = frame_of(kept.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
+    luminance = displays.frame_luminance(frame, size_um, white_e, study.display, edges_um)
+    return displays.shown_luminance(window.of(luminance), study.display)

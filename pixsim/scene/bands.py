@@ -1,0 +1,291 @@
+"""Wavelength bands and the pulses that measure them: pure arrays, no scene.
+
+A ray of Mitsuba carries four wavelengths, one in each of 1, 2 or 4 disjoint pulses of equal area, and none of them is left
+to chance. A pulse has the shape of the lamp, so that no line is missed. What surfaces do to the lamp's light is smooth and
+known from their spectra, so that a few pulses tell every band; `fit` finds how, and how wrong that can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.light.spectral import HIGH_NM, LOW_NM, STEPS_NM, Spectrum, grid_nm
+
+Response = Callable[[Array], Array]  # of a sensor or an eye, at wavelengths in nm; any unit
+# 10 nm bands, and what is left of 360-830 nm at the ends.
+BAND_EDGES_NM = np.concatenate([[LOW_NM], np.arange(365.0, 826.0, 10.0), [HIGH_NM]])
+NARROWEST_BAND_NM = 1.0
+MOST_BANDS = 256
+PARTS_OF_A_BAND = 10
+SMALLEST_SHIFT_NM = 1.0  # of a band's wavelength from its centre that is worth telling
+PULSES_PER_PASS = 4
+SHAPE_TOLERANCE = 0.1  # error of any one band, of the brightest band of the same light
+PULSE_COUNTS = (1, 4, 8, 12, 16, 20, 24, 28, 32)
+FLANK_STEPS = 2  # zeros at either end of a pulse: the film's combined table then has no node that is not ours
+STIFFNESS = 1e-4  # of the fit against leaving linear interpolation between pulses: noise is then hardly amplified
+NEUTRAL_WEIGHT = 1e2  # of a neutral surface in the fit: it comes out exact
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A response whose answer must be right, and how many times the tolerance it may be wrong."""
+
+    response: Response
+    slack: float = 1.0
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Adjoining bands; a value is the mean over its band.
+
+    edges_nm : (B + 1,)
+    wavelength_nm : (B,) the centre, or the centroid of the light where lines put it elsewhere
+    nodes_nm, shares : (B, n) where in the band its light is; shares add up to 1
+    """
+
+    edges_nm: Array = field(repr=False)
+    wavelength_nm: Array = field(repr=False)
+    nodes_nm: Array = field(repr=False)
+    shares: Array = field(repr=False)
+
+    @property
+    def width_nm(self) -> Array:
+        return np.diff(self.edges_nm)
+
+    def mean(self, response: Response) -> Array:
+        """Mean of a response over each band, weighted by the light in it, (B,)."""
+        return (self.shares * response(self.nodes_nm)).sum(axis=1)
+
+    def integrals(self, energy: Array, step_nm: float) -> Array:
+        """Sums over each band, (..., B), of the energy in the cells between the nodes of `grid_nm(step_nm)`."""
+        running = np.concatenate([np.zeros_like(energy[..., :1]), np.cumsum(energy, axis=-1)], axis=-1)
+        at = (self.edges_nm - LOW_NM) / step_nm
+        index = np.minimum(at.astype(int), energy.shape[-1] - 1)
+        return np.diff(running[..., index] + (at - index) * energy[..., index], axis=-1)
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """A spectral response of unit area on a regular grid, zero at both ends; values (n,) nm⁻¹."""
+
+    low_nm: float
+    high_nm: float
+    values: Array = field(repr=False)
+
+    @property
+    def nodes_nm(self) -> Array:
+        return np.linspace(self.low_nm, self.high_nm, self.values.size)
+
+    def mean(self, functions: Array, step_nm: float) -> Array:
+        """What the pulse measures of functions on `grid_nm(step_nm)`, (...): ∫ of the product, both straight between nodes."""
+        first = round((self.low_nm - LOW_NM) / step_nm)
+        weights = np.convolve(self.values, (1 / 6, 2 / 3, 1 / 6), mode="same") * step_nm
+        return (functions[..., first : first + self.values.size] * weights).sum(axis=-1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Pulses, and the spectrum that each stands for.
+
+    spectra : (pulses, B) W m⁻² sr⁻¹ nm⁻¹ of each band for each unit of a pulse's picture
+    error : greatest relative error of any response to the light from any surface
+    """
+
+    pulses: tuple[Pulse, ...]
+    spectra: Array = field(repr=False)
+    error: float
+
+
+def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness], tolerance: float) -> Bands:
+    """Bands of 10 nm; those that would make an answer wrong by more than `tolerance` are halved.
+
+    Parameters
+    ----------
+    surfaces : (n, 471) what light may have met on its way, as factors at 360 … 830 nm; a neutral one is always added
+
+    That is so where lamps with lines at different places share a band, or a surface and a response both change in it.
+    """
+    edges = BAND_EDGES_NM
+    resolved = [_resolved(lamp, surfaces) for lamp in lamps]
+    while True:
+        bands = _shaped(edges, lamps)
+        errors = [_errors(bands, *each, witnesses) for each in resolved]
+        worst = max((float(np.abs(each.sum(axis=2)).max()) for each in errors), default=0.0)
+        if worst <= tolerance or edges.size > MOST_BANDS:
+            return bands
+        guilt = np.max([np.abs(each).max(axis=(0, 1)) for each in errors], axis=0)
+        guilt[np.diff(edges) < 2 * NARROWEST_BAND_NM] = 0.0
+        if not guilt.any():
+            return bands
+        halved = np.flatnonzero(guilt > guilt.max() / 2)
+        edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
+
+
+def equal_bands(count: int, lamps: list[Spectrum]) -> Bands:
+    """So many bands of equal width from 360 to 830 nm."""
+    return _shaped(np.linspace(LOW_NM, HIGH_NM, count + 1), lamps)
+
+
+def band_errors(bands: Bands, lamp: Spectrum, surfaces: Array, witnesses: list[Witness]) -> Array:
+    """Error of each witness's answer to the lamp's light from each surface, by band and over the whole answer.
+
+    (witnesses, 1 + n, B), relative to what the witness tolerates.
+    """
+    return _errors(bands, *_resolved(lamp, surfaces), witnesses)
+
+
+def _errors(bands: Bands, light: Array, at: Array, families: Array, witnesses: list[Witness]) -> Array:
+    first = np.searchsorted(at, bands.edges_nm[:-1])
+    energy = np.add.reduceat(families * light, first, axis=1)
+    errors = []
+    for witness in witnesses:
+        truth = np.add.reduceat(families * (light * witness.response(at)), first, axis=1)
+        total = truth.sum(axis=1, keepdims=True)
+        wrong = bands.mean(witness.response) * energy - truth
+        errors.append(np.divide(wrong, total * witness.slack, out=np.zeros_like(wrong), where=total > 0))
+    return np.array(errors)
+
+
+def _resolved(lamp: Spectrum, surfaces: Array) -> tuple[Array, Array, Array]:
+    """Lamp's energy in cells so fine that a response may begin with a step in one; their centres; surfaces there."""
+    step = min(lamp.step_nm, STEPS_NM[1])
+    edges = grid_nm(step)
+    at = edges[:-1] + step / 2
+    families = np.array([np.interp(at, grid_nm(), each) for each in (np.ones(grid_nm().size), *surfaces)])
+    return lamp.cell_means(edges) * step, at, families
+
+
+def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
+    """Bands with the light of all lamps, each taken at the same energy, in ten parts at the centroid of each."""
+    parts_nm = np.concatenate([np.linspace(a, b, PARTS_OF_A_BAND, endpoint=False) for a, b in pairwise(edges_nm)])
+    parts = Bands(np.append(parts_nm, edges_nm[-1]), parts_nm, parts_nm[:, None], parts_nm[:, None])
+    centres = (parts.edges_nm[:-1] + parts.edges_nm[1:]) / 2
+    energy, moment = np.zeros(centres.size), np.zeros(centres.size)
+    for lamp in lamps:
+        step, total = min(lamp.step_nm, STEPS_NM[1]), lamp.integral()
+        cells = lamp.cell_means(grid_nm(step)) * (step / (total if total > 0 else 1.0))
+        energy += parts.integrals(cells, step)
+        moment += parts.integrals(cells * (grid_nm(step)[:-1] + step / 2), step)
+    nodes = np.divide(moment, energy, out=centres.copy(), where=energy > 0)
+    nodes = np.clip(nodes, parts.edges_nm[:-1], parts.edges_nm[1:]).reshape(-1, PARTS_OF_A_BAND)
+    energy = energy.reshape(nodes.shape)
+    dark = energy.sum(axis=1) <= 0
+    energy[dark] = 1.0
+    shares = energy / energy.sum(axis=1, keepdims=True)
+    centre = (edges_nm[:-1] + edges_nm[1:]) / 2
+    centroid = (shares * nodes).sum(axis=1)
+    near = np.abs(centroid - centre) < SMALLEST_SHIFT_NM
+    return Bands(edges_nm, np.where(near, centre, centroid), nodes, shares)
+
+
+def window_pulse(lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside: bool = False, band: bool = False) -> Pulse | None:
+    """The lamp between two wavelengths as a pulse; None where it is dark there. A flat pulse without a lamp.
+
+    The flanks lie outside the window, or `inside` it where the next window adjoins in the same pass. Pulses of a `band` and
+    of its neighbours add up to the lamp.
+    """
+    step = lamp.step_nm if lamp else 1.0
+    if band:  # fine enough for every border of a band to be a node
+        step = min(step, STEPS_NM[1])
+    first, last, most = (round((each - LOW_NM) / step) for each in (low_nm, high_nm, HIGH_NM))
+    reach = 0 if inside else FLANK_STEPS
+    start = max(min(first - reach, most - 2 * FLANK_STEPS), 0)
+    stop = min(max(last + reach, 2 * FLANK_STEPS), most)
+    index = np.arange(start, stop + 1)
+    values = lamp.on_grid(step)[index] if lamp else np.ones(index.size)
+    values[(index < first) | (index > last)] = 0.0
+    if band:  # half at its borders: neighbours add up to the lamp, and the area is that of the band
+        values[(index == first) | (index == last)] /= 2
+    if not inside:  # no flanks fit outside 360-830 nm: light at the very ends is taken two steps further in
+        values = np.bincount(np.clip(index - start, FLANK_STEPS, stop - start - FLANK_STEPS), values, index.size).astype(float)
+    values[:FLANK_STEPS] = values[-FLANK_STEPS:] = 0.0
+    area = values.sum() * step
+    return Pulse(LOW_NM + step * start, LOW_NM + step * stop, values / area) if area > 0 else None
+
+
+def every_band(lamp: Spectrum | None, bands: Bands) -> tuple[Fit, list[list[int]]]:
+    """A pulse for each band that has light, in passes of four that do not touch: nothing is assumed of the surfaces."""
+    edges = bands.edges_nm
+    # Flat pulses with the lamps in place measure the mean over a band, of unit area.
+    mean = lamp.cell_means(edges) if lamp else np.ones(edges.size - 1)
+    found = {band: window_pulse(lamp, edges[band], edges[band + 1], band=True) for band in np.flatnonzero(mean).tolist()}
+    pulses = {band: pulse for band, pulse in found.items() if pulse}
+    spectra = np.zeros((len(pulses), mean.size))
+    spectra[np.arange(len(pulses)), list(pulses)] = mean[list(pulses)]
+    return Fit(tuple(pulses.values()), spectra, 0.0), _passes(list(pulses.values()))
+
+
+def passes(count: int) -> list[list[int]]:
+    """Pulses in passes of four (or two, or one), each all over the spectrum, so that every path tells of most of the signal.
+
+    An incomplete four repeats one of its own: four quarters of the film's response still, each wavelength in its own.
+    """
+    if count <= 3:
+        return [[], [[0]], [[0, 1]], [[0, 1], [2]]][count]
+    stride = -(-count // PULSES_PER_PASS)
+    fours = [[start + stride * k for k in range(PULSES_PER_PASS)] for start in range(stride)]
+    return [[index if index < count else each[0] for index in each] for each in fours]
+
+
+def _passes(pulses: list[Pulse]) -> list[list[int]]:
+    """`passes` of pulses whose flanks may reach into their neighbours; one by one where they would not lie apart."""
+    fours = passes(len(pulses))
+    spans = [sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in each}) for each in fours]
+    apart = all(low[1] <= high[0] for each in spans for low, high in pairwise(each))
+    return fours if apart and len(pulses) >= 2 * PULSES_PER_PASS else [[index] for index in range(len(pulses))]
+
+
+def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness], tolerance: float) -> Fit | None:
+    """The fewest pulses that tell all bands of this lamp's light from any of the surfaces to within `tolerance`.
+
+    `surfaces` as in `place_bands`. None where so few would not do, or the lamp is dark. The error is the greatest of light
+    from these surfaces and of any sum of such light; light that has met others may err more.
+    """
+    step = lamp.step_nm
+    grid, light = grid_nm(step), lamp.on_grid(step)
+    lit = grid[light > 0]
+    if lit.size == 0:
+        return None
+    families = np.array([np.interp(grid, grid_nm(), each) for each in (np.ones(grid_nm().size), *surfaces)])
+    fine_light, at, fine = _resolved(lamp, surfaces)
+    truth = np.array([(fine * (fine_light * witness.response(at))).sum(axis=1) for witness in witnesses])
+    first = np.searchsorted(at, bands.edges_nm[:-1])
+    own = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
+    seen = np.array([bands.mean(witness.response) * bands.width_nm for witness in witnesses])
+    slack = np.array([[witness.slack] for witness in witnesses])
+    for count in PULSE_COUNTS:
+        cuts = np.linspace(lit[0], lit[-1], count + 1)
+        pulses = [window_pulse(lamp, a, b, inside=count > 1) for a, b in pairwise(cuts)]
+        known = [pulse for pulse in pulses if pulse is not None]
+        if not known:  # windows narrower than their flanks
+            return None
+        weights = _fit_weights(families, known, light, step)
+        told_of = np.array([np.interp(at, grid, weight) for weight in weights])
+        spectra = np.add.reduceat(told_of * fine_light, first, axis=1) / bands.width_nm
+        measured = np.stack([pulse.mean(families, step) for pulse in known], axis=1)
+        told = measured @ spectra
+        wrong = np.abs(seen @ told.T - truth)
+        errors = np.divide(wrong, truth * slack, out=np.zeros_like(wrong), where=truth > 0)
+        shape = np.abs(told - own).max(axis=1) / np.maximum(own.max(axis=1), np.finfo(float).tiny)
+        if errors.max() <= tolerance and shape.max() <= SHAPE_TOLERANCE:
+            return Fit(tuple(known), spectra, float(errors.max()))
+    return None
+
+
+def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: float) -> Array:
+    """Functions (pulses, G) that add up pulses' means to the families best, close to linear interpolation."""
+    grid = grid_nm(step_nm)
+    power = np.maximum(np.trapezoid(families * light, dx=step_nm, axis=-1), np.finfo(float).tiny)
+    scaled = families * (np.trapezoid(light, dx=step_nm) / power)[:, None]
+    scaled[0] *= NEUTRAL_WEIGHT
+    measured = np.stack([pulse.mean(scaled, step_nm) for pulse in pulses], axis=1)
+    centroids = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in pulses]
+    plain = np.array([np.interp(grid, centroids, row) for row in np.eye(len(pulses))])
+    stiff = STIFFNESS * np.eye(len(pulses))
+    left = measured.T @ measured / len(scaled) + stiff
+    return np.asarray(np.linalg.solve(left, measured.T @ scaled / len(scaled) + STIFFNESS * plain))

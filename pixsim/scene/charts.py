@@ -1,0 +1,155 @@
+"""Test charts as textures: relative luminance in [0, 1], (H, W) float32, row 0 on top.
+
+A chart fills the die. Frequencies are given on the sensor, so a chart belongs to a die width, not to a lens.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import refuse
+from pixsim.light.exr import write_channels
+
+# Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
+LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
+HIGHEST_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
+LOWEST_FREQUENCY_LP_PER_MM = 1.0
+LOWEST_CONTRAST = 0.01  # of the largest
+DIE_MM = 2.7136  # 512 pixels of 5.3 µm
+CSF_STEPS = 2**18
+SLANT_DEG = 5.0  # ISO 12233
+STAR_CYCLES = 72
+
+
+def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
+    """Local frequency at x in [0, 1] across the die, (...) as x: exponential from 1 to 33.3 lp/mm (Chen et al. 2000).
+
+    >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # the Nyquist frequency of 15 µm pixels at the right
+    [1.0, 33.333]
+    """
+    return LOWEST_FREQUENCY_LP_PER_MM * (HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM) ** np.asarray(x)
+
+
+def csf_contrast(y: ArrayLike) -> Array:
+    """Michelson contrast at y in [0, 1], 0 on top, (...) as y: exponential from 1 % of the largest to the largest, 0.951.
+
+    25 to 1000 cd/m² (Chen et al. 2000).
+    """
+    low, high = LUMINANCE_CD_PER_M2
+    return (high - low) / (high + low) * LOWEST_CONTRAST ** (1 - np.asarray(y, float))
+
+
+def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
+    """The CSF chart at a point: mean (1 + contrast(y) sin φ(x)), φ the integral of 2π frequency.
+
+    A value of 1 stands for 1000 cd/m², the mean is 0.5125 (Chen et al. 2000).
+
+    x, y : to the right and downwards, in [0, 1]; the result has the shape that they broadcast to
+    die_mm : width that the chart fills
+    """
+    low, high = LUMINANCE_CD_PER_M2
+    growth = np.log(HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM)
+    cycles = die_mm / growth * (csf_frequency_lp_per_mm(x) - LOWEST_FREQUENCY_LP_PER_MM)
+    return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
+
+
+def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, die_mm: float = DIE_MM) -> Array:
+    """A vertical sinusoidal grating at x in [0, 1], (...) as x, relative luminance of mean 0.5 and a Michelson contrast."""
+    return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
+
+
+def _grid(height: int, width: int) -> tuple[Array, Array]:
+    return np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+
+
+def csf(width: int = 8192, height: int = 256, die_mm: float = DIE_MM) -> NDArray[np.float32]:
+    """Contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texels.
+
+    8192 of them hold the highest frequency to 0.06 % under bilinear interpolation.
+
+    The many rows are for the lowest half row, where a texture cannot follow its rising contrast (0.9 % short there).
+    Texels are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
+    """
+    x, y = _grid(height, width)
+    return (np.rint(csf_value(x, y, die_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
+
+
+def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: int, dark: float) -> NDArray[np.float32]:
+    """Area coverage of a shape, from 8 × 8 points a texel, a row of texels at a time."""
+    factor = 8
+    x = (np.arange(width * factor) + 0.5) / (width * factor)
+    rows = ((np.arange(height * factor) + 0.5) / (height * factor)).reshape(height, factor, 1)
+    cover = np.stack([inside(x, y).reshape(factor, width, factor).mean(axis=(0, 2)) for y in rows])
+    return (dark + (1 - dark) * cover).astype(np.float32)
+
+
+def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> NDArray[np.float32]:
+    """An edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, a share `dark` left."""
+    slope = np.tan(np.radians(SLANT_DEG))
+    return _antialiased(lambda x, y: x - 0.5 > (0.5 - y) * slope, width, height, dark)
+
+
+def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> NDArray[np.float32]:
+    """A sector star of 72 cycles in a disc of 90 % of the die, (height, width): 1, and a fraction `dark`."""
+
+    def inside(x: Array, y: Array) -> Array:
+        sector = np.sin(STAR_CYCLES * np.arctan2(0.5 - y, x - 0.5)) > 0
+        return sector | (np.hypot(x - 0.5, y - 0.5) > 0.45)
+
+    return _antialiased(inside, width, height, dark)
+
+
+def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
+    """A uniform field of relative luminance 1, (height, width)."""
+    return np.ones((height, width), np.float32)
+
+
+CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
+    "csf": csf,
+    "flat": flat,
+    "siemens_star": siemens_star,
+    "slanted_edge": slanted_edge,
+}
+
+
+def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:
+    """A chart by name, (H, W) float32 of relative luminance; the size defaults to what the shipped textures have.
+
+    kind : csf, slanted_edge, siemens_star or flat
+    width, height : in texels
+    die_mm : width that the chart fills, for the one whose frequencies depend on it (csf)
+
+    Raises PixsimError for another kind, a size out of 2 to 32768 texels, and a die for a chart that needs none.
+
+    >>> make_chart("flat", width=3, height=2).tolist()
+    [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
+    """
+    if kind not in CHARTS:
+        raise refuse("chart", f"'{kind}'", ", ".join(CHARTS))
+    size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
+    if any(not 2 <= value <= 32768 for value in size.values()):
+        raise refuse("chart size", size, "2 to 32768 texels a side")
+    if die_mm is None:
+        return CHARTS[kind](**size)
+    if kind != "csf" or not 0 < die_mm < 1000:
+        raise refuse("chart die_mm", f"{die_mm:g} for {kind}", "0 to 1000 mm, for csf: the others scale with the die")
+    return csf(**size, die_mm=die_mm)
+
+
+def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> None:
+    """Write a texture that Mitsuba reads as it is (with `raw` true): one linear float32 channel Y, row 0 on top.
+
+    path : ends in .exr
+    texels : (H, W) relative luminance
+
+    Raises PixsimError for another ending, and for a path that cannot be written.
+    """
+    if Path(path).suffix.lower() != ".exr":
+        raise refuse("chart file", f"'{path}'", "a name that ends in .exr")
+    write_channels(path, {"Y": texels}, {})

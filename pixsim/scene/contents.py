@@ -1,0 +1,553 @@
+"""What a scene contains: lamps, surfaces, shapes before the lens, and picture files."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from itertools import combinations_with_replacement, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import refuse
+from pixsim.base.files import judge_picture
+from pixsim.base.parameters import Camera
+from pixsim.light.exr import read_channels
+from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, grid_nm, photopic_efficiency, tabulated
+from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W
+from pixsim.scene.files import judge_asset
+from pixsim.scene.mitsuba import children, evaluate_emitter, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
+
+# What the stock emitters call their spectrum.
+EMISSION = {
+    "area": "radiance",
+    "constant": "radiance",
+    "point": "intensity",
+    "spot": "intensity",
+    "directional": "irradiance",
+    "directionalarea": "radiance",
+}
+LUMINANCE_STEP_NM = 1 / 8
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """Emitters that share one spectrum, and what each is without it; or emitters whose colours stay in place.
+
+    spectrum : of texel value 1 (or of the first emitter), W m⁻² sr⁻¹ nm⁻¹; None where colour and picture are not apart
+    pictures : emitter node -> (property, node of its neutral picture, or its power relative to `spectrum`)
+    """
+
+    spectrum: Spectrum | None
+    pictures: dict[int, tuple[str, int | float]]
+
+    @property
+    def luminance_cd_per_m2(self) -> float:
+        """Of texel value 1: 683.002 ∫ ȳ L dλ."""
+        if self.spectrum is None:
+            return 0.0
+        edges = grid_nm(LUMINANCE_STEP_NM)
+        at = (edges[:-1] + edges[1:]) / 2
+        return float(LM_PER_W * LUMINANCE_STEP_NM * (self.spectrum.cell_means(edges) * photopic_efficiency(at)).sum())
+
+
+@dataclass(frozen=True)
+class _Emission:
+    """An emitter's spectrum (a hashable key) × scale × neutral picture (a texture node)."""
+
+    name: str
+    key: tuple[Any, ...]
+    scale: float
+    picture: int | None
+
+
+def find_lamps(state: Any, variant: str) -> list[Lamp]:
+    """Emitters by spectrum, in the order of the scene; those whose colour varies over them come last, together."""
+    groups: dict[tuple[Any, ...], list[tuple[int, _Emission]]] = {}
+    coloured: dict[int, tuple[str, int | float]] = {}
+    for index, node in nodes_of(state, "Emitter"):
+        part = _emission(state, node)
+        if part is None:
+            coloured[index] = (EMISSION.get(node.props.plugin_name(), ""), 1.0)
+        else:
+            # Pictures cannot be scaled in place: emitters with one share a group only at the same power.
+            groups.setdefault((part.key, part.scale if part.picture is not None else None), []).append((index, part))
+    for key, scale in list(groups):
+        if scale is None and (host := next((each for each in groups if each[0] == key and each[1] is not None), None)):
+            groups[host] += groups.pop((key, None))  # those without a picture can have any power
+    lamps = []
+    for (key, scale), parts in groups.items():
+        first = max(part.scale for _, part in parts) if scale is None else scale
+        spectrum = evaluate(key, variant) * first
+        pictures: dict[int, tuple[str, int | float]] = {
+            index: (part.name, part.picture if part.picture is not None else (part.scale / first if first else 1.0))
+            for index, part in parts
+        }
+        lamps.append(Lamp(spectrum, pictures))
+    return [*lamps, Lamp(None, coloured)] if coloured else lamps
+
+
+def find_lamp(state: Any, variant: str) -> Lamp | None:
+    """The one spectrum behind all emitters, where there is one and what multiplies it is neutral; else None."""
+    lamps = find_lamps(state, variant)
+    return lamps[0] if len(lamps) == 1 and lamps[0].spectrum is not None else None
+
+
+def _emission(state: Any, emitter: Any) -> _Emission | None:
+    name = EMISSION.get(emitter.props.plugin_name())
+    if name is None:
+        return None
+    if name not in emitter.props:  # Mitsuba's default: a d65 of scale 1
+        return _Emission(name, ("d65",), 1.0, None)
+    beside = [index for key, index in children(emitter, state).items() if key != name]
+    if any(not is_neutral(state.nodes[index]) for index in beside if state.nodes[index].type.name == "Texture"):
+        return None  # the slide of a spot
+    kind = emitter.props.type(name).name
+    if kind == "Float":  # a plain number is a d65 of that scale
+        return _Emission(name, ("d65",), float(emitter.props[name]), None)
+    if kind == "Color":
+        return _Emission(name, ("rgb", emitter.props.as_string(name)), 1.0, None)
+    if kind == "Spectrum":
+        value = emitter.props[name]
+        if value.is_uniform():
+            return _Emission(name, ("uniform",), float(value.values[0]), None)
+        return _Emission(name, ("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
+    if kind not in ("ResolvedReference", "Reference"):
+        return None
+    index = children(emitter, state)[name]
+    node = state.nodes[index]
+    plugin = node.props.plugin_name()
+    if plugin == "bitmap" and is_neutral(node):
+        return _Emission(name, ("uniform",), 1.0, index)
+    nested = list(children(node, state).values())
+    if len(nested) > 1 or (nested and not is_neutral(state.nodes[nested[0]])):
+        return None
+    picture = nested[0] if nested else None
+    values = {key: value for key, value in plain(node) if isinstance(value, (int, float, str))}
+    if plugin == "uniform":
+        return _Emission(name, ("uniform",), float(values.get("value", 1.0)), picture)
+    if plugin == "d65":
+        return _Emission(name, ("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
+    table = table_of(node)
+    if table is not None:
+        return _Emission(name, ("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
+    if plugin == "blackbody":
+        return _Emission(name, (plugin, *sorted(values.items())), 1.0, picture)
+    return None
+
+
+def is_neutral(texture: Any) -> bool:
+    """A raw bitmap multiplies all wavelengths alike."""
+    return texture.props.plugin_name() == "bitmap" and bool(texture.props.get("raw", False))
+
+
+def numbers(text: object) -> list[float]:
+    """Those in a property: "1 2 3", "1, 2, 3", "[1, 2, 3]"."""
+    return [float(each) for each in str(text).strip("[]").replace(",", " ").split()]
+
+
+def parsed_table(value: Any) -> Spectrum:
+    """A spectrum that the parser keeps as a table."""
+    return Spectrum(np.array(value.wavelengths, float), np.array(value.values, float))
+
+
+def table_of(node: Any) -> Spectrum | None:
+    """The table of a `regular` or `irregular` spectrum that is written out."""
+    props, plugin = node.props, node.props.plugin_name()
+    try:
+        if plugin == "irregular":
+            return Spectrum(np.array(numbers(props["wavelengths"])), np.array(numbers(props["values"])))
+        if plugin == "regular":
+            values = np.array(numbers(props["values"]))
+            if "wavelength_min" in props:
+                low, high = float(props["wavelength_min"]), float(props["wavelength_max"])
+            else:
+                low, high = numbers(props["range"])
+            return Spectrum(np.linspace(low, high, values.size), values)
+    except (KeyError, ValueError):
+        return None
+    return None
+
+
+def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
+    """The spectrum behind an emission's key."""
+    if key[0] == "table":
+        return Spectrum(np.array(key[1]), np.array(key[2]))
+    if key[0] == "uniform":
+        return tabulated(np.ones(grid_nm().size))
+    if key[0] == "rgb":
+        return tabulated(evaluate_emitter({"type": "rgb", "value": numbers(key[1])}, variant))
+    return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))
+
+
+def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
+    """Lamps that shine; PixsimError for one that is negative or not finite."""
+    for lamp in lamps:
+        values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
+        if not np.isfinite(values).all() or values.min() < 0:
+            raise refuse("emitter", f"radiance {values.min():g}", "finite and not negative")
+    return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
+
+
+# The spectra of the stock BSDFs by name. What is not named here leaves the spectrum as it is.
+SPECTRA = {
+    "diffuse": ("reflectance",),
+    "plastic": ("diffuse_reflectance", "specular_reflectance"),
+    "roughplastic": ("diffuse_reflectance", "specular_reflectance"),
+    "conductor": ("specular_reflectance",),
+    "roughconductor": ("specular_reflectance",),
+    "dielectric": ("specular_reflectance", "specular_transmittance"),
+    "roughdielectric": ("specular_reflectance", "specular_transmittance"),
+    "thindielectric": ("specular_reflectance", "specular_transmittance"),
+    "twosided": (),
+    "blendbsdf": (),
+    "mask": (),
+    "bumpmap": (),
+    "normalmap": (),
+    "null": (),
+}
+LAMBERTIAN = ("diffuse", "twosided")
+METALS = ("conductor", "roughconductor")
+INSIDE = ("plastic", "roughplastic")  # light that goes to and fro under a coat: ρ/(1 - F ρ)
+INTERNAL_REFLECTION = 0.6  # of a coat of index 1.49, from inside
+METAL_COSINES = (1.0, 0.7, 0.3)
+HIGHEST_POWER = 3  # of a reflectance, for light that goes to and fro between like surfaces; what goes on longer is little
+TO_AND_FRO = (0.5, 0.8, 0.95)
+MOST_PRODUCTS = 160
+NEUTRAL_SPREAD = 1e-6
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """The spectra of a scene's surfaces.
+
+    spectra : (n, 471) of single surfaces at 360 … 830 nm, neutral ones left out; None where they are not known
+    unknown : why they are not known
+    short : ranges of tables that end inside 360-830 nm, beyond which Mitsuba takes 0
+    """
+
+    spectra: Array | None = field(repr=False)
+    unknown: str = ""
+    short: tuple[str, ...] = ()
+
+    def products(self, bounces: int) -> Array:
+        """What light may have met after up to so many surfaces (-1: any number), (m, 471)."""
+        if self.spectra is None:
+            return np.zeros((0, grid_nm().size))
+        single = self.spectra
+        if bounces == 1 or not len(single):
+            return single
+        # Light that goes to and fro for long, a little or most of it: ρ/(1 - aρ).
+        series = [single / (1 - part * np.minimum(single, 1.0)) for part in (TO_AND_FRO if bounces < 0 else ())]
+        powers = [single**power for power in range(2, HIGHEST_POWER + 1 if bounces < 0 else min(bounces, HIGHEST_POWER) + 1)]
+        pairs = [single[i] * single[j] for i, j in combinations_with_replacement(range(len(single)), 2) if i != j]
+        spread = np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PRODUCTS)).astype(int)
+        return np.vstack([single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])])
+
+
+def find_surfaces(state: Any, variant: str) -> Surfaces:
+    """Every spectrum that a BSDF multiplies light with, from the parsed tree."""
+    found: list[Array] = []
+    short: set[str] = set()
+    if nodes_of(state, "Medium"):
+        return Surfaces(None, "a medium, whose spectra pixsim does not know")
+    for _, node in nodes_of(state, "BSDF"):
+        plugin = node.props.plugin_name()
+        if plugin not in SPECTRA:
+            return Surfaces(None, f"a BSDF '{plugin}', whose spectra pixsim does not know")
+        metal = _metal(state, node, variant) if plugin in METALS else []
+        if metal is None:
+            return Surfaces(None, f"the index of {plugin}")
+        found += metal
+        for name in SPECTRA[plugin]:
+            if name in node.props:
+                own = _property(state, node, name, variant, short)
+                if own is None:
+                    return Surfaces(None, f"the texture of {plugin}.{name}")
+                found += [*own, *(each / (1 - INTERNAL_REFLECTION * each) for each in own if plugin in INSIDE)]
+                found += [each * fresnel for each in own for fresnel in metal]
+    coloured = [each for each in found if np.ptp(each) > NEUTRAL_SPREAD * max(each.max(), 1.0)]
+    unique = {each.round(9).tobytes(): each for each in coloured}
+    return Surfaces(np.array(list(unique.values())).reshape(-1, grid_nm().size), "", tuple(sorted(short)))
+
+
+def _property(state: Any, node: Any, name: str, variant: str, short: set[str]) -> list[Array] | None:
+    """The spectra that a property of a node may have; empty where it is neutral, None where that is not known."""
+    kind = node.props.type(name).name
+    if kind in ("Float", "Integer"):
+        return []
+    if kind == "Color":
+        value = numbers(node.props.as_string(name))
+        return [evaluate_spectrum({"type": "rgb", "value": value}, variant)] if np.ptp(value) else []
+    if kind == "Spectrum":
+        value = node.props[name]
+        if value.is_uniform():
+            return []
+        return [_table(parsed_table(value), short)]
+    if kind not in ("Reference", "ResolvedReference"):
+        return None
+    texture = state.nodes[children(node, state)[name]]
+    plugin = texture.props.plugin_name()
+    if plugin == "uniform" or is_neutral(texture):
+        return []
+    table = table_of(texture)
+    if table is not None:
+        return [_table(table, short)]
+    if plugin == "checkerboard":
+        parts = [_property(state, texture, each, variant, short) for each in ("color0", "color1") if each in texture.props]
+        return None if any(part is None for part in parts) else [each for part in parts for each in part or []]
+    return None
+
+
+def _table(table: Spectrum, short: set[str]) -> Array:
+    low, high = float(table.nodes_nm[0]), float(table.nodes_nm[-1])
+    if (low > LOW_NM and table.values[0] > 0) or (high < HIGH_NM and table.values[-1] > 0):
+        short.add(f"{low:g}-{high:g} nm")
+    return table.at(grid_nm())
+
+
+def _metal(state: Any, node: Any, variant: str) -> list[Array] | None:
+    """Fresnel reflectances of a conductor at several angles, from Mitsuba's own smooth one; None where not known."""
+    described: dict[str, Any] = {"type": "conductor"}
+    values, textures = dict(plain(node)), children(node, state)
+    for key in ("material", "eta", "k"):
+        if key in values:
+            described[key] = spectrum_dict(values[key]) if hasattr(values[key], "wavelengths") else values[key]
+        elif key in textures:
+            texture = state.nodes[textures[key]]
+            if texture.props.plugin_name() not in ("uniform", "regular", "irregular"):
+                return None
+            described[key] = {"type": texture.props.plugin_name(), **dict(plain(texture))}
+    return [evaluate_reflection(described, cosine, variant) for cosine in METAL_COSINES]
+
+
+SMALLEST_VOLUME = 1e-200  # what a scale makes of 1
+FLAT = ("rectangle", "disk")
+PARALLEL = 1e-6  # sine of the angle between normals of planes that count as parallel
+IN_FRONT_M = 1e-9
+
+
+@dataclass(frozen=True)
+class Body:
+    """A shape as the lens sees it, in the camera's frame: x to the left of the picture, y up, z along the axis, m.
+
+    corners : (n, 3) of a box around it; None where the plugin's size is not known from the XML
+    normal : (3,) of a flat one, on the side that it shows
+    node : of the shape
+    """
+
+    node: int
+    corners: Array | None = field(repr=False)
+    normal: Array | None
+
+    @property
+    def depths_m(self) -> tuple[float, float]:
+        assert self.corners is not None
+        return float(self.corners[:, 2].min()), float(self.corners[:, 2].max())
+
+    def in_view(self, camera: Camera, aspect: float) -> bool:
+        """Whether any of it may be seen: not all of it beyond one side of the picture, with the blur of the lens."""
+        if self.corners is None:
+            return True
+        x, y, z = self.corners.T
+        tan_x = camera.die_mm / (2 * camera.image_distance_mm)
+        a = camera.aperture_radius_m
+        for across, tangent in ((x, tan_x), (y, tan_x / aspect)):
+            # The edge rays of the outermost sample start at the far rim of the lens and cross in the plane in focus.
+            focus = tangent * camera.object_distance_m
+            reach = np.maximum(
+                np.abs(a + (focus - a) * z / camera.object_distance_m), np.abs(-a + (focus + a) * z / camera.object_distance_m)
+            )
+            if np.all(across > reach) or np.all(across < -reach):
+                return False
+        return bool(np.any(z > IN_FRONT_M))
+
+
+def matrix_of(node: Any, name: str = "to_world") -> Array:
+    if name not in node.props:
+        return np.eye(4)
+    if "Transform" not in node.props.type(name).name:
+        raise refuse(f"{node.props.plugin_name()}.{name}", node.props[name], "a <transform>")
+    return np.asarray(node.props[name].matrix, float).reshape(4, 4)
+
+
+def check_transforms(state: Any) -> None:
+    """Refuse what turns things into nothing, or into what has no place."""
+    for node in state.nodes:
+        matrix = matrix_of(node)
+        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < SMALLEST_VOLUME:
+            raise refuse(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "finite numbers and scales other than 0")
+
+
+def find_bodies(state: Any, sensor: Any) -> list[Body]:
+    """Every shape that can be seen; members of a shape group stand where its instances are."""
+    to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
+    members = {
+        child: index
+        for index, node in nodes_of(state, "Shape")
+        if node.props.plugin_name() == "shapegroup"
+        for child in children(node, state).values()
+    }
+    bodies = []
+    for index, node in nodes_of(state, "Shape"):
+        plugin = node.props.plugin_name()
+        if index in members or plugin == "shapegroup":
+            continue
+        if plugin == "instance":
+            group = next(iter(children(node, state).values()))
+            parts = [child for child, owner in members.items() if owner == group]
+            boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].type.name == "Shape"]
+            known = [box for box in boxes if box is not None]
+            place = to_camera @ matrix_of(node)
+            bodies.append(Body(index, _moved(place, np.vstack(known)) if known and len(known) == len(boxes) else None, None))
+        else:
+            box = _box(node)
+            bodies.append(Body(index, None if box is None else _moved(to_camera, box), _normal(to_camera, node)))
+    return bodies
+
+
+def _box(node: Any) -> Array | None:
+    """Corners of a box around a stock shape, in the world."""
+    props, plugin = node.props, node.props.plugin_name()
+    if plugin in FLAT:
+        unit = np.array([[x, y, 0.0] for x, y in product((-1.0, 1.0), repeat=2)])
+    elif plugin == "cube":
+        unit = np.array(list(product((-1.0, 1.0), repeat=3)))
+    elif plugin == "sphere":
+        centre = np.array(props.get("center", [0.0, 0.0, 0.0]), float).ravel()
+        unit = centre + float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
+    elif plugin == "cylinder":
+        ends = [np.array(props.get(name, default), float).ravel() for name, default in (("p0", [0.0, 0, 0]), ("p1", [0.0, 0, 1]))]
+        radius = float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
+        unit = np.vstack([end + radius for end in ends])
+    else:
+        return None
+    return _moved(matrix_of(node), unit)
+
+
+def _normal(to_camera: Array, node: Any) -> Array | None:
+    if node.props.plugin_name() not in FLAT:
+        return None
+    # As normals are moved, so that a mirrored shape keeps its side.
+    normal = np.linalg.inv((to_camera @ matrix_of(node))[:3, :3])[2]
+    if node.props.get("flip_normals", False):
+        normal = -normal
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def _moved(matrix: Array, points: Array) -> Array:
+    moved = np.c_[points, np.ones(len(points))] @ matrix.T
+    return np.asarray(moved[:, :3] / moved[:, 3:])
+
+
+def blur_um(camera: Camera, depth_m: float) -> float:
+    """Diameter on the sensor of the disc that a point at a depth makes; infinite at the lens and behind it."""
+    if depth_m <= 0:
+        return np.inf
+    u = camera.object_distance_m
+    # 2a |d - u|/d in the plane in focus, at the magnification of that plane.
+    return float(2 * camera.aperture_radius_m * abs(depth_m - u) / depth_m * camera.image_distance_mm * 1e3 / u)
+
+
+def greatest_blur_um(camera: Camera, body: Body) -> float:
+    if body.corners is None:
+        return np.inf
+    return max(blur_um(camera, depth) for depth in body.depths_m)
+
+
+def face_one_way(bodies: list[Body]) -> bool:
+    """All flat and parallel, showing the same side: no light goes from one to another."""
+    normals = [body.normal for body in bodies if body.normal is not None]
+    if len(normals) < len(bodies) or not normals:
+        return False
+    first = normals[0]
+    return all(float(first @ normal) > 0 and float(np.linalg.norm(np.cross(first, normal))) < PARALLEL for normal in normals)
+
+
+PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
+# Maps that are no light and no reflectance: any numbers, in any number of channels.
+MAPS = ("normalmap", "bumpmap", "mask", "blendbsdf")
+MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic", "weight", "opacity")
+EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
+
+
+def texture_files(state: Any, folder: Path) -> list[Path]:
+    """Files that nodes name; PixsimError for one that is missing."""
+    return [_file_of(node, folder) for node in state.nodes if "filename" in node.props]
+
+
+def _file_of(node: Any, folder: Path) -> Path:
+    name = str(node.props["filename"])
+    found = next((path for path in (folder / name, Path(name)) if os.path.lexists(path)), None)
+    if found is None:
+        raise refuse("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
+    judge_asset(found, "texture")
+    return found
+
+
+def check_textures(state: Any, folder: Path) -> None:
+    """Refuse NaN, infinite and negative texels: Mitsuba lets them pass, and spreads them over their neighbours."""
+    maps = _maps(state)
+    files = {index: _file_of(node, folder) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
+    raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
+    numbers = {path for index, path in files.items() if index in maps}
+    for path in texture_files(state, folder):
+        if path.suffix.lower() in EIGHT_BIT:
+            judge_picture(path)
+        if path in numbers and path not in raw:
+            continue
+        if path in raw and path.suffix.lower() in EIGHT_BIT:
+            raise refuse(
+                f"texture '{path}'", f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes"
+            )
+        if path.suffix.lower() == ".exr":
+            channels = read_channels(path)[0]
+            if path in raw and len(channels) > 1:
+                raise refuse(
+                    f"texture '{path}'", f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture"
+                )
+            for name, texels in channels.items():
+                bad = ~(np.isfinite(texels) & (texels >= 0))
+                if bad.any():
+                    row, column = np.argwhere(bad)[0]
+                    raise refuse(
+                        f"texture '{path}'",
+                        f"{texels[row, column]} at row {row}, column {column} of channel {name}",
+                        "finite texels of 0 or more",
+                    )
+
+
+def _maps(state: Any) -> set[int]:
+    """Textures that only steer: normals, bumps, opacity, weights, roughness."""
+    maps: set[int] = set()
+    others: set[int] = set()
+    for node in state.nodes:
+        for name, index in children(node, state).items():
+            steers = node.props.plugin_name() in MAPS or name in MAP_NAMES
+            (maps if steers else others).add(index)
+    return {index for index in maps - others if state.nodes[index].type.name == "Texture"}
+
+
+def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:
+    """Texels of an emitter's neutral EXR, one of value 1 where there is no picture.
+
+    None where the picture is of another kind, turned, repeated, or not seen from its middle.
+    """
+    name = EMISSION.get(emitter.props.plugin_name(), "")
+    texture = children(emitter, state).get(name)
+    while texture is not None and not is_neutral(state.nodes[texture]):
+        nested = list(children(state.nodes[texture], state).values())
+        if not nested and state.nodes[texture].props.plugin_name() not in PLAIN_SPECTRA:
+            return None
+        texture = nested[0] if nested else None
+    if texture is None:
+        return np.ones((1, 1))
+    node = state.nodes[texture]
+    to_uv = matrix_of(node, "to_uv")
+    path = folder / str(node.props.get("filename", ""))
+    whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
+    if path.suffix.lower() != ".exr" or not path.is_file() or not whole:
+        return None
+    return next(iter(read_channels(path)[0].values())).astype(float)

@@ -1,0 +1,397 @@
+"""Run the plan in Mitsuba: radiance at an oversampled resolution, then spectral irradiance on the sensor plane."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base import cache
+from pixsim.base.arrays import Array, row_blocks
+from pixsim.base.errors import refuse
+from pixsim.base.parameters import Camera, content_hash
+from pixsim.base.version import VERSION
+from pixsim.light.spectral import WHOLE, SpectralImage
+from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.scene.bands import Pulse
+from pixsim.scene.mitsuba import children, nodes_of, plain, speaking_mitsuba
+from pixsim.scene.plan import Light, Plan, make_render_plan
+from pixsim.scene.rules import irregular_tables
+from pixsim.scene.scene import Scene, film_size, hash_of_tree, sensor_node
+
+SCALAR_BLOCK = 32  # fixed: left to itself Mitsuba makes blocks, and with them seeds, by the number of threads
+
+
+def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
+    """A specfilm for some rows: float32 and a box, so that a cell holds its mean and runs repeat."""
+    height, width = size
+    return {
+        "type": "specfilm",
+        "width": width,
+        "height": height,
+        "component_format": "float32",
+        "rfilter": {"type": "box"},
+        "crop_offset_x": 0,
+        "crop_offset_y": int(top),
+        "crop_width": width,
+        "crop_height": int(bottom - top),
+        **{f"band{channel}": response for channel, response in enumerate(responses)},
+    }
+
+
+def film_response(pulse: Pulse) -> dict[str, Any]:
+    return _regular(pulse.low_nm, pulse.high_nm, pulse.values)
+
+
+def _regular(low_nm: float, high_nm: float, values: Array) -> dict[str, Any]:
+    text = ", ".join(repr(float(value)) for value in values)
+    return {"type": "regular", "wavelength_min": low_nm, "wavelength_max": high_nm, "values": text}
+
+
+def load_light(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, regular_tables: bool) -> Any:
+    """The scene with the emitters of one light only, each as its neutral picture or relative power: the spectrum is in the
+    pulses. Emitters whose colours vary stay as they are, and the pulses are flat."""
+    emitters = nodes_of(state, "Emitter")
+    dark = {index for index, _ in emitters} - light.lamp.pictures.keys()
+    for parent in state.nodes if dark else ():
+        for name, child in children(parent, state).items():
+            if child in dark:
+                del parent.props[name]
+    for index, node in emitters:
+        if index in light.lamp.pictures and light.lamp.spectrum is not None:
+            name, picture = light.lamp.pictures[index]
+            if isinstance(picture, int):
+                node.props[name] = mi.Properties.ResolvedReference(picture)
+            else:
+                node.props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
+    for _, node in nodes_of(state, "Integrator"):
+        if scalar and "block_size" not in node.props:
+            node.props["block_size"] = SCALAR_BLOCK
+    for (index, name), (table, values) in irregular_tables(state).items() if regular_tables else ():
+        state.nodes[index].props[name] = mi.load_dict(_regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
+    config = mi.parser.ParserConfig(scene.choice.variant)
+    mi.parser.transform_all(config, state)
+    built = mi.parser.instantiate(config, state)
+    return next(each for each in built if isinstance(each, mi.Scene)) if isinstance(built, list) else built
+
+
+Pictures = list[NDArray[np.float32]]
+KIND = "render"
+
+
+def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int) -> str:
+    """Of all that makes the light of a job's runs, and of nothing else: neither the pixel nor the display, unless the plan
+    differs for them.
+
+    state : the scene as parsed for the camera
+    """
+    lights = [
+        [
+            light.lamp.spectrum is None,
+            sorted(light.lamp.pictures.items()),
+            [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.pulses],
+            light.passes,
+        ]
+        for light in plan.lights
+    ]
+    how = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
+    tree = hash_of_tree(state, scene.path.parent)
+    made_by = cache.made_by("mitsuba", "drjit")
+    return content_hash([tree, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, how, seed, made_by])
+
+
+class KeptRenders:
+    """The runs of one job: as many are kept as fit into one entry's share of the cache, those made first."""
+
+    def __init__(self, job: str) -> None:
+        self.job, self.size_bytes = job, 0
+
+    def find(self, index: int, level: int) -> tuple[Pictures, int] | None:
+        """The pictures of a run and its samples a film cell, or None."""
+        content = cache.arrays(KIND, self._key(index, level))
+        if content is None:
+            return None
+        pictures = [content[f"light{number}"] for number in range(len(content) - 1)]
+        self.size_bytes += sum(each.nbytes for each in pictures)
+        return pictures, int(content["spp"])
+
+    def keep(self, index: int, level: int, pictures: Pictures, spp: int) -> None:
+        self.size_bytes += sum(each.nbytes for each in pictures)
+        if cache.has_room(self.size_bytes):
+            named = {f"light{number}": each for number, each in enumerate(pictures)}
+            cache.keep_arrays(KIND, self._key(index, level), {"spp": np.array(spp), **named})
+
+    def runs_in_time(self, limits: str) -> int | None:
+        """After how many runs the clock ended the job under the same limits, or None: the clock would not say so twice."""
+        content = cache.arrays(KIND, f"{self.job}-{limits}")
+        return None if content is None else int(content["runs"])
+
+    def keep_runs_in_time(self, limits: str, runs: int) -> None:
+        cache.keep_arrays(KIND, f"{self.job}-{limits}", {"runs": np.array(runs)})
+
+    def _key(self, index: int, level: int) -> str:
+        return f"{self.job}-{level}-{index}"
+
+
+Progress = Callable[[float], None]
+Picture = NDArray[np.float32] | Array
+# A kernel of so many samples runs about 1.5 s on two cores; between kernels Ctrl-C is heard and progress is told.
+SAMPLES_PER_KERNEL = 1 << 25
+SCALAR_STRIPS = 16
+SAMPLES_PER_STRIP = 1 << 16  # of scalar variants: below them Mitsuba's own start of a render costs more than they
+SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; longer averages are ours, in float64
+ALLOWED_SPP = (1, 1 << 20)
+ALLOWED_RESOLUTION = (1, 16384)
+# Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by the number of samples of
+# a strip, modulo 2³². Consecutive runs take consecutive seeds.
+SEED_STRIDE = 2654435761
+LEVEL_STRIDE = 1000003
+LEVEL_FACTOR = 4  # keeps sample counts such that the bits are the same on any number of threads
+
+
+def render(
+    scene: Scene,
+    camera: Camera | None = None,
+    seed: int = 0,
+    *,
+    full: bool = False,
+    plan: Plan | None = None,
+    progress: Progress | None = None,
+) -> SpectralImage:
+    """Spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over each sample and band.
+
+    Parameters
+    ----------
+    scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
+    camera : its numbers replace the file's; None takes what the file says
+    seed : of the sampler; same seed, same bits
+    full : leave nothing out (every band, the scene's own integrator, a sampled lens)
+    plan : from `make_plan`, in place of the default one
+    progress : called with the fraction done
+
+    Raises PixsimError where Mitsuba refuses the scene, or the picture is black or not finite.
+
+    >>> from pixsim import load_scene
+    >>> light = render(load_scene("flat", resolution=17, spp=4, luminance_cd_per_m2=1000), Camera(f_number=4.0))
+    >>> m = Camera().magnification
+    >>> on_axis_lx = 1000 * np.pi / (1 + 4 * 4.0**2 * (1 + m) ** 2)  # Foote: E = π L sin²α
+    >>> round(float(light.illuminance_lx()[8, 8] / on_axis_lx), 4)
+    1.0
+    """
+    camera = camera or scene.camera()
+    job = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)
+    return job.image(*job.run(0, progress))
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What one pass over a scene renders; its seeds start where those of the pass before end."""
+
+    scene: Any
+    integrator: Any
+    responses: list[dict[str, Any]]
+    spp: int
+    renders: int
+    first_seed: int
+    number: int
+
+
+def _part(progress: Progress | None, number: int, of: int) -> Progress | None:
+    return (lambda done: progress((number + done) / of)) if progress else None
+
+
+class Renderer:
+    """One scene, loaded once for each lamp spectrum, when first needed; every run is an independent picture of it.
+
+    keep : take pictures from the cache where it has them, and leave new ones there
+    """
+
+    def __init__(self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False) -> None:
+        self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
+        state = scene.for_camera(camera)
+        node = sensor_node(state, scene.sensor_id)[1]
+        self.size = film_size(state, node)
+        for name, value, (low, high) in (
+            ("resolution", max(self.size), ALLOWED_RESOLUTION),
+            ("resolution", min(self.size), ALLOWED_RESOLUTION),
+            ("spp", plan.spp, ALLOWED_SPP),
+        ):
+            if not low <= value <= high:
+                raise refuse(name, value, f"{low} to {high}")
+        self.pitch_um = 1e3 * camera.die_mm / self.size[1]
+        self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
+        self.scalar = scene.choice.variant.startswith("scalar")
+        self.sensor = self._sensor(node)
+        self.kept = KeptRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
+
+    @cached_property
+    def _loaded(self) -> list[tuple[Any, Any]]:
+        """Mitsuba's scene and integrator for each light."""
+        with self._mitsuba() as mi:
+            states = ((light, self.source.for_camera(self.camera)) for light in self.plan.lights)
+            scenes = [load_light(mi, self.source, state, light, self.scalar, self.plan.regular_tables) for light, state in states]
+            return [(each, self._integrator(mi, each)) for each in scenes]
+
+    def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
+        """Of irradiance, relative to that on the axis, at the middle of each sample of some rows and columns."""
+        y_um, x_um = (
+            ((np.arange(n) + 0.5) - n / 2)[part] * self.pitch_um for n, part in zip(self.size, (rows, columns), strict=True)
+        )
+        camera = self.camera
+        tan_field = np.hypot(x_um[None, :], y_um[:, None]) / (1e3 * camera.image_distance_mm)
+        factor = irradiance_factor(camera.f_number, tan_field, camera.magnification)
+        return factor * (camera.transmittance / self.on_axis)
+
+    def _integrator(self, mi: Any, scene: Any) -> Any:
+        own = None if self.plan.integrator else scene.integrator()
+        return own or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.plan.integrator or {}))
+
+    def _mitsuba(self) -> Any:
+        return speaking_mitsuba(self.source.choice.variant, self.source.path.parent)
+
+    def _sensor(self, node: Any) -> dict[str, Any]:
+        left_out = ["focal_length", "fov_axis"]
+        lens: dict[str, Any] = {"type": self.plan.lens, "fov": self.camera.fov_deg}
+        if self.plan.lens == "thinlens":
+            lens |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
+        else:
+            left_out += ["aperture_radius", "focus_distance"]
+        kept = {key: value for key, value in plain(node) if key not in left_out}
+        return kept | lens
+
+    def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
+        """Picture of each pulse of each light, (H, W, pulses) relative to its lamp, and the samples of a film cell.
+
+        Runs of another index or level are independent; each level has four times the samples of the one before.
+        """
+        found = self.kept.find(index, level) if self.kept else None
+        if found is None:
+            found = self._rendered(index, level, progress)
+            if self.kept:
+                self.kept.keep(index, level, *found)
+        elif progress:
+            progress(1.0)
+        return found
+
+    def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
+        pictures, number = [], 0
+        with self._mitsuba() as mi:
+            # Long renders are averages of shorter ones; most samplers round their samples up to what it can stratify.
+            asked = self.plan.spp * LEVEL_FACTOR**level
+            renders = -(-asked // SPP_PER_RENDER)
+            spp = mi.load_dict({"type": self.plan.sampler, "sample_count": -(-asked // renders)}).sample_count()
+            for light, (scene, integrator) in zip(self.plan.lights, self._loaded, strict=True):
+                planes = np.zeros((*self.size, len(light.pulses)), np.float32)
+                for each in light.passes:
+                    films = [film_response(light.pulses[pulse]) for pulse in each]
+                    first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE
+                    job = _Pass(scene, integrator, films, spp, renders, first, index * self.plan.passes + number)
+                    for rows, values in self._strips(mi, job, _part(progress, number, self.plan.passes)):
+                        planes[rows, :, list(each)] = values
+                    number += 1
+                pictures.append(planes)
+        return pictures, renders * spp
+
+    def _strips(self, mi: Any, job: _Pass, progress: Progress | None) -> Iterator[tuple[slice, Array]]:
+        """Radiance through each response, (rows, W, channels) float64, strip after strip; averages of renders."""
+        height, width = self.size
+        samples = height * width * job.spp
+        strips = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP)) if self.scalar else -(-samples // SAMPLES_PER_KERNEL)
+        rows = np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
+        count = job.renders * (len(rows) - 1)
+        sampler = {"sampler": {"type": self.plan.sampler, "sample_count": job.spp}}
+        for strip, (top, bottom) in enumerate(pairwise(rows)):
+            total = np.zeros((bottom - top, width, len(job.responses)))
+            sensor = mi.load_dict(self.sensor | sampler | {"film": film(job.responses, self.size, top, bottom)})
+            for index in range(strip * job.renders, (strip + 1) * job.renders):
+                seed = (job.first_seed + job.number * count + index) % 2**32
+                rendered = mi.render(job.scene, sensor=sensor, integrator=job.integrator, spp=job.spp, seed=seed)
+                total += _checked(np.asarray(rendered, float), len(job.responses)) / job.renders
+                if progress:
+                    progress((index + 1) / count)
+            yield slice(top, bottom), total
+
+    def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
+        """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
+        if not any(picture.any() for picture in pictures):
+            where = "is the chart turned away, behind the camera, hidden by hide_emitters, or unlit?"
+            mend = f"Lamps and charts shine to one side only: {where}"
+            raise refuse("rendered picture", "black everywhere", "some light", mend)
+        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | more
+        if self.plan.factored:
+            planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
+            stored = np.empty((len(planes), *self.size), np.float32)
+            for rows in row_blocks(*self.size):
+                fall_off = self.fall_off(rows)
+                for place, plane in zip(stored, planes, strict=True):
+                    place[rows] = plane[rows] * fall_off
+            return self._image(header, factors=(self.spectra, stored))
+        data = np.empty((*self.size, self.plan.bands.width_nm.size), np.float32)
+        for rows in row_blocks(*self.size):
+            for band, values in enumerate(self._bands([picture[rows] for picture in pictures], self.fall_off(rows))):
+                data[rows, :, band] = values
+        return self._image(header, data=data)
+
+    def _bands(self, pictures: Sequence[Picture], fall_off: Array) -> Iterator[Array]:
+        """The irradiance in each band, one after the other: all of them in float64 would fill the memory."""
+        factor = self.on_axis * fall_off
+        for band in range(self.plan.bands.width_nm.size):
+            total = np.zeros(fall_off.shape)
+            for light, planes in zip(self.plan.lights, pictures, strict=True):
+                for pulse in np.flatnonzero(light.spectra[:, band]):
+                    total += light.spectra[pulse, band] * planes[:, :, pulse]
+            yield total * factor
+
+    @property
+    def spectra(self) -> Array:
+        """Irradiance on the axis, (pulses, B) W m⁻² nm⁻¹, for each unit of each pulse's picture."""
+        return np.vstack([light.spectra for light in self.plan.lights]) * self.on_axis
+
+    @property
+    def units(self) -> SpectralImage:
+        """An image of one sample for each pulse: a unit of its picture, on the axis."""
+        spectra = self.spectra
+        return self._image({}, factors=(spectra, np.eye(len(spectra))[:, None, :]))
+
+    def _image(self, header: dict[str, Any], **light: Any) -> SpectralImage:
+        bands = self.plan.bands
+        within = bands.nodes_nm, bands.shares
+        return SpectralImage(bands.wavelength_nm, bands.width_nm, self.pitch_um, within=within, header=header, **light)
+
+
+def _checked(values: Array, channels: int) -> Array:
+    """PixsimError for what is no light."""
+    if values.shape[2] != channels:
+        raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
+    if not np.isfinite(values).all() or values.min() < 0:
+        mend = "Check the scene's spectra and textures."
+        raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", mend)
+    return values
+
+
+def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
+    """What made an irradiance; it depends on content only, so that equal inputs give equal files."""
+    header = {
+        "scene": scene.path.name,
+        "scene_hash": scene.content_hash,
+        "parameters": dict(scene.parameters),
+        "camera": camera.model_dump(),
+        "seed": seed,
+        "spp": spp,
+        "variant": scene.choice.variant,
+        "plan": [f"{each.subject}: {'kept' if each.kept else 'left out'}, {each.reason}" for each in plan.decisions],
+        "bound_e": plan.bound_e if plan.bounded else None,
+        "diffraction": plan.diffraction,
+        "pixsim": VERSION,
+    }
+    spectra = [light.lamp.spectrum for light in plan.lights]
+    if len(spectra) == 1 and spectra[0] is not None:
+        header["lamp_w_per_m2_sr_nm"] = spectra[0].cell_means(plan.bands.edges_nm).tolist()
+    if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
+        header["luminance_cd_per_m2"] = float(f"{white:.9g}")
+    return header

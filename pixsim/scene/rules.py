@@ -1,0 +1,329 @@
+"""What can be left out of a render, judged from the scene's tree and a chart's texels: bounces, lens, samples, diffraction.
+
+Such a chart is the picture, so what leaving something out costs can be tried on it before anything is rendered.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Camera, Pixel
+from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
+from pixsim.optics.diffraction import diffract
+from pixsim.scene.contents import FLAT, LAMBERTIAN, Body, emitted_picture, face_one_way, greatest_blur_um, parsed_table
+from pixsim.scene.mitsuba import children, nodes_of
+from pixsim.sensor.pixel import derive
+
+# Samples whose pictures have the same bits on any number of threads.
+SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
+TRIED_CELLS = 1024
+REFERENCE_SAMPLES = 16  # along each side of a cell
+TRIED_SIDE = 2048  # samples: three transforms of a part of that size need 0.1 GiB
+BORDER = 64  # samples of a part that the reflection at its sides may have changed
+DARKEST = 0.01  # of the brightest cell: errors of darker ones are told relative to it
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart that fills the film.
+
+    texels : (rows, columns), or None where it is uniform
+    texels_per_sample : (down, across) the film
+    shape : (H, W) of the film
+    """
+
+    texels: Array | None = field(repr=False)
+    texels_per_sample: tuple[float, float]
+    shape: tuple[int, int]
+
+    def picture(self, shape: tuple[int, int], part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
+        """Cell means on a film of that shape, or on some of its rows and columns, 0 … brightest texel; the middle of the chart
+        where it is larger."""
+        values = np.ones((1, 1)) if self.texels is None else self.texels
+        # First along the axis that shrinks more: the other then has less to do.
+        for axis in sorted((0, 1), key=lambda axis: shape[axis] / values.shape[axis]):
+            count, film, n = shape[axis], self.shape[axis], values.shape[axis]
+            covered = min(self.texels_per_sample[axis] * film, n) if self.texels is not None else n
+            first, stop, _ = part[axis].indices(count)
+            edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count
+            running = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
+            values = np.diff(_linear(running, edges, axis), axis=axis) * (count / covered)
+        return values
+
+    @property
+    def uniform(self) -> bool:
+        return self.texels is None or float(np.ptp(self.texels)) == 0.0
+
+
+def _linear(values: Array, at: Array, axis: int) -> Array:
+    index = np.minimum(at.astype(int), values.shape[axis] - 2)
+    shape = [1, 1]
+    shape[axis] = -1
+    low, high = np.take(values, index, axis), np.take(values, index + 1, axis)
+    return np.asarray(low + (at - index).reshape(shape) * (high - low))
+
+
+def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, float]:
+    """The fewest samples a film cell, not above `most`, whose RMS relative error stays below `tolerance`; and that error."""
+    if chart.uniform:
+        return min(SAMPLE_COUNTS[0], most), 0.0
+    error = np.inf
+    for count in [each for each in SAMPLE_COUNTS if each < most]:
+        error = sampling_error(chart, count)
+        if error <= tolerance:
+            return count, error
+    side = max(1, round(most**0.5))
+    return most, sampling_error(chart, side * side)
+
+
+def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
+    """RMS relative error of cell means from correlated multi-jittered samples (Kensler 2013), tried on random cells."""
+    assert chart.texels is not None
+    rng = np.random.default_rng(seed)
+    side = round(spp**0.5)
+    corner = [
+        rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in zip(chart.texels.shape, chart.texels_per_sample, strict=True)
+    ]
+    grid = (np.arange(REFERENCE_SAMPLES) + 0.5) / REFERENCE_SAMPLES
+    v, u = (each.ravel() for each in np.meshgrid(grid, grid, indexing="ij"))
+    truth = _bilinear(chart, corner, np.broadcast_to(v, (TRIED_CELLS, v.size)), np.broadcast_to(u, (TRIED_CELLS, u.size)))
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
+    down, across = (
+        rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1),
+        rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1),
+    )
+    v = (i + (down[:, j] + rng.random((TRIED_CELLS, i.size))) / side) / side
+    u = (j + (across[:, i] + rng.random((TRIED_CELLS, i.size))) / side) / side
+    error = _bilinear(chart, corner, v, u) - truth
+    return float(np.sqrt(np.mean((error / np.maximum(truth, DARKEST * truth.max())) ** 2)))
+
+
+def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
+    """Mean over samples at fractions (v, u) of cells at `corner` texels, (cells,)."""
+    from scipy.ndimage import map_coordinates  # 0.05 s, for charts only
+
+    assert chart.texels is not None
+    at = [
+        first[:, None] + fraction * size - 0.5
+        for first, fraction, size in zip(corner, (v, u), chart.texels_per_sample, strict=True)
+    ]
+    return np.asarray(map_coordinates(chart.texels, at, order=1, mode="nearest").mean(axis=1))
+
+
+def diffraction_effect(
+    chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, enough: float = np.inf
+) -> float:
+    """Greatest relative change of any sample by diffraction, on the whole film: a coarser one would average detail away.
+
+    On a film that is larger than `TRIED_SIDE` a part around the chart's steepest texels is tried first: where diffraction
+    counts there, the rest is not asked, and the change is that of the part.
+    """
+    if chart.uniform:
+        return 0.0
+
+    def change(part: tuple[slice, slice], border: int) -> float:
+        picture = chart.picture(chart.shape, part)
+        blurred = diffract(picture, pitch_um, wavelength_nm, weight, f_number)
+        inner = tuple(slice(border, -border) if n > 2 * border > 0 else WHOLE for n in picture.shape)
+        return float((np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max()))[inner].max())
+
+    if max(chart.shape) > TRIED_SIDE and enough < np.inf and (found := change(_steepest(chart), BORDER)) > enough:
+        return found
+    return change((WHOLE, WHOLE), 0)
+
+
+def _steepest(chart: Chart) -> tuple[slice, slice]:
+    """A part of the film, `TRIED_SIDE` along each side that is longer, around where neighbouring texels differ most."""
+    assert chart.texels is not None
+    steps = [np.abs(np.diff(chart.texels, axis=axis)) for axis in (0, 1)]
+    place = max((step for step in steps if step.size), key=lambda step: float(step.max()))
+    at = np.unravel_index(int(place.argmax()), place.shape)
+    part = []
+    for index, n, covered, film in zip(at, chart.texels.shape, chart.texels_per_sample, chart.shape, strict=True):
+        middle = round((index + 1 - (n - covered * film) / 2) / covered)
+        first = min(max(middle - TRIED_SIDE // 2, 0), max(film - TRIED_SIDE, 0))
+        part.append(slice(first, min(first + TRIED_SIDE, film)))
+    return part[0], part[1]
+
+
+TOLERANCE_E = 1e-3  # relative error of the mean electrons
+BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance
+# A disc of diameter c carries 2c/(3π) of the light across an edge, which is on average in the middle of a pixel.
+BLURRED_EDGE = 2 / (3 * math.pi)
+AIRY_DIAMETER = 2.44  # first dark ring over λN (Goodman)
+UNLIMITED = -1
+LEAST_OF_A_PATH = 16  # samples: of 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
+ALIGNED = 1e-6  # of a chart's half width: so little may be off the axis, turned or short
+# Emitters that a pinhole sees as the lens does: they shine alike to all sides, or cannot be seen.
+ALIKE = ("area", "constant", "point", "spot", "directional", "projector")
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One line of the plan. `bound_e` is the greatest relative error of mean electrons that it can cost, where `bounded`."""
+
+    subject: str
+    kept: bool
+    reason: str
+    saved: str = ""
+    bound_e: float = 0.0
+    bounded: bool = True
+
+
+def decide_bounces(state: Any, bodies: list[Body], full: bool) -> tuple[dict[str, Any] | None, int, Decision]:
+    """(integrator in place of the scene's own, surfaces that light can meet, why).
+
+    A flat emitter alone: depth 1. One surface at most, since flat, matt, one-sided surfaces that face one way are lit from
+    outside, or since the scene says so: `direct` samples as `path` does, in less time. Else the scene's own.
+    """
+    own = next((int(node.props.get("max_depth", UNLIMITED)) for _, node in nodes_of(state, "Integrator")), UNLIMITED)
+    told = "any number" if own < 0 else f"{max(own - 1, 0)}"
+    met = UNLIMITED if own < 0 else max(own - 1, 0)
+    if full:
+        return None, met, Decision("bounces", True, f"the scene's own: {told}")
+    paths = [node for _, node in nodes_of(state, "Integrator")]
+    names = [node.props.plugin_name() for node in paths] or ["path"]
+    if names != ["path"] or own in (0, 1) or nodes_of(state, "Medium"):
+        return None, 1 if names == ["direct"] else met, Decision("bounces", True, f"the scene's own integrator, '{names[0]}'")
+    hidden = {"hide_emitters": True} if paths and paths[0].props.get("hide_emitters", False) else {}
+    shining = {index for index, node in nodes_of(state, "Shape") if _emitter_of(state, node) is not None}
+    alone = len(bodies) == 1 and len(nodes_of(state, "Emitter")) == 1 and bodies[0].node in shining
+    if alone and bodies[0].normal is not None:
+        reason = "a flat emitter alone: its light meets nothing before the lens"
+        return {"type": "path", "max_depth": 1, **hidden}, 0, Decision("bounces", False, reason, f"all of {told}")
+    direct = {"type": "direct", **hidden}
+    if own == 2:
+        return direct, 1, Decision("bounces", False, "one, as the scene says: paths need no loop", "a third of the time")
+    matt = all(node.props.plugin_name() == "diffuse" for _, node in nodes_of(state, "BSDF")) and not shining
+    if matt and bodies and face_one_way(bodies):
+        reason = "flat, one-sided, matt surfaces that face one way send each other no light"
+        return direct, 1, Decision("bounces", False, reason, f"all but 1 of {told}")
+    return None, met, Decision("bounces", True, f"surfaces may light each other; the scene's own: {told}")
+
+
+def _emitter_of(state: Any, shape: Any) -> int | None:
+    return next((index for index in children(shape, state).values() if state.nodes[index].type.name == "Emitter"), None)
+
+
+def irregular_tables(state: Any) -> dict[tuple[int, str], tuple[Spectrum, Array]]:
+    """(node, property) -> (table, its values at equal steps) of every surface's table that has equal steps in it."""
+    found = {}
+    for index, node in enumerate(state.nodes):
+        if node.type.name not in ("BSDF", "Texture"):
+            continue
+        for name in node.props.keys():  # noqa: SIM118  (Properties is no dict)
+            if node.props.type(name).name == "Spectrum" and not node.props[name].is_uniform():
+                table = parsed_table(node.props[name])
+                regular = regular_values(table)
+                if regular is not None:
+                    found[index, name] = table, regular
+    return found
+
+
+def decide_tables(state: Any, full: bool) -> tuple[bool, Decision]:
+    """Tables at equal steps can be looked up by index; Mitsuba searches those that are written as pairs."""
+    count = len(irregular_tables(state))
+    if full or not count:
+        told = "as they are" if full else "none that would be searched"
+        return False, Decision("spectrum tables", True, told)
+    return True, Decision("spectrum tables", False, f"{count} with equal steps: read by index, not searched", "the searches", 0.0)
+
+
+def decide_lens(
+    state: Any, camera: Camera, bodies: list[Body], aspect: float, pixel: Pixel | None, tolerance_e: float, full: bool
+) -> tuple[Literal["thinlens", "perspective"], Decision]:
+    """A pinhole sees the same as the lens where all that is seen is matt (or shines alike to all sides) and in focus."""
+    seen = [body for body in bodies if body.in_view(camera, aspect)]
+    blur = max((greatest_blur_um(camera, body) for body in seen), default=0.0)
+    side_um = derive(pixel).photodiode_side_um if pixel else 1.0
+    told = f"blur up to {blur:.3g} µm" if math.isfinite(blur) else "shapes of unknown size, or at the lens"
+    if full:
+        return "thinlens", Decision("lens samples", True, f"nothing left out ({told})")
+    if nodes_of(state, "Medium"):
+        return "thinlens", Decision("lens samples", True, "a medium")
+    coloured = [node.props.plugin_name() for _, node in nodes_of(state, "BSDF") if node.props.plugin_name() not in LAMBERTIAN]
+    distant = [node.props.plugin_name() for _, node in nodes_of(state, "Emitter")]
+    if coloured:
+        return "thinlens", Decision("lens samples", True, f"'{coloured[0]}' looks different from each point of the lens; {told}")
+    if not set(distant) <= set(ALIKE):
+        return "thinlens", Decision("lens samples", True, "a picture at infinity, or an emitter that is not matt")
+    error = BLURRED_EDGE * blur / side_um
+    if error > tolerance_e * BLUR_SHARE:
+        return "thinlens", Decision("lens samples", True, f"not all in focus: {told}; samples are added until its noise is small")
+    return "perspective", Decision(
+        "lens samples", False, f"all that is seen is matt and in focus ({told})", "2 of 5 dimensions", error
+    )
+
+
+def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
+    """The one flat emitter, where it faces the lens upright, on its axis, and fills the film; else None."""
+    emitters = nodes_of(state, "Emitter")
+    if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].props.plugin_name() != "area":
+        return None
+    body = bodies[0]
+    node = state.nodes[body.node]
+    if node.props.plugin_name() != FLAT[0] or body.corners is None or body.normal is None:
+        return None
+    half = [float(np.ptp(body.corners[:, axis])) / 2 for axis in (1, 0)]
+    middle = body.corners.mean(axis=0)
+    up, across = body.corners[1] - body.corners[0], body.corners[2] - body.corners[0]
+    upright = max(abs(up[0]), abs(across[1])) <= ALIGNED * min(half)
+    depth = float(middle[2])
+    tangent = camera.die_mm / (2 * camera.image_distance_mm)
+    view = (tangent * depth * shape[0] / shape[1], tangent * depth)
+    centred = max(abs(middle[0]), abs(middle[1])) <= ALIGNED * min(half)
+    covers = all(v <= h * (1 + ALIGNED) for v, h in zip(view, half, strict=True))
+    if not (upright and centred and covers and abs(body.normal[2]) > 1 - 1e-9):
+        return None
+    texels = emitted_picture(state, emitters[0][1], folder)
+    if texels is None:
+        return None
+    per_sample = tuple(v / h * n / film for v, h, n, film in zip(view, half, texels.shape, shape, strict=True))
+    return Chart(texels, (per_sample[0], per_sample[1]), shape)
+
+
+def decide_samples(
+    chart: Chart | None, most: int, passes: int, tolerance_e: float, full: bool, explicit: bool
+) -> tuple[int, Decision]:
+    subject = "texture samples"
+    if full or explicit:
+        return most, Decision(subject, True, f"{most} a film cell, as {'the scene says' if full else 'asked for'}")
+    if chart is None and most < LEAST_OF_A_PATH:
+        told = f"{LEAST_OF_A_PATH} a film cell, the scene says {most}: with so few, multijitter makes paths too dark"
+        return LEAST_OF_A_PATH, Decision(subject, True, told)
+    if chart is None:
+        told = f"{most} a film cell, as the scene says: edges and depth are known to the renderer only"
+        if passes == 1:
+            return most, Decision(subject, True, told)
+        # Passes have seeds of their own, and the sum over bands averages their noise.
+        each = next((count for count in SAMPLE_COUNTS if count >= max(most / passes, LEAST_OF_A_PATH)), most)
+        each = min(each, most)
+        saved = f"{each} of {most} samples a pass" if each < most else ""
+        return each, Decision(subject, each == most, f"{told}; shared by {passes} passes, {each} each", saved)
+    spp, error = samples_needed(chart, tolerance_e, most)
+    if spp < most:
+        return spp, Decision(
+            subject, False, f"{spp} a film cell: the chart's detail gives {error:.1e} RMS", f"{spp} of {most} samples", 0.0
+        )
+    return most, Decision(subject, True, f"{most} a film cell, as the scene says: {error:.1e} RMS by the chart's detail")
+
+
+def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tolerance_e: float, full: bool) -> Decision:
+    """Left out where it changes no sample of a lone chart by more than its share, at the longest wavelength."""
+    disc_um = AIRY_DIAMETER * HIGH_NM / 1e3 * camera.effective_f_number
+    told = f"Airy disc up to {disc_um:.3g} µm"
+    if chart is None or full:
+        return Decision("diffraction", True, f"{told}; what it does is known only from the picture" if not full else told)
+    allowed = tolerance_e * DIFFRACTION_SHARE
+    effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.effective_f_number, allowed)
+    if effect > allowed:
+        return Decision("diffraction", True, f"{told}; changes samples of this chart by up to {effect:.1%}")
+    return Decision(
+        "diffraction", False, f"{told}; changes no sample of this chart by more than {effect:.1e}", "2 transforms", effect
+    )

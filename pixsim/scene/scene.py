@@ -1,0 +1,325 @@
+"""Read a Mitsuba 3 XML: its parameters, its camera, and what it contains, before anything is built or rendered."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import math
+import os
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pixsim.base.errors import PixsimError, did_you_mean, refuse
+from pixsim.base.parameters import Camera, CameraOptions, content_hash
+from pixsim.scene import variant as variants
+from pixsim.scene.contents import check_textures, check_transforms, find_lamp, texture_files
+from pixsim.scene.files import judge_scene, judge_tree
+from pixsim.scene.mitsuba import children, nodes_of, parse, plain
+
+LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
+LUMINANCE = "luminance_cd_per_m2"
+WHITE = "white_cd_per_m2"  # a <default> that Mitsuba does not use: what the viewer's display shows as white
+EMITTER_SCALE = "emitter_scale"
+INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
+FILM_35_MM = (36.0, 24.0)  # what Mitsuba's `focal_length` refers to
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A parsed Mitsuba scene: a file, the parameters it is read with, and the variant that will render it.
+
+    path : of the XML
+    parameters : values of its <default> parameters that were given
+    names : of all parameters that the XML has
+    sensor_id : which of several sensors; None where there is one
+    choice : Mitsuba variant, and why
+    white_cd_per_m2 : what the file says that a display shows as white
+    """
+
+    path: Path
+    parameters: dict[str, str]
+    names: frozenset[str]
+    sensor_id: str | None
+    choice: variants.Choice
+    white_cd_per_m2: float | None = None
+
+    def parse(self, **more: object) -> Any:
+        """Mitsuba's parser state, with `more` parameters where the user gave none."""
+        return parse(self.path, self.choice.variant, {**{k: str(v) for k, v in more.items()}, **self.parameters})
+
+    def camera(self, options: CameraOptions | None = None) -> Camera:
+        """The camera that the file tells, with the options laid over it.
+
+        The die is no part of a Mitsuba scene. Where the lens is numbers, a die option changes the focal length that is
+        read from them; where it is parameters, the focal length stays and the field of view follows.
+
+        Raises PixsimError for a lens that cannot be.
+        """
+        options = options or CameraOptions()
+        fixed = any(name not in self.names or name in self.parameters for name in LENS_PARAMETERS)
+        die_mm = options.die_mm if fixed and options.die_mm else Camera().die_mm
+        state = self.parse()
+        sensor = sensor_node(state, self.sensor_id)[1]
+        height, width = film_size(state, sensor)
+        return options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+
+    def for_camera(self, camera: Camera) -> Any:
+        """The parser state with the camera's numbers in the scene's parameters, the chart's size with them."""
+        lens = {
+            "fov": camera.fov_deg,
+            "aperture_radius": camera.aperture_radius_m,
+            "focus_distance": camera.object_distance_m,
+            "chart_half_width": camera.chart_half_width_m,
+        }
+        return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
+
+    def with_parameters(self, **more: object) -> Scene:
+        """The same scene with other values of its parameters, `more`."""
+        return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
+
+    @property
+    def content_hash(self) -> str:
+        """Of the parsed tree and the bytes of its textures."""
+        return hash_of_tree(self.parse(), self.path.parent)
+
+    def __repr__(self) -> str:
+        given = "".join(f", {k}={v}" for k, v in self.parameters.items())
+        return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
+
+
+def packaged_scenes() -> dict[str, Path]:
+    """Name -> path of the scenes that come with pixsim (in the wheel, or beside an editable checkout)."""
+    root = Path(str(resources.files("pixsim")))
+    packaged = root / "data/scenes"
+    folder = packaged if packaged.is_dir() else root.parent / "scenes"
+    return {path.stem: path for path in sorted(folder.glob("*.xml"))}
+
+
+def load_scene(
+    scene: str | os.PathLike[str], *, variant: str | None = None, sensor: str | None = None, **parameters: object
+) -> Scene:
+    """Read a scene: an XML file, or the name of a packaged one.
+
+    Parameters
+    ----------
+    scene : path, or name as of `pixsim run`
+    variant : Mitsuba variant; None takes the fastest that works here
+    sensor : id of the sensor, where the scene has several
+    parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
+        in a scene that has `emitter_scale`
+
+    Raises PixsimError for a file that is missing or broken, a parameter that the scene does not have, a missing or
+    unusable texture, no sensor or several, a sensor that is not a thin lens, an LLVM that is too old.
+
+    >>> load_scene("csf", resolution=64).camera().focal_length_mm
+    3.86
+    """
+    path = packaged_scenes().get(str(scene)) or Path(scene)
+    if path.suffix == ".toml":
+        mend = f"The file of a sensor goes with a scene: pixsim run csf --config {path}"
+        raise refuse("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", mend)
+    if not os.path.lexists(path) or path.is_dir():
+        known = packaged_scenes()
+        raise refuse("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
+    luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
+    given = {name: str(value) for name, value in parameters.items()}
+    told = judge_scene(path, given)
+    names = frozenset(told.names)
+    settable = {name for name, needed in ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE)) if needed in names | told.defaults.keys()}
+    _check_names(given, names | settable)
+    own_white = told.defaults.get(WHITE)
+    if white is not None and own_white is None:
+        raise refuse(
+            WHITE, f"'{white}', but '{path.name}' has no such <default>", "scenes that have", "Set display.white_cd_per_m2."
+        )
+    shown = own_white if white is None else white
+    choice = variants.choose(variant)
+    loaded = Scene(path.resolve(), given, names, sensor, choice, None if shown is None else _positive(WHITE, shown))
+    state = loaded.parse()
+    judge_tree([list(children(node, state).values()) for node in state.nodes])
+    eye = sensor_node(state, sensor)[1]
+    read_camera(eye, Camera().die_mm)
+    film_size(state, eye)
+    sample_count(state, eye)
+    check_supported(state)
+    check_transforms(state)
+    check_textures(state, loaded.path.parent)
+    if luminance is not None:
+        loaded = _with_luminance(loaded, luminance)
+    return loaded
+
+
+def _with_luminance(scene: Scene, luminance: object) -> Scene:
+    value = _positive(LUMINANCE, luminance)
+    if EMITTER_SCALE not in scene.names:
+        raise refuse(
+            LUMINANCE,
+            f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}",
+            f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>',
+        )
+    unit = parse(scene.path, scene.choice.variant, {**scene.parameters, EMITTER_SCALE: "1"})
+    lamp = find_lamp(unit, scene.choice.variant)
+    if lamp is None or not lamp.luminance_cd_per_m2 > 0:
+        raise refuse(LUMINANCE, f"{value:g}, but the luminance of the emitters is not known", "one lamp spectrum above zero")
+    scale = repr(value / lamp.luminance_cd_per_m2)
+    return replace(scene, parameters={**scene.parameters, EMITTER_SCALE: scale})
+
+
+def _positive(name: str, value: object) -> float:
+    try:
+        number = float(str(value))
+    except ValueError:
+        number = math.nan
+    if not (0 < number < math.inf):
+        raise refuse(name, repr(value), "a positive number")
+    return number
+
+
+def _check_names(given: dict[str, str], allowed: frozenset[str]) -> None:
+    for name in given:
+        if name not in allowed:
+            near = difflib.get_close_matches(name, allowed, 1)
+            raise refuse("scene parameter", f"'{name}'", ", ".join(sorted(allowed)), f"Did you mean '{near[0]}'?" if near else "")
+
+
+def check_supported(state: Any) -> None:
+    """Refuse what the renderer would leave out or fake: media without volumetric paths, dispersion, polarisation."""
+    integrators = [node.props.plugin_name() for _, node in nodes_of(state, "Integrator")]
+    for name in integrators:
+        if name not in INTEGRATORS:
+            mend = 'Write <integrator type="path"/>; polarisation, depth and AOVs are no light on a sensor.'
+            raise refuse("integrator", f"'{name}'", ", ".join(INTEGRATORS), mend)
+    for _, node in nodes_of(state, "Sensor"):
+        if any(state.nodes[index].type.name == "Medium" for index in children(node, state).values()):
+            raise refuse("sensor", "a camera in a medium", "one in air", "Let the medium begin in front of the lens.")
+    for _, node in nodes_of(state, "Film"):
+        cropped = [name for name in node.props.keys() if name.startswith("crop_")]  # noqa: SIM118
+        if cropped:
+            raise refuse("film", ", ".join(cropped), "a whole film", "Leave the crop out: the die is what the film shows.")
+    if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
+        got = f"a participating medium with {integrators or 'no integrator'}"
+        raise refuse("scene", got, "volpath or volpathmis with media", 'Write <integrator type="volpath"/>.')
+    for _, node in nodes_of(state, "BSDF"):
+        for name in ("int_ior", "ext_ior"):
+            if name in node.props and node.props.type(name).name not in ("Float", "Integer", "String"):
+                raise refuse(
+                    f"{node.props.plugin_name()}.{name}",
+                    "a spectrum: dispersive glass",
+                    "one index for all wavelengths, as Mitsuba's dielectrics have",
+                    "Give the index at 589 nm.",
+                )
+
+
+def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
+    """The scene's sensor; PixsimError for none, several without a choice, or one that is not a thin lens."""
+    sensors = nodes_of(state, "Sensor")
+    ids = ", ".join(f"'{node.props.id()}'" for _, node in sensors)
+    if sensor_id is not None:
+        sensors = [(index, node) for index, node in sensors if node.props.id() == sensor_id]
+    if len(sensors) != 1:
+        got = "no sensor" if not ids else f"sensors {ids}" + (f", none named '{sensor_id}'" if sensor_id else "")
+        raise refuse("scene", got, "one thinlens sensor", "Name one of several: --sensor ID." if ids else "")
+    index, node = sensors[0]
+    plugin = node.props.plugin_name()
+    if plugin != "thinlens":
+        raise refuse(
+            "sensor",
+            f"'{plugin}'",
+            "thinlens: a pixel's exposure and blur need an aperture",
+            'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.',
+        )
+    for offset in ("principal_point_offset_x", "principal_point_offset_y"):
+        if sensor_offset := float(node.props.get(offset, 0.0)):
+            raise refuse("sensor", f"{offset} = {sensor_offset:g}", "0: the die is centred on the axis of the lens")
+    for needed in ("aperture_radius", "focus_distance"):
+        if needed not in node.props:
+            raise refuse("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")
+    return index, node
+
+
+def film_size(state: Any, sensor: Any) -> tuple[int, int]:
+    """(height, width) of the sensor's film, in samples; the renderer refuses those out of range."""
+    film = _beside(state, sensor, "Film")
+    return _whole(film, "height", 576), _whole(film, "width", 768)
+
+
+def sample_count(state: Any, sensor: Any) -> int:
+    return _whole(_beside(state, sensor, "Sampler"), "sample_count", 4)
+
+
+def _beside(state: Any, sensor: Any, kind: str) -> Any:
+    """The sensor's film or sampler, or None."""
+    return next((state.nodes[index] for index in children(sensor, state).values() if state.nodes[index].type.name == kind), None)
+
+
+def _whole(node: Any, name: str, default: int) -> int:
+    if node is None or name not in node.props:
+        return default
+    value = node.props[name]
+    if not isinstance(value, int):
+        raise refuse(f"{node.props.plugin_name()}.{name}", value, "a whole number")
+    return value
+
+
+def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
+    """Horizontal field of view, from `fov` along its axis or from `focal_length` (35 mm equivalent)."""
+    axis = str(sensor.props.get("fov_axis", "x"))
+    if "focal_length" in sensor.props:
+        equivalent_mm = float(str(sensor.props["focal_length"]).removesuffix("mm"))
+        half = math.hypot(*FILM_35_MM) / 2 / equivalent_mm
+        axis = "diagonal"
+    elif "fov" in sensor.props:
+        fov_deg = _positive("fov", sensor.props["fov"])
+        if fov_deg >= 180:
+            raise refuse("fov", f"{fov_deg:g}", "between 0 and 180 degrees")
+        half = math.tan(math.radians(fov_deg) / 2)
+    else:
+        raise refuse("sensor", "a thinlens without fov", "fov, aperture_radius and focus_distance")
+    vertical = axis == "y" or (axis == "smaller" and aspect > 1) or (axis == "larger" and aspect < 1)
+    factor = aspect if vertical else 1 / math.hypot(1, 1 / aspect) if axis == "diagonal" else 1.0
+    return math.degrees(2 * math.atan(half * factor))
+
+
+def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
+    """The camera behind a thinlens node; f and N to six digits, since XMLs round their fields of view."""
+    aperture, focus = (_positive(name, sensor.props[name]) for name in ("aperture_radius", "focus_distance"))
+    try:
+        exact = Camera.from_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
+    except ValidationError as error:
+        raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error.errors()[0]['msg']}") from None
+    rounded = {name: float(f"{getattr(exact, name):.6g}") for name in ("focal_length_mm", "f_number")}
+    return exact.model_copy(update=rounded)
+
+
+def hash_of_tree(state: Any, folder: Path) -> str:
+    """16 hexadecimal digits. PixsimError for a file that is missing."""
+    tree = [
+        [
+            node.type.name,
+            node.props.plugin_name(),
+            sorted((name, in_full(value)) for name, value in plain(node, numbers_only=False)),
+            sorted(children(node, state).items()),
+        ]
+        for node in state.nodes
+    ]
+    return content_hash([tree, [_hash_of(path) for path in texture_files(state, folder)]])
+
+
+def _hash_of(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "blake2b").hexdigest()
+
+
+def in_full(value: Any) -> str:
+    """A property to its last digit: Mitsuba's own text of a spectrum tells its length, that of vectors six digits."""
+    kind = type(value).__name__  # a Dr.Jit vector has every attribute: it takes the name for a swizzle
+    if kind == "Spectrum":
+        return f"{value.wavelengths} {value.values}"
+    if "Transform" in kind:
+        return str(np.array(value.matrix).tolist())
+    return str(np.array(value).tolist()) if "Array" in kind or "Color" in kind else str(value)

@@ -1,0 +1,42 @@
+"""Irradiance to digital numbers: `SpectralImage`, `Camera`, `Pixel` and a seed in, `Frame` out.
+
+In the order of the flow: `technology` (CMOS process), `pixel` (areas, well, QE, dark current), `integration` (light to mean
+electrons), `photodiode` (electrons to the level that is read), `readout` (noise, well and ADC), `raw` (files of a frame).
+May import: base, light, optics.
+"""
+
+from pixsim.sensor.readout import (
+    Frame,
+    Sensor,
+    capture,
+    capture_rate,
+    dark_spread_e,
+    draw_sensor,
+    expose,
+    frame_mean_dn,
+    frame_of,
+    frame_variance_dn2,
+    integration_time_s,
+    least_black_level_dn,
+    make_sensor,
+    quantise,
+    shot_noise,
+)
+
+__all__ = [
+    "Frame",
+    "Sensor",
+    "capture",
+    "capture_rate",
+    "dark_spread_e",
+    "draw_sensor",
+    "expose",
+    "frame_mean_dn",
+    "frame_of",
+    "frame_variance_dn2",
+    "integration_time_s",
+    "least_black_level_dn",
+    "make_sensor",
+    "quantise",
+    "shot_noise",
+]

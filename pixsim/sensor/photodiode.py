@@ -1,0 +1,311 @@
+"""Light to charge: how a photodiode discharges into forward bias, and from generated charge to the level that is read.
+
+With V the reverse bias, C(V) dV/dt = -(i_ph + I_s (1 - e^(-V/V_T))). Time scales run from hours to picoseconds, since near
+V_oc = -V_T ln(1 + i_ph/I_s) the diode conducts as much as the light brings. Two steps take the stiffness out:
+
+With a = i_ph + I_s, the net current is a(1 - e^-x), x = (V - V_oc)/V_T, and with p = -ln(e^x - 1)
+
+    a t = V_T ∫ C(V_oc + V_T ln(1 + e^-p)) dp        from p(V_0) to p(V):
+
+the integrand is the capacitance itself, without a pole at V_oc, and for a constant C it is the closed form. Minus the
+collected charge Q = ∫C dV (known in closed form) there remains what the diode took,
+
+    a t - Q = V_T C(V_oc) [ln(1 + e^p)] + V_T ∫ (C - C(V_oc)) / (1 + e^-p) dp,
+
+whose integral is a smooth bump around p = 0: Gauss-Legendre panels, with borders where SPICE's tangents begin.
+
+Two well limits. `swing`: charge up to the voltage swing, then a hard clip. `diode`: the photodiode is read until it turns
+forward; for one integration time the kept charge is a function f_t of the generated one alone, equal to
+it at first. Two conversions. `linear`: voltage proportional to charge. `junction`: V(Q) of the capacitance, stretched so that
+an empty and a full well keep their codes. All but the hard clip is one interpolation in a table that is kept for the next
+picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import expit
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import refuse
+from pixsim.base.parameters import Pixel
+from pixsim.sensor.pixel import E_PER_FC, Diode, PixelPhysics, derive
+
+# What the reference shows; the rest is for pixsim itself.
+__all__ = ["charge_from_total_e", "collected_charge_e", "default_diode", "diode_of"]
+
+BUMP = 32.5  # in p, either side: beyond it the integral holds less than 1e-12 of the charge C V_T
+PANEL = 5.0  # in p; the poles of 1/(1 + e^-p) are π away: 16 nodes leave 1e-14
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
+NEWTON_STEPS = 30  # found: 3 to 5, since the slope is a capacitance
+BLOCK = 2048  # photocurrents at a time: 20 MB
+
+
+def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
+    """The photodiode of a pixel with its node.
+
+    Raises PixsimError for a pinned photodiode, which hands its charge over, and as `derive` does.
+    """
+    physics = derive(pixel) if isinstance(pixel, Pixel) else pixel
+    if physics.diode is None:
+        raise refuse("photodiode", f"the pinned one of {physics.technology.name}", "those of 3T pixels")
+    return physics.diode
+
+
+@lru_cache
+def default_diode() -> Diode:
+    """The photodiode of `Pixel()`: 6.5 µm at 0.35 µm, 300.15 K."""
+    return diode_of(Pixel())
+
+
+def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike, diode: Diode | None = None) -> Array:
+    """Charge that a photodiode collects from its reset on, by quadrature; dark charge is a part of it.
+
+    Parameters
+    ----------
+    photocurrent_e_per_s, integration_s : finite, ≥ 0, broadcast together
+    diode : that of the default pixel where None; `diode_of` gives any pixel's
+
+    Returns electrons, float64, in the broadcast shape: (i_ph + I_s)·t at first, then, as the diode turns forward, towards the
+    charge down to V_oc; accurate to 1e-10 of itself (found: 4e-15 for the packaged processes from 77 to 400 K, against finer
+    panels). Where I_s is 0 there is no forward current and the charge is i_ph·t, without a limit.
+
+    Raises PixsimError for arguments that are negative or not finite.
+
+    >>> dark_e_per_s = derive(Pixel()).dark_current_e_per_s  # it is collected too, and nothing is lost so far from forward bias
+    >>> round(float(collected_charge_e(1e5, 0.03)) - 0.03 * (1e5 + dark_e_per_s), 6)
+    0.0
+    """
+    kind = diode or default_diode()
+    current, time_s = np.broadcast_arrays(
+        _checked("photocurrent_e_per_s", photocurrent_e_per_s), _checked("integration_s", integration_s)
+    )
+    return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
+
+
+def _checked(name: str, values: ArrayLike) -> Array:
+    """Finite and not negative, as float64; PixsimError otherwise."""
+    array = np.asarray(values, float)
+    wrong = ~(np.isfinite(array) & (array >= 0))
+    if wrong.any():
+        raise refuse(name, array[wrong].flat[0], "finite numbers, not below 0")
+    return array
+
+
+def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:
+    """Collected charge for a = i_ph + I_s (e-/s, ≥ 0) and equally shaped times, (...) in e-; the module tells how.
+
+    diode : as `diode_of` gives it
+
+    `a` below I_s e^(-V_0/V_T), which only a negative photocurrent gives, would charge the diode: 0 there.
+    """
+    with np.errstate(over="ignore"):
+        generated = np.minimum(total_e_per_s * integration_s, np.finfo(float).max)
+    if not diode.saturation_current_e_per_s:
+        return generated
+    with np.errstate(divide="ignore"):
+        log_ratio = np.log(total_e_per_s) - np.log(diode.saturation_current_e_per_s)
+    result = np.where(_reset_to_equilibrium(log_ratio, diode) > 0, generated, 0.0)
+    turning = np.flatnonzero((result > _charge_before_turning_e(log_ratio, diode)).ravel())
+    for some in np.array_split(turning, -(-turning.size // BLOCK)) if turning.size else ():
+        result.flat[some] = _charge_while_turning_e(generated.flat[some], log_ratio.flat[some], diode)
+    return result
+
+
+def _reset_to_equilibrium(log_ratio: Array, diode: Diode) -> Array:
+    """x_0 = (V_0 - V_oc)/V_T, from ln(a/I_s) = -V_oc/V_T."""
+    return diode.reset_voltage_v / diode.thermal_v + log_ratio
+
+
+def _charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
+    """Charge down to p = -`BUMP`, all of which is kept: the diode has taken e^-`BUMP` C V_T. 0 where the reset is beyond."""
+    drop_v = diode.thermal_v * np.maximum(_reset_to_equilibrium(log_ratio, diode) - BUMP, 0.0)
+    return diode.charge_e(diode.reset_voltage_v, np.where(np.isfinite(drop_v), drop_v, 0.0))
+
+
+def _other_side(x: Array) -> Array:
+    """-ln(e^x - 1) for x > 0, without overflow; the inverse is ln(1 + e^-p)."""
+    return -x - np.log(-np.expm1(-x))
+
+
+def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
+    """p at the ends of panels on which the integrand is smooth, rising, from the reset or -`BUMP` on; (n, panels + 1)."""
+    regular = np.linspace(-BUMP, BUMP, round(2 * BUMP / PANEL) + 1)
+    knees = np.array(diode.knees_v) / diode.thermal_v + log_ratio[:, None]  # x
+    reached = knees > 0
+    knees = np.where(reached, _other_side(np.where(reached, knees, 1.0)), BUMP)
+    borders = np.sort(np.hstack([np.broadcast_to(regular, (log_ratio.size, regular.size)), np.clip(knees, -BUMP, BUMP)]), axis=1)
+    return np.maximum(borders, _other_side(_reset_to_equilibrium(log_ratio, diode))[:, None])
+
+
+def _bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Array:
+    """V_T ∫ (C - C(V_oc))/(1 + e^-p) dp, in the shape of the limits; `equilibrium_v` broadcasts to it."""
+    half = (high - low)[..., None] / 2
+    p, v_oc = low[..., None] + half * (1 + NODES), equilibrium_v[..., None]
+    excess_ff = diode.capacitance_ff(v_oc + diode.thermal_v * np.logaddexp(0.0, -p)) - diode.capacitance_ff(v_oc)
+    return E_PER_FC * diode.thermal_v * (half * WEIGHTS * excess_ff * expit(p)).sum(axis=-1)
+
+
+def _charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) -> Array:
+    """Invert a·t(p) for generated charges beyond `_charge_before_turning_e`: find the panel, then Newton within it. (n,)"""
+    v_t = diode.thermal_v
+    v_oc, x_0 = -v_t * log_ratio, _reset_to_equilibrium(log_ratio, diode)
+    scale_e = E_PER_FC * v_t * diode.capacitance_ff(v_oc)  # C(V_oc) V_T
+    borders = _panel_borders(log_ratio, diode)
+    p_0 = _other_side(x_0)
+    x = np.logaddexp(0.0, -borders)
+    # Exactly nothing at the reset itself, so that the smallest charges keep their digits.
+    drop_v = np.where(borders > p_0[:, None], v_t * np.maximum(x_0[:, None] - x, 0.0), 0.0)
+    kept = diode.charge_e(diode.reset_voltage_v, drop_v)
+    taken = scale_e[:, None] * (np.logaddexp(0.0, borders) - np.logaddexp(0.0, p_0)[:, None])
+    taken[:, 1:] += np.cumsum(_bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode), axis=1)
+    row, panel = np.arange(x_0.size), np.maximum((kept + taken <= generated_e[:, None]).sum(axis=1) - 1, 0)
+    start, wanted = borders[row, panel], generated_e - (kept + taken)[row, panel]
+    width = borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start  # 0 behind the last: V_oc is reached
+    step = _solve_panel(wanted, start, width, v_oc, scale_e, diode)
+    return kept[row, panel] + _charge_of_step_e(step, start, v_oc, diode)[0]
+
+
+def _charge_of_step_e(step: Array, start: Array, equilibrium_v: Array, diode: Diode) -> tuple[Array, Array]:
+    """(charge collected, fall of x) while p goes from `start` on by `step`; small steps lose no digits."""
+    x = np.logaddexp(0.0, -start)
+    fall = -np.log1p(-np.expm1(-x) * np.expm1(-step))
+    return diode.charge_e(equilibrium_v + diode.thermal_v * x, diode.thermal_v * fall), fall
+
+
+def _solve_panel(wanted_e: Array, start: Array, width: Array, equilibrium_v: Array, scale_e: Array, diode: Diode) -> Array:
+    """Step in p from `start`, within the panel, that generates a charge. The slope is a capacitance: Newton is quick."""
+    step = np.zeros_like(start)
+    for _ in range(NEWTON_STEPS):
+        kept, fall = _charge_of_step_e(step, start, equilibrium_v, diode)
+        taken = scale_e * (step - fall) + _bump_e(start, start + step, equilibrium_v, diode)
+        bias_v = equilibrium_v + diode.thermal_v * (np.logaddexp(0.0, -start) - fall)
+        slope = E_PER_FC * diode.thermal_v * diode.capacitance_ff(bias_v)
+        better = np.clip(step + (wanted_e - kept - taken) / slope, 0.0, width)
+        done = np.abs(better - step) <= 1e-14 * better
+        step = better
+        if done.all():
+            break
+    return step
+
+
+LINEAR_WITHIN = 1e-6  # of the well: what the linear law may be off below `linear_limit_e`
+LINEAR_SHARE = 0.9  # of `linear_limit_e`, where a table begins: the diode has taken 1e-8 of the well
+TABLE_WITHIN = 8e-7  # of the well, between two entries
+FIRST_ENTRIES = 129  # below and beyond the knee, before intervals are halved
+MOST_KEPT = 4.0  # wells: levels end there, beyond the ADC's top code whatever the offsets; all knees are below
+MOST_GENERATED = 1e20  # of the well, where the table ends: 1e17 e-/s fill 1e3 e- so often in 10 h
+SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well, for the limit
+
+
+def kept_charge_e(generated_e: Array, integration_s: float, diode: Diode) -> Array:
+    """f_t: charge that stays of what light and dark current together generate in a time, in the shape of `generated_e`."""
+    total = np.asarray(generated_e, float) / integration_s
+    return charge_from_total_e(total, np.full(total.shape, integration_s), diode)
+
+
+def converted_e(charge_e: Array, full_well_e: float, diode: Diode) -> Array:
+    """ΔV(Q)/ΔV(full well), as a level in electrons: 0 and the full well stay where they are."""
+    return diode.drop_v(charge_e) / float(diode.drop_v(full_well_e)) * full_well_e
+
+
+@lru_cache(maxsize=256)
+def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> float:
+    """Generated charge up to which f_t is the identity to 1e-6 of the well, e-; infinite without a diode current.
+
+    What the diode takes grows with the generated charge, so one search finds it; longer times have lower limits.
+    """
+    if not diode.saturation_current_e_per_s:
+        return float("inf")
+    low, high = (each * full_well_e for each in SEARCHED)
+    for _ in range(4):  # each narrows the interval 256 times
+        grid = np.geomspace(low, high, 257)
+        lost = grid - kept_charge_e(grid, integration_s, diode)
+        below = max(int(np.searchsorted(np.maximum.accumulate(lost), LINEAR_WITHIN * full_well_e, "right")) - 1, 0)
+        low, high = float(grid[below]), float(grid[min(below + 1, 256)])
+    return low
+
+
+@dataclass(frozen=True)
+class LevelTable:
+    """Level (e-) of a generated charge (e-): straight lines over its logarithm, proportional below the first entry."""
+
+    log_generated: Array
+    level_e: Array
+    first_e: float
+
+    def __call__(self, generated_e: Array) -> Array:
+        share = np.minimum(generated_e / self.first_e, 1.0)
+        return share * np.interp(np.log(np.maximum(generated_e, self.first_e)), self.log_generated, self.level_e)
+
+
+def refined(function: Callable[[Array], Array], entries: Array, within: float) -> tuple[Array, Array]:
+    """(entries, values) of a rising function, cut into thirds until straight lines between them are right to `within` there."""
+    values = function(entries)
+    low, high = np.stack([entries[:-1], values[:-1]]), np.stack([entries[1:], values[1:]])
+    found = [np.stack([entries, values])]
+    while low.size:
+        lines = low + (high - low) / 3, high - (high - low) / 3
+        first, second = (np.stack([line[0], function(line[0])]) for line in lines)
+        off = np.maximum(np.abs(first - lines[0])[1], np.abs(second - lines[1])[1]) > within
+        found += [first, second]
+        low, high = (
+            np.hstack([each[:, off] for each in (low, first, second)]),
+            np.hstack([each[:, off] for each in (first, second, high)]),
+        )
+    table = np.hstack(found)
+    entries, values = table[:, np.argsort(table[0])]
+    return entries, np.maximum.accumulate(values)
+
+
+@lru_cache(maxsize=64)
+def level_table(diode: Diode, full_well_e: float, integration_s: float | None, bent: bool) -> LevelTable:
+    """The table of a well limit and a conversion, right to 1e-6 of the well.
+
+    `integration_s` is None for the swing's hard clip; `bent`: with the junction's V(Q).
+    """
+
+    def level(log_generated: Array) -> Array:
+        generated_e = np.exp(log_generated)
+        kept = generated_e if integration_s is None else kept_charge_e(generated_e, integration_s, diode)
+        kept = np.minimum(kept, MOST_KEPT * full_well_e)
+        return converted_e(kept, full_well_e, diode) if bent else kept
+
+    first_e, last_e = LINEAR_WITHIN * full_well_e, full_well_e
+    if integration_s is not None:
+        last_e = MOST_GENERATED * full_well_e
+        first_e = first_e if bent else LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
+    knee = np.linspace(np.log(first_e), np.log(min(MOST_KEPT * full_well_e, last_e)), FIRST_ENTRIES)
+    beyond = np.linspace(knee[-1], np.log(last_e), FIRST_ENTRIES)[1:] if last_e > full_well_e else knee[:0]
+    return LevelTable(*refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e)
+
+
+def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
+    """Generated charge (e-) from which a pixel loses some: the full well of a hard clip, `linear_limit_e` of a diode.
+
+    A soft saturation begins there: 1e-6 of the well is lost, at 0.7 to 0.95 of the full well in the packaged processes
+    (1 s to 0.1 ms). Infinite without a diode current.
+    """
+    if physics.diode is None or physics.pixel.well_limit == "swing":
+        return physics.full_well_e
+    return linear_limit_e(physics.diode, physics.full_well_e, integration_s)
+
+
+def kept_level_e(generated_e: Array, integration_s: float, physics: PixelPhysics) -> Array:
+    """Level in electrons of each pixel's generated charge (light and dark), by the pixel's well limit and conversion.
+
+    A picture whose brightest pixel stays below `linear_limit_e` is taken as it is, unless V(Q) is bent.
+    """
+    diode, pixel = physics.diode, physics.pixel
+    bent = pixel.conversion == "junction" and diode is not None and not diode.constant
+    swing = pixel.well_limit == "swing"
+    if diode is None or (swing and not bent):
+        return np.minimum(generated_e, physics.full_well_e)
+    if not bent and generated_e.max(initial=0.0) <= linear_limit_e(diode, physics.full_well_e, integration_s):
+        return generated_e
+    return level_table(diode, physics.full_well_e, None if swing else integration_s, bent)(generated_e)

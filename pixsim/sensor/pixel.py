@@ -1,0 +1,567 @@
+"""From a pixel's layout and process to what the sensor needs: areas, capacitance, well, QE, dark current, DR and SNR.
+
+C(V) = area · CJ (1 + V/PB)^-MJ + perimeter · CJSW (1 + V/PBSW)^-MJSW + node, V the reverse bias. The powers have no value
+beyond V = -PB (0.4 V forward for the sidewall at 0.18 µm), so below V = -FC·PB SPICE goes on along the tangent.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import refuse
+from pixsim.base.parameters import SMALLEST_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
+from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
+from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
+
+# What the reference shows; the rest is for pixsim itself.
+__all__ = [
+    "PixelPhysics",
+    "derive",
+    "fill_factor_law",
+    "given_efficiency",
+    "growth_from_data_sheet",
+    "photodiode_widths_um",
+    "physics_of",
+    "pitch_for_fill_factor_um",
+    "response_curve",
+    "silicon_curve",
+    "smallest_pitch_um",
+]
+
+ELECTRON_C = 1.602176634e-19  # SI 2019, exact
+BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
+C_PER_FF_V = 1e-15
+E_PER_FC = C_PER_FF_V / ELECTRON_C
+FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
+INVERSION_STEPS = 100  # of Newton; found: 2 to 7, since Q(V) is nearly straight
+
+
+def junction_ff(bias_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
+    """C0 (1 + V/PB)^-M at a reverse bias; its tangent below V = -FC·PB."""
+    bias, knee_v = np.asarray(bias_v, float), -FORWARD_COEFFICIENT * built_in_v
+    upper = zero_bias_ff * (1 + np.maximum(bias, knee_v) / built_in_v) ** -grading
+    return upper + tangent_ff_per_v(zero_bias_ff, built_in_v, grading) * np.maximum(knee_v - bias, 0.0)
+
+
+def tangent_ff_per_v(zero_bias_ff: float, built_in_v: float, grading: float) -> float:
+    """-dC/dV at V = -FC·PB."""
+    return zero_bias_ff * grading / built_in_v * (1 - FORWARD_COEFFICIENT) ** (-1 - grading)
+
+
+def junction_charge_fc(high_v: ArrayLike, drop_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
+    """∫C dV from a reverse bias down by `drop_v` ≥ 0, of `junction_ff`; small drops lose no digits."""
+    high, drop, knee_v = np.asarray(high_v, float), np.asarray(drop_v, float), -FORWARD_COEFFICIENT * built_in_v
+    upper = np.minimum(drop, np.maximum(high - knee_v, 0.0))
+    from_v = built_in_v + np.maximum(high, knee_v)
+    one_less = 1 - grading
+    power = -(built_in_v**grading) / one_less * from_v**one_less * np.expm1(one_less * np.log1p(-upper / from_v))
+    beyond, lower = np.maximum(knee_v - high, 0.0), drop - upper
+    knee_ff = zero_bias_ff * (1 - FORWARD_COEFFICIENT) ** -grading
+    tangent = tangent_ff_per_v(zero_bias_ff, built_in_v, grading)
+    return zero_bias_ff * power + lower * (knee_ff + tangent * (beyond + lower / 2))
+
+
+@dataclass(frozen=True)
+class Diode:
+    """A photodiode as its discharge sees it; the saturation current is its dark current in reverse."""
+
+    area_um2: float
+    perimeter_um: float
+    cj_ff_per_um2: float
+    pb_v: float
+    mj: float
+    cjsw_ff_per_um: float
+    pbsw_v: float
+    mjsw: float
+    node_capacitance_ff: float
+    reset_voltage_v: float
+    saturation_current_e_per_s: float
+    temperature_k: float
+
+    def __post_init__(self) -> None:
+        """PixsimError for a number that is not finite or has the wrong sign."""
+        for name, value in vars(self).items():
+            positive = name in ("pb_v", "pbsw_v", "reset_voltage_v", "temperature_k")
+            if not math.isfinite(value) or value < 0 or (positive and value == 0):
+                raise refuse(f"diode {name}", value, "finite and above 0" if positive else "finite and not below 0")
+        if max(self.mj, self.mjsw) >= 1 or self.capacitance_ff(0.0) <= 0:
+            raise refuse("diode", self, "grading coefficients below 1, and some capacitance")
+
+    @property
+    def thermal_v(self) -> float:
+        """kT/q."""
+        return BOLTZMANN_J_PER_K * self.temperature_k / ELECTRON_C
+
+    @property
+    def junctions(self) -> tuple[tuple[float, float, float], ...]:
+        """(zero-bias fF, PB in V, M) of area and sidewall."""
+        area = self.cj_ff_per_um2 * self.area_um2, self.pb_v, self.mj
+        return area, (self.cjsw_ff_per_um * self.perimeter_um, self.pbsw_v, self.mjsw)
+
+    @property
+    def knees_v(self) -> tuple[float, ...]:
+        """Where the junctions' tangents begin."""
+        return tuple(-FORWARD_COEFFICIENT * built_in_v for _, built_in_v, _ in self.junctions)
+
+    def capacitance_ff(self, bias_v: ArrayLike) -> Array:
+        """C(V)."""
+        area, side = self.junctions
+        return self.node_capacitance_ff + junction_ff(bias_v, *area) + junction_ff(bias_v, *side)
+
+    def charge_e(self, high_v: ArrayLike, drop_v: ArrayLike) -> Array:
+        """∫C dV/q from a reverse bias down by `drop_v` ≥ 0."""
+        area, side = self.junctions
+        fixed_fc = self.node_capacitance_ff * np.asarray(drop_v, float)
+        return E_PER_FC * (fixed_fc + junction_charge_fc(high_v, drop_v, *area) + junction_charge_fc(high_v, drop_v, *side))
+
+    def drop_v(self, charge_e: ArrayLike) -> Array:
+        """Fall of the reverse bias from the reset on that a charge ≥ 0 makes: the inverse of `charge_e`.
+
+        Newton from the capacitance at reset, the least of all: it comes down to the root without ever passing it.
+        """
+        charge = np.asarray(charge_e, float)
+        drop = charge / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v))
+        for _ in range(INVERSION_STEPS):
+            excess_e = self.charge_e(self.reset_voltage_v, drop) - charge
+            if np.all(np.abs(excess_e) <= 1e-15 * charge):
+                break
+            drop = np.maximum(drop - excess_e / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v - drop)), 0.0)
+        return drop
+
+    @property
+    def constant(self) -> bool:
+        """Whether the capacitance does not depend on the bias."""
+        return not any(zero_bias_ff * grading for zero_bias_ff, _, grading in self.junctions)
+
+    def open_circuit_v(self, photocurrent_e_per_s: float) -> float:
+        """Reverse bias at which the forward diode carries a photocurrent, -V_T ln(1 + i/I_s); -∞ without diode current."""
+        if not photocurrent_e_per_s or not self.saturation_current_e_per_s:
+            return -math.inf if photocurrent_e_per_s else 0.0
+        # The ratio of a large current to a tiny one has no value where its logarithm has.
+        ratio_log = math.log(photocurrent_e_per_s) - math.log(self.saturation_current_e_per_s)
+        return float(-self.thermal_v * np.logaddexp(0.0, ratio_log))
+
+    def scaled(self, factor: float) -> Diode:
+        """As much more capacitance at every bias, and the same currents."""
+        return replace(
+            self,
+            cj_ff_per_um2=factor * self.cj_ff_per_um2,
+            cjsw_ff_per_um=factor * self.cjsw_ff_per_um,
+            node_capacitance_ff=factor * self.node_capacitance_ff,
+        )
+
+
+# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the authors' habitual 1 V.
+PAPER_NODE_FF, PAPER_FF_PER_UM2, PAPER_SWING_V = 2.6, 0.22, 1.0
+WELL_REFERENCE_S = 0.03  # integration time of Fig. 2 of Chen et al. (2000): that of the light that fills a `diode` well
+
+
+def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, high_v: float, low_v: float) -> float:
+    """Mean over a reverse-bias range of C0 (1 + V/PB)^-M: what turns a swing into a charge."""
+
+    def charge(v: float) -> float:
+        return built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading)
+
+    return zero_bias_ff * (charge(high_v) - charge(low_v)) / (high_v - low_v)
+
+
+def photodiode_capacitance_ff(area_um2: float, junction: Junction) -> float:
+    """Mean capacitance of a square photodiode and its node over the swing: area, sidewall and fixed parts."""
+    t = junction
+    high_v, low_v = t.reset_voltage_v, t.reset_voltage_v - t.voltage_swing_v
+    area_ff = mean_junction_ff(t.cj_ff_per_um2 * area_um2, t.pb_v, t.mj, high_v, low_v)
+    side_ff = mean_junction_ff(t.cjsw_ff_per_um * 4 * math.sqrt(area_um2), t.pbsw_v, t.mjsw, high_v, low_v)
+    return area_ff + side_ff + t.node_capacitance_ff
+
+
+def reset_capacitance_ff(area_um2: float, junction: Junction) -> float:
+    """Capacitance at the reset voltage, where the reset transistor opens and kTC noise freezes."""
+    j, v = junction, junction.reset_voltage_v
+    area_ff = j.cj_ff_per_um2 * area_um2 * (1 + v / j.pb_v) ** -j.mj
+    side_ff = j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
+    return area_ff + side_ff + j.node_capacitance_ff
+
+
+def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
+    """√(n kTC)/q, standard deviation."""
+    return math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * C_PER_FF_V) / ELECTRON_C
+
+
+@dataclass(frozen=True)
+class Well:
+    """Where the charge is kept. All but the charge is None for a pinned photodiode, whose well is given."""
+
+    full_well_e: float
+    mean_ff: float | None = None  # over the biases that the well uses: what the charge sees
+    reset_ff: float | None = None  # at the reset voltage: what kTC noise sees
+    diode: Diode | None = None
+
+
+def diode_full_v(diode: Diode) -> float:
+    """Reverse bias at which a photodiode that is read down to its forward bias counts as full, V.
+
+    V_oc of the light that discharges it to V = 0 in `WELL_REFERENCE_S`, and no further than where SPICE's tangent of the area
+    begins, which a photodiode without a forward current would pass. In swings, at 0.5, 0.35, 0.25 and 0.18 µm and 300 K:
+
+    down to V = 0          2.33  2.00  2.22  2.46   the diode has taken nothing yet: the ADC would clip what is soft
+    down to this bias      2.69  2.27  2.59  2.88   -0.24, -0.23, -0.21, -0.16 V: the corner is at the top code
+    down to -FC·PB         3.13  2.52  3.14  3.46   never reached: auto exposure would aim into the saturation
+
+    Light of another integration time moves the corner by V_T for each factor e: to 0.98 of the well in 0.1 s, 1.05 in 1 ms.
+    """
+    zero_bias_e = float(diode.charge_e(diode.reset_voltage_v, diode.reset_voltage_v))
+    return max(diode.open_circuit_v(zero_bias_e / WELL_REFERENCE_S), diode.knees_v[0])
+
+
+def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float) -> Well:
+    """The junction's charge over the swing or down to the forward bias, by the process or by the paper's constant capacitance;
+    or the given density."""
+    junction = technology.junction
+    if junction is None:
+        assert technology.full_well_e_per_um2 is not None  # the record's validator
+        refuse_junction_options(pixel, technology)
+        return Well(technology.full_well_e_per_um2 * area_um2)
+    if pixel.capacitance == "paper":
+        mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
+        swing_v = PAPER_SWING_V
+    else:
+        mean_ff, reset_ff = photodiode_capacitance_ff(area_um2, junction), reset_capacitance_ff(area_um2, junction)
+        swing_v = junction.voltage_swing_v
+    paper_ff = mean_ff if pixel.capacitance == "paper" else None
+    diode = make_diode(area_um2, junction, paper_ff, dark_current_e_per_s, pixel.temperature_k)
+    if pixel.well_limit == "swing":
+        return Well(mean_ff * C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff, diode)
+    drop_v = junction.reset_voltage_v - diode_full_v(diode)
+    full_well_e = float(diode.charge_e(junction.reset_voltage_v, drop_v))
+    return Well(full_well_e, full_well_e * ELECTRON_C / C_PER_FF_V / drop_v, reset_ff, diode)
+
+
+def refuse_junction_options(pixel: Pixel, technology: Technology) -> None:
+    """PixsimError where a pixel with a pinned photodiode is asked for what only a junction has."""
+    for name, allowed in (("capacitance", "mosis"), ("well_limit", "swing"), ("conversion", "linear")):
+        value = getattr(pixel, name)
+        if value != allowed:
+            told = f"'{allowed}', or a 3T technology: a pinned photodiode's well is given, and its charge is handed over"
+            raise refuse(f"pixel.{name}", f"'{value}' for {technology.name}", told)
+
+
+def make_diode(
+    area_um2: float, junction: Junction, constant_ff: float | None, dark_current_e_per_s: float, temperature_k: float
+) -> Diode:
+    """The square photodiode of a process; of a constant capacitance where one is given."""
+    zero = constant_ff is not None
+    return Diode(
+        area_um2=area_um2,
+        perimeter_um=4 * math.sqrt(area_um2),
+        cj_ff_per_um2=0.0 if zero else junction.cj_ff_per_um2,
+        pb_v=junction.pb_v,
+        mj=junction.mj,
+        cjsw_ff_per_um=0.0 if zero else junction.cjsw_ff_per_um,
+        pbsw_v=junction.pbsw_v,
+        mjsw=junction.mjsw,
+        node_capacitance_ff=junction.node_capacitance_ff if constant_ff is None else constant_ff,
+        reset_voltage_v=junction.reset_voltage_v,
+        saturation_current_e_per_s=dark_current_e_per_s,
+        temperature_k=temperature_k,
+    )
+
+
+REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, where dark currents are quoted
+A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
+# Peak quantum efficiency of the chip whose response curve is packaged (0.35 µm).
+RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
+
+
+def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
+    """Photodiode area over pixel area, η((p - s)² - (p0 - s)²)/p², (...) as the pitches; negative below the smallest pitch p0.
+
+    s, the width that is lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²). Fitted to what Chen et al.
+    (2000) state at 0.35 µm: 5, 30 and 73 % at 5.3, 6.5 and 15 µm.
+
+    >>> fill_factor_law([5.3, 6.5, 15.0], load_technology("0.35um")).round(3).tolist()
+    [0.051, 0.311, 0.729]
+    """
+    p = np.asarray(pitch_um, float)
+    inset_um = technology.fill_factor_inset_features * technology.feature_size_um
+    return technology.fill_factor_limit * ((p - inset_um) ** 2 - (smallest_pitch_um(technology) - inset_um) ** 2) / p**2
+
+
+def smallest_pitch_um(technology: Technology) -> float:
+    """p0 of `fill_factor_law`: where the transistors leave no room for a photodiode."""
+    return technology.fill_factor_zero_pitch_features * technology.feature_size_um
+
+
+def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> float:
+    """Inverse of `fill_factor_law`.
+
+    Raises PixsimError for a fill factor at or above the technology's limit.
+    """
+    if not 0 < fill_factor < technology.fill_factor_limit:
+        raise refuse("fill factor", fill_factor, f"0 to {technology.fill_factor_limit} (limit of {technology.name})")
+    p0_um, inset_um = smallest_pitch_um(technology), technology.fill_factor_inset_features * technology.feature_size_um
+    limit = technology.fill_factor_limit
+    # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
+    root = limit**2 * inset_um**2 + (limit - fill_factor) * limit * p0_um * (p0_um - 2 * inset_um)
+    return (limit * inset_um + math.sqrt(root)) / (limit - fill_factor)
+
+
+@lru_cache
+def _response_table(curve: str) -> Array:
+    """(wavelength_nm, value) rows."""
+    return np.loadtxt(str(resources.files("pixsim") / f"data/{curve}_response.csv"), delimiter=",", skiprows=4)
+
+
+def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> Array:
+    """QE of a generic silicon photodiode scaled to a peak, (...) as the wavelengths; zero outside 359-1029 nm.
+
+    ISETCam, cmosPhotodetectorQE (2008); `peak_quantum_efficiency` is the ratio of electrons to photons at the peak.
+    """
+    table_nm, qe = _response_table("silicon").T
+    return np.interp(np.asarray(wavelength_nm, float), table_nm, qe * peak_quantum_efficiency / qe.max(), left=0.0, right=0.0)
+
+
+def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficiency: float) -> Array:
+    """QE of the HP/MOSIS photodiode, (...) as the wavelengths; zero outside 400-800 nm. ISETCam, pdHPMosis (2003, estimated).
+
+    `reading`, as of `Pixel.response`: with `literal` the file's number is the QE (peak 4.2 %), with `scaled` it is A/W per pixel
+    area, so QE = hc/(qλ) · number, scaled to the measured peak of 0.37. Both are scaled further by `peak_quantum_efficiency`,
+    a ratio, over 0.37.
+    """
+    table_nm, raw = _response_table("hp_mosis").T
+    if reading == "literal":
+        scale = peak_quantum_efficiency / RESPONSE_PEAK_QUANTUM_EFFICIENCY
+    else:
+        raw = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELECTRON_C / (table_nm * 1e-9) * raw
+        scale = peak_quantum_efficiency / raw.max()
+    return np.interp(np.asarray(wavelength_nm, float), table_nm, raw * scale, left=0.0, right=0.0)
+
+
+def given_efficiency(wavelength_nm: ArrayLike, given: float | EfficiencyCurve) -> Array:
+    """QE of a data sheet, (...) as the wavelengths: the number `given`, or straight lines between the points of its curve.
+
+    Nothing beyond the curve's ends.
+    """
+    nm = np.asarray(wavelength_nm, float)
+    if not isinstance(given, tuple):
+        return np.full(nm.shape, given)
+    known_nm, efficiency = np.array(given).T
+    return np.interp(nm, known_nm, efficiency, left=0.0, right=0.0)
+
+
+@dataclass(frozen=True)
+class PixelPhysics:
+    """What a pixel is, derived or measured. Currents and charges are per pixel; noise is a standard deviation.
+
+    pixel : what was asked for
+    technology : with the fill-factor law that the pixel chose
+    fill_factor : photodiode area over pixel area
+    capacitance_ff : mean over the swing; None for a pinned photodiode, whose well is given
+    full_well_e : what the ADC's top code stands for
+    dark_current_e_per_s : at the pixel's temperature
+    reset_noise_e : √(n kTC)/q
+    read_noise_e : beside the reset noise
+    prnu : of the gain over its mean
+    dsnu : of the dark current over its mean
+    offset_fpn_e : a pixel's own
+    column_fpn_e : a column's own
+    diode : what discharges; None where the photodiode is pinned
+    """
+
+    pixel: Pixel
+    technology: Technology
+    fill_factor: float
+    capacitance_ff: float | None
+    full_well_e: float
+    dark_current_e_per_s: float
+    reset_noise_e: float
+    read_noise_e: float
+    prnu: float
+    dsnu: float
+    offset_fpn_e: float
+    column_fpn_e: float
+    diode: Diode | None = None
+
+    @property
+    def pitch_um(self) -> float:
+        """Centre to centre."""
+        return self.pixel.pitch_um
+
+    @property
+    def photodiode_area_um2(self) -> float:
+        """Fill factor times the pixel's area."""
+        return self.fill_factor * self.pitch_um**2
+
+    @property
+    def photodiode_side_um(self) -> float:
+        """Of the square photodiode, centred in its pixel."""
+        return math.sqrt(self.fill_factor) * self.pitch_um
+
+    @property
+    def dn_per_e(self) -> float:
+        """Full well ↔ 2^bits - 1 - black level."""
+        return (2**self.pixel.bits - 1 - self.pixel.black_level_dn) / self.full_well_e
+
+    def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
+        if self.pixel.quantum_efficiency is not None:
+            qe = given_efficiency(wavelength_nm, self.pixel.quantum_efficiency)
+        elif self.technology.response_curve == "silicon":
+            qe = silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
+        else:
+            qe = response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
+        return qe
+
+    def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
+        """Electrons per photon on the photodiode at a wavelength, (B,); zero beyond the infrared cut."""
+        nm = np.asarray(wavelength_nm, float)
+        return np.where(nm > self.infrared_cut_nm, 0.0, self._uncut_quantum_efficiency(nm))
+
+    @property
+    def infrared_cut_nm(self) -> float:
+        """Of `Pixel.infrared_cut_nm`; infinity without one."""
+        return self.pixel.infrared_cut_nm or math.inf
+
+    def band_quantum_efficiency(self, wavelength_nm: Array, band_width_nm: Array) -> Array:
+        """Electrons per photon of bands, (B,): at their centres, times the part of each below the infrared cut."""
+        below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
+        return self._uncut_quantum_efficiency(wavelength_nm) * below
+
+    def dynamic_range_db(self, integration_s: float) -> float:
+        """Eq. (1) of Chen et al. (2000): 20 log₁₀ of the well less the dark charge, over the noise in the dark.
+
+        Raises PixsimError where the dark charge fills the well.
+
+        >>> paper = derive(Pixel(capacitance="paper"))
+        >>> round(paper.dynamic_range_db(0.03), 1)  # Fig. 2a has 35 to 70 dB
+        61.1
+        """
+        dark_e = self.dark_current_e_per_s * integration_s
+        if dark_e >= self.full_well_e:
+            raise refuse(
+                "dynamic range",
+                f"{dark_e:.4g} e- of dark charge",
+                f"less than the well, {self.full_well_e:.4g} e-",
+                "Integrate for a shorter time or cool the sensor.",
+            )
+        variance_e2 = self._dark_variance_e2(dark_e)
+        return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
+
+    def snr_db(self, signal_e: float, integration_s: float) -> float:
+        """Eq. (2) of Chen et al. (2000), for a signal charge; -inf without one.
+
+        Raises PixsimError for one that is negative.
+        """
+        if signal_e <= 0:
+            if signal_e < 0:
+                raise refuse("signal_e", signal_e, "0 or more electrons")
+            return -math.inf
+        dark_e = self.dark_current_e_per_s * integration_s
+        return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
+
+    def _dark_variance_e2(self, dark_e: float) -> float:
+        return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
+
+
+def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float) -> float:
+    """Photodiode area over that of the pixel that was measured, a ratio; 1 where its pitch is not told.
+
+    PixsimError where that pixel has no photodiode, and where too little or too much charge would be left of its well.
+    """
+    measured_um = pixel.data_sheet_pitch_um
+    if measured_um is None:
+        return 1.0
+    fill_factor = pixel.fill_factor or float(fill_factor_law(measured_um, technology))
+    if fill_factor < SMALLEST_FRACTION:
+        allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
+        raise refuse("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
+    growth = area_um2 / (fill_factor * measured_um**2)
+    low_e, high_e = WELL_RANGE_E
+    if pixel.full_well_e is not None and not low_e <= growth * pixel.full_well_e <= high_e:
+        found = (
+            f"{pixel.pitch_um:g}, where {pixel.full_well_e:g} electrons at {measured_um:g} µm are {growth * pixel.full_well_e:.2g}"
+        )
+        raise refuse("pixel.pitch_um", found, f"a full well of {low_e:g} to {high_e:g} electrons")
+    return growth
+
+
+def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
+    """Fill in from the technology what the pixel leaves open.
+
+    technology : where it is at hand; None loads the one that the pixel names
+
+    Raises PixsimError for an unknown technology, and for a pitch at or below the smallest one (named in the message).
+
+    >>> round(derive(Pixel(technology="0.35um", pitch_um=6.5)).fill_factor, 2)  # 30 % in Chen et al. (2000)
+    0.31
+    """
+    technology = with_fill_factor_law(technology or load_technology(pixel.technology), pixel.fill_factor_law)
+
+    def given(value: float | None, otherwise: float) -> float:
+        return otherwise if value is None else value
+
+    fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
+    if fill_factor < SMALLEST_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
+        usual = min(0.05, technology.fill_factor_limit / 2)
+        raise refuse(
+            "pixel.pitch_um",
+            f"{pixel.pitch_um:g}",
+            f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel",
+            f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm.",
+        )
+    area_um2 = fill_factor * pixel.pitch_um**2
+    factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
+    warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
+    dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * warmth
+    growth = growth_from_data_sheet(pixel, technology, area_um2)
+    measured_e_per_s, measured_well_e = pixel.dark_current_e_per_s, pixel.full_well_e
+    dark_current_e_per_s = dark_e_per_s if measured_e_per_s is None else growth * measured_e_per_s
+    kept = well(pixel, technology, area_um2, dark_current_e_per_s)
+    full_well_e = kept.full_well_e if measured_well_e is None else growth * measured_well_e
+    return PixelPhysics(
+        pixel=pixel,
+        technology=technology,
+        fill_factor=fill_factor,
+        capacitance_ff=None if kept.mean_ff is None else kept.mean_ff * full_well_e / kept.full_well_e,
+        full_well_e=full_well_e,
+        dark_current_e_per_s=dark_current_e_per_s,
+        # A given well is a larger or smaller capacitance with the same swing.
+        reset_noise_e=reset_noise_e((kept.reset_ff or 0.0) * full_well_e / kept.full_well_e, pixel.temperature_k, factor),
+        read_noise_e=given(pixel.read_noise_e, technology.read_noise_e),
+        prnu=given(pixel.prnu, technology.prnu),
+        dsnu=given(pixel.dsnu, technology.dsnu),
+        offset_fpn_e=given(pixel.offset_fpn, technology.offset_fpn) * full_well_e,
+        column_fpn_e=given(pixel.column_fpn, technology.column_fpn) * full_well_e,
+        diode=None if kept.diode is None else kept.diode.scaled(full_well_e / kept.full_well_e),
+    )
+
+
+def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:
+    """A pixel of a study, with the numbers of its processes that the study sets (`Study.process`).
+
+    Parameters
+    ----------
+    technology : a name or path as in `Study.technologies`
+    pitch_um : centre to centre, µm
+    process : of that technology in that study, where it is at hand; None takes `technology_of`
+
+    Raises PixsimError as `derive` and `technology_of` do.
+    """
+    return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
+
+
+def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Array:
+    """Widths in µm of the square photodiodes of a study's pixels, √fill factor · pitch, (n,) as the pitches.
+
+    technology : a name or path as in `Study.technologies`
+
+    Raises PixsimError as `technology_of` does.
+    """
+    process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
+    fill_factor = study.pixel.fill_factor or np.maximum(fill_factor_law(pitch_um, process), SMALLEST_FRACTION)
+    return np.asarray(np.sqrt(fill_factor) * pitch_um)

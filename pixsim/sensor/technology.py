@@ -1,0 +1,269 @@
+"""CMOS processes, read from TOML files in which every number has a source and a confidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from pixsim.base.config import checked, packaged, read_toml
+from pixsim.base.errors import PixsimError, did_you_mean, one_line, refuse
+from pixsim.base.parameters import (
+    NO_TECHNOLOGY,
+    DarkSpread,
+    Fraction,
+    GainSpread,
+    Layer,
+    NoiseElectrons,
+    OffsetSpread,
+    Record,
+    ResetFactor,
+    Study,
+)
+
+Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
+Grading = Annotated[float, Field(ge=0, le=0.99)]
+Capacitance = Annotated[float, Field(ge=0, le=1e9)]
+LEAST_FF = 1e-6  # an electron would swing it by 160 V
+
+
+class Junction(Record):
+    """An n+/psub photodiode of a 3T pixel, with SPICE's names; capacitances are zero-bias."""
+
+    reset_voltage_v: Volts = Field(description="reverse bias after reset, V")
+    voltage_swing_v: Volts = Field(description="of the photodiode, from reset to full, V")
+    cj_ff_per_um2: Capacitance = Field(description="of the area, fF/µm²")
+    pb_v: Volts = Field(description="built-in potential of the area's junction, V")
+    mj: Grading = Field(description="grading coefficient of the area's junction: ½ abrupt, ⅓ linear")
+    cjsw_ff_per_um: Capacitance = Field(description="of the sidewall, fF/µm")
+    pbsw_v: Volts = Field(description="built-in potential of the sidewall's junction, V")
+    mjsw: Grading = Field(description="grading coefficient of the sidewall's junction")
+    node_capacitance_ff: Capacitance = Field(description="fixed, of the node beside the photodiode, fF")
+
+    @model_validator(mode="after")
+    def _swing_below_reset(self) -> Self:
+        if self.voltage_swing_v > self.reset_voltage_v:
+            raise ValueError(f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}")
+        return self
+
+    @model_validator(mode="after")
+    def _keeps_charge(self) -> Self:
+        if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < LEAST_FF:
+            raise ValueError(
+                f"no capacitance keeps a charge: one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff "
+                f"must be at least {LEAST_FF:g}"
+            )
+        return self
+
+
+class Technology(Record):
+    """A CMOS process, as a pixel sees it. Lengths of the fill-factor law are in units of the feature size."""
+
+    name: str = Field(description="as results spell it")
+    feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="F, which names the process")]
+    junction: Junction | None = Field(None, description="3T: the well is the junction's capacitance times the swing")
+    full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
+        None, description="4T: the well of a pinned photodiode, per its area"
+    )
+    reset_noise_factor: ResetFactor = Field(1.0, description="n in the variance n kTC/q²; 0 for charge transfer with true CDS")
+    response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="shape of the quantum efficiency, packaged")
+    dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(description="of the photodiode at 27 °C, nA/cm²")
+    dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)] = Field(description="warmth that doubles it; 4 to 12 in silicon")
+    peak_quantum_efficiency: Fraction = Field(description="electrons per photon on the photodiode where it is largest")
+    prnu: GainSpread = Field(description="standard deviation of the gain over its mean")
+    dsnu: DarkSpread = Field(description="standard deviation of the dark current over its mean")
+    offset_fpn: OffsetSpread = Field(description="per pixel, fraction of the full well")
+    column_fpn: OffsetSpread = Field(description="per column, fraction of the full well")
+    read_noise_e: NoiseElectrons = Field(description="temporal, beside the reset noise")
+    fill_factor_limit: Fraction = Field(description="η of the fill-factor law, reached by infinitely large pixels")
+    fill_factor_zero_pitch_features: Annotated[float, Field(gt=0, le=1e6)] = Field(
+        description="p0 of the law, in feature sizes: the pitch without a photodiode"
+    )
+    fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        0.0, description="s of the law, in feature sizes: width that is lost at every pitch"
+    )
+    sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
+    ranges: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, description="field -> lowest and highest plausible value, in the field's unit"
+    )
+
+    @model_validator(mode="after")
+    def _one_kind_of_well(self) -> Self:
+        if (self.junction is None) == (self.full_well_e_per_um2 is None):
+            raise ValueError(f"a technology needs either full_well_e_per_um2 or all of {', '.join(Junction.model_fields)}")
+        return self
+
+    @model_validator(mode="after")
+    def _photodiode_inside_the_pixel(self) -> Self:
+        if self.fill_factor_inset_features > self.fill_factor_zero_pitch_features:
+            raise ValueError(
+                f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds fill_factor_zero_pitch_features = "
+                f"{self.fill_factor_zero_pitch_features:g}: larger pixels would have negative photodiodes"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _ranges_hold_their_values(self) -> Self:
+        for name, (low, high) in self.ranges.items():
+            value = self.numbers.get(name)
+            if value is None:
+                raise refuse("range", f"'{name}'", f"numbers of this process: {', '.join(self.numbers)}")
+            if not low <= value <= high:
+                raise refuse(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
+            for end in (low, high):
+                self.with_numbers({name: end}, f"range of {name}")  # it has the bounds of the value
+        return self
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Each number of the process by its name, those of the junction among them, in the unit that the name ends in."""
+        table = self.model_dump(exclude={"junction"}) | (self.junction.model_dump() if self.junction else {})
+        return {name: value for name, value in table.items() if isinstance(value, float)}
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """All that a result depends on: the record without sources and ranges."""
+        return self.model_dump(exclude={"sources", "ranges"})
+
+    def with_numbers(self, values: dict[str, float], source: str) -> Technology:
+        """The technology with other values of some of its `numbers`.
+
+        values : name of a number -> its value, each in its unit
+        source : where they come from, for messages
+
+        Raises PixsimError for a name that it does not have, and for a value out of bounds.
+        """
+        for name in values:
+            if name not in self.numbers:
+                raise refuse(source, f"'{name}'", ", ".join(self.numbers), did_you_mean(name, self.numbers))
+        told = {
+            name: f"set by the study; the file has {self.numbers[name]:g} ({self.sources.get(name, 'no source')})"
+            for name in values
+        }
+        own = {name: value for name, value in values.items() if name not in Junction.model_fields}
+        junction = {name: value for name, value in values.items() if name in Junction.model_fields}
+        over = own | ({"junction": junction} if junction else {})
+        # A value may lie out of its range: that is what a study can ask.
+        base = self.model_dump() | {"sources": self.sources | told, "ranges": {}}
+        technology: Technology = checked(Technology, [Layer(base), Layer(over, source)])
+        return technology.model_copy(update={"ranges": self.ranges})
+
+
+# Of a sensor that is known by its data sheet (`pixsim.base.parameters.DATA_SHEET`). What that leaves open is absent or ideal: no
+# non-uniformity, no offsets, no reset noise beside the read noise, a photodiode that fills the pixel (a data sheet's quantum
+# efficiency is that of the whole pixel, microlens included). The other numbers stand for none and are not used.
+NO_PROCESS = Technology(
+    name=NO_TECHNOLOGY,
+    feature_size_um=1e-4,
+    full_well_e_per_um2=1.0,
+    reset_noise_factor=0.0,
+    response_curve="silicon",
+    dark_current_na_per_cm2=0.0,
+    dark_doubling_k=8.0,
+    peak_quantum_efficiency=1.0,
+    prnu=0.0,
+    dsnu=0.0,
+    offset_fpn=0.0,
+    column_fpn=0.0,
+    read_noise_e=0.0,
+    fill_factor_limit=1.0,
+    fill_factor_zero_pitch_features=1e-6,
+)
+# Other laws that meet the paper's three fill factors about as well: (limit, zero pitch, inset), as `fill_factor_law` takes.
+OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
+
+
+def with_fill_factor_law(technology: Technology, law: str) -> Technology:
+    """The technology with another fill-factor law (`Pixel.fill_factor_law`)."""
+    if law not in OTHER_FILL_FACTOR_LAWS:
+        return technology
+    limit, zero_pitch, inset = OTHER_FILL_FACTOR_LAWS[law]
+    return technology.model_copy(
+        update={"fill_factor_limit": limit, "fill_factor_zero_pitch_features": zero_pitch, "fill_factor_inset_features": inset}
+    )
+
+
+def load_technology(name: str) -> Technology:
+    """A packaged technology by name, a user's by the path of its TOML file, or none.
+
+    Every number is a table `{value, confidence, source}`, with `range = [low, high]` where other values are plausible too.
+
+    Raises PixsimError for an unknown name, naming the known ones, and for a file that is damaged or lacks something.
+
+    >>> load_technology("0.35um").feature_size_um
+    0.35
+    """
+    if name == NO_TECHNOLOGY:
+        return NO_PROCESS
+    known = packaged("data/technologies")
+    path = known.get(name) or Path(name)
+    if path.suffix != ".toml" or not name:
+        mend = f"{did_you_mean(name, known)} Or give the path of a technology's TOML file.".strip()
+        raise refuse("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), mend)
+    about = path.stat() if path.is_file() else None
+    return _read(path, (about.st_mtime_ns, about.st_size) if about else ())
+
+
+def technology_of(study: Study, name: str) -> Technology:
+    """A technology of a study, with the numbers that `Study.process` gives in place of its file's; the fill-factor law is its own.
+
+    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for numbers of a data sheet, which has none.
+    """
+    technology, values = load_technology(name), study.process.get(name)
+    if not values:
+        return technology
+    if name == NO_TECHNOLOGY:
+        mend = "Put them into [pixel]."
+        raise refuse(f"process.{name}", ", ".join(values), "technologies: a data sheet has no numbers of a process", mend)
+    return technology.with_numbers(values, f"process.{name}")
+
+
+@lru_cache
+def _read(path: Path, _: tuple[int, ...]) -> Technology:
+    """The technology of a file; one that was written anew is read anew."""
+    table = read_toml(path)
+    numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
+    try:
+        values = {key: entry["value"] for key, entry in numbers.items()}
+        junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
+        sources = {key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()}
+        ranges = {key: entry["range"] for key, entry in numbers.items() if "range" in entry}
+        own = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges}
+        own |= {"junction": junction} if junction else {}
+        technology: Technology = checked(Technology, [Layer(values | own, str(path))])
+        return technology
+    except KeyError as missing:
+        raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence, source") from None
+
+
+def label_of(technology: str) -> str:
+    """A technology's name for readers: 0.35um, or the stem of a user's TOML."""
+    if technology == NO_TECHNOLOGY:
+        return "data sheet"
+    return one_line(Path(technology).stem if technology.endswith(".toml") else technology)
+
+
+def file_label(label: str) -> str:
+    """A label as a part of file names."""
+    return label.replace(" ", "_")
+
+
+def labels_of(technologies: Sequence[str]) -> tuple[str, ...]:
+    """A label for each technology of a study, no two alike: mine, mine-2.
+
+    A number is told from a label that another one has anyway; letters of either case are the same to some file systems.
+    """
+    plain = [label_of(each) for each in technologies]
+    taken: set[str] = {each.casefold() for each in plain}
+    labels, met = [], set[str]()
+    for each in plain:
+        label, number = each, 1
+        while label.casefold() in (met if number == 1 else met | taken):
+            number += 1
+            label = f"{each}-{number}"
+        met.add(label.casefold())
+        labels.append(label)
+    return tuple(labels)

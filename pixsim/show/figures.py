@@ -1,0 +1,139 @@
+"""How pixsim draws with Matplotlib: figures that are the same bytes each time, ΔE maps on one fixed scale."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA, PictureAxes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one line of a figure is told from the others: by colour, and, printed grey, by dashes and marker."""
+
+    colour: str
+    dashes: str | tuple[int, tuple[int, ...]]
+    marker: str
+
+    @property
+    def stroke(self) -> dict[str, Any]:
+        """For Matplotlib, of a line without markers."""
+        return {"color": self.colour, "ls": self.dashes}
+
+    @property
+    def line(self) -> dict[str, Any]:
+        return self.stroke | {"marker": self.marker}
+
+
+LEGEND_LINE = 3.5  # long enough to show the dashes
+# Okabe and Ito (2008), in an order that keeps the first four at least 19 (CIEDE2000) apart for every kind of colour blindness,
+# and their lightness apart in grey; what comes after them needs its marker.
+LOOKS = (
+    Look("#0072B2", "-", "o"),
+    Look("#D55E00", (0, (5, 2)), "s"),
+    Look("#000000", (0, (6, 2, 1, 2)), "^"),
+    Look("#56B4E9", (0, (1, 1)), "D"),
+    Look("#009E73", (0, (3, 1, 1, 1, 1, 1)), "v"),
+    Look("#E69F00", (0, (8, 2)), "P"),
+    Look("#CC79A7", (0, (2, 3)), "X"),
+    Look("#777777", (0, (8, 2, 1, 2, 1, 2)), "<"),
+    Look("#0072B2", (0, (3, 1)), ">"),
+    Look("#D55E00", (0, (1, 3)), "p"),
+)
+COLOURS = tuple(look.colour for look in LOOKS)
+# Of the terms of the blur, in every figure; not the first looks, which are those of pixel sizes.
+TERM_NAMES = ("lens (diffraction)", "photodiode", "{} interpolation on the display", "dot of the display")
+TERM_LOOKS = LOOKS[4:8]
+MANY_POINTS = 50  # of a line: not each gets a marker
+ISO_SMOOTHING_DOTS = 8.0  # about a cycle of the middle frequencies: ΔE peaks in each dark bar
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """A figure that is saved to the same bytes each time, without a display."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    matplotlib.rcParams.update(
+        {
+            "svg.hashsalt": "pixsim",
+            "svg.fonttype": "path",
+            "font.size": 9.0,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+        }
+    )
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def literal(text: str) -> str:
+    """A name from a file, as Matplotlib shows it letter by letter: between two dollar signs it would read mathematics."""
+    printable = "".join(each if each.isprintable() else "\ufffd" for each in text)
+    return printable.replace("$", r"\$")
+
+
+def save_svg(figure: Figure, path: Path) -> None:
+    """Write a figure as `svg_text` makes it."""
+    path.write_text(svg_text(figure), encoding="utf-8")
+
+
+def svg_text(figure: Figure) -> str:
+    """A figure as SVG; its ids are numbered, since Matplotlib's hash coordinates that vary in their last digit."""
+    if layout := figure.get_layout_engine():
+        layout.execute(figure)
+        figure.set_layout_engine(None)  # else savefig draws it all once more to lay it out
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "pixsim"})
+    numbers: dict[str, str] = {}
+    return re.sub(
+        r'(id="|url\(#|href="#)([a-zA-Z]+[0-9a-f]{10})(?=["\)])',
+        lambda match: match[1] + numbers.setdefault(match[2], f"id{len(numbers)}"),
+        text.getvalue(),
+    )
+
+
+def draw_picture(axes: Axes, luminance: Array, where: PictureAxes) -> None:
+    shown = np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)
+    axes.imshow(shown, cmap="gray", vmin=0, vmax=1, extent=where.extent_mm)
+    label_axes(axes, where)
+
+
+def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, where: PictureAxes) -> None:
+    """A ΔE map on the fixed scale, which stands in axes of its own."""
+    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, extent=where.extent_mm)
+    axes.figure.colorbar(image, cax=bar, label="ΔE", extend="max")
+    label_axes(axes, where)
+
+
+def label_axes(axes: Axes, where: PictureAxes) -> None:
+    """What lies along the sides of a picture."""
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_xlabel(where.across.label)
+    axes.set_ylabel(where.down.label)
+    if where.fixed:
+        axes.set_xticks(*zip(*where.across.ticks, strict=True))
+        axes.set_yticks(*zip(*where.down.ticks, strict=True))
+
+
+def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str) -> Array:
+    """The terms of `merit.mtf_terms` against x, with a legend; returns their product, which is drawn too."""
+    for mtf, name, look in zip(terms.values(), TERM_NAMES, TERM_LOOKS, strict=False):
+        axes.plot(x, mtf, markevery=1 if x.size < MANY_POINTS else x.size // 5, ms=4, label=name.format(interpolation), **look.line)
+    product = np.prod(list(terms.values()), axis=0)
+    axes.plot(x, product, lw=2.5, color="black", label="all together")
+    axes.legend(frameon=False, fontsize=8, loc="lower left", handlelength=LEGEND_LINE)
+    return product

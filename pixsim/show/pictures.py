@@ -1,0 +1,299 @@
+"""Pictures as PNG: grey pictures, ΔE maps with their scale, details, and contact sheets."""
+
+from __future__ import annotations
+
+import io
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources, util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import one_line
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+    from PIL.ImageDraw import ImageDraw
+
+
+DELTA_E_SHOWN = 10.0  # top of the fixed colour scale, so that two maps can be compared
+VIEWING_GAMMA = 2.2
+COLOUR_LEVEL = 3  # of zlib: a third of the time that its default takes, for a tenth more bytes
+# Of a map with axes, in px.
+MAP, LEFT, TOP, BELOW, BESIDE = 560, 110, 70, 90, 160
+BAR, BAR_GAP, TICK, GAP, POINT = 30, 50, 7, 5, 20
+BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Marks along a side of a picture: (mm on the sensor, text)."""
+
+    label: str
+    ticks: tuple[tuple[float, str], ...]
+
+
+@dataclass(frozen=True)
+class PictureAxes:
+    """Where a picture lies on the sensor.
+
+    extent_mm : left, right, bottom, top; row 0 on top
+    across, down : the marks along its sides
+    fixed : whether figures have these marks too; otherwise Matplotlib chooses its own
+    """
+
+    extent_mm: tuple[float, float, float, float]
+    across: Axis
+    down: Axis
+    fixed: bool = False
+
+
+def grey_codes(luminance: Array) -> NDArray[np.uint8]:
+    """Relative luminance encoded for a display of gamma 2.2."""
+    return np.asarray(np.rint(255 * np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
+
+
+def save_png(path: Path, luminance: Array) -> None:
+    """A grey picture of relative luminance, encoded for a display of gamma 2.2."""
+    path.write_bytes(png_bytes(np.repeat(grey_codes(luminance)[:, :, None], 3, axis=2)))
+
+
+def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes) -> None:
+    """The map with its scale and axes."""
+    from PIL import Image, ImageDraw
+
+    shown = _enlarged(delta_e_colours(delta_e))
+    height, width = shown.shape[:2]
+    canvas = Image.new("RGB", (LEFT + width + BESIDE, TOP + height + BELOW), WHITE)
+    canvas.paste(Image.fromarray(shown), (LEFT, TOP))
+    draw = ImageDraw.Draw(canvas)
+    title = f"S-CIELAB difference from the ideal image, mean {delta_e.mean():.3f}"
+    draw.text((LEFT + width / 2, TOP - POINT), title, BLACK, font(18), anchor="ms")
+    x, y = where.across, where.down
+    left_mm, right_mm, bottom_mm, top_mm = where.extent_mm
+    for at_mm, text in x.ticks:
+        _mark(draw, LEFT + (at_mm - left_mm) / (right_mm - left_mm) * width, TOP + height, text, down=True)
+    for at_mm, text in y.ticks:
+        _mark(draw, LEFT, TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height, text, down=False)
+    draw.text((LEFT + width / 2, TOP + height + 45), x.label, BLACK, font(15), anchor="mt")
+    _upright(canvas, y.label, LEFT - 95, TOP + height / 2)
+    _colour_bar(canvas, draw, LEFT + width + BAR_GAP, height)
+    path.write_bytes(png_bytes(np.asarray(canvas)))
+
+
+def delta_e_colours(delta_e: Array) -> NDArray[np.uint8]:
+    """(H, W, 3) codes of the fixed scale, 0 to `DELTA_E_SHOWN`; what is beyond has its last colour."""
+    table = viridis()
+    place = np.clip(delta_e / DELTA_E_SHOWN * len(table), 0, len(table) - 1)
+    return np.asarray(table[place.astype(int)])
+
+
+@lru_cache
+def viridis() -> NDArray[np.uint8]:
+    return np.loadtxt(str(resources.files("pixsim") / "data/viridis.csv"), np.uint8, delimiter=",", skiprows=2)
+
+
+def _enlarged(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """About `MAP` px along the longer side: each dot several px, or several dots one."""
+    from PIL import Image
+
+    height, width = colours.shape[:2]
+    scale = MAP / max(height, width)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    how = Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.BOX
+    return np.asarray(Image.fromarray(colours).resize(size, how))
+
+
+def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:
+    from PIL import Image
+
+    high = max(height - POINT, 1)
+    ramp = delta_e_colours(np.linspace(DELTA_E_SHOWN, 0, high)[:, None])
+    canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (left, TOP + height - high))
+    top = TOP + height - high
+    point = [(left, top), (left + BAR / 2, top - POINT), (left + BAR - 1, top)]
+    draw.polygon(point, fill=tuple(viridis()[-1].tolist()), outline=BLACK)
+    draw.rectangle((left, top, left + BAR - 1, TOP + height), outline=BLACK)
+    for value in range(0, int(DELTA_E_SHOWN) + 1, 2):
+        at = top + (1 - value / DELTA_E_SHOWN) * high
+        draw.line((left + BAR, at, left + BAR + TICK, at), BLACK)
+        draw.text((left + BAR + TICK + GAP, at), str(value), BLACK, font(15), anchor="lm")
+    _upright(canvas, "ΔE", left + BAR + 48, TOP + height / 2)
+
+
+def _mark(draw: ImageDraw, x: float, y: float, text: str, down: bool) -> None:
+    end = (x, y + TICK) if down else (x - TICK, y)
+    draw.line((x, y, *end) if down else (x - 1, y, *end), BLACK)  # the map keeps its border
+    beyond = (x, y + TICK + GAP) if down else (x - TICK - GAP, y)
+    draw.text(beyond, text, BLACK, font(15), anchor="mt" if down else "rm")
+
+
+def _upright(canvas: Image, text: str, left: float, middle: float) -> None:
+    """A text that is read from below."""
+    from PIL import Image, ImageDraw
+
+    box = font(15).getbbox(text, anchor="lt")
+    own = Image.new("RGB", (math.ceil(box[2]) + 1, math.ceil(box[3]) + 1), WHITE)
+    ImageDraw.Draw(own).text((0, 0), text, BLACK, font(15), anchor="lt")
+    turned = own.transpose(Image.Transpose.ROTATE_90)
+    canvas.paste(turned, (round(left), round(middle - turned.height / 2)))
+
+
+@lru_cache
+def font(size: int) -> Any:
+    """Matplotlib's DejaVu Sans, found without importing Matplotlib."""
+    from PIL import ImageFont
+
+    home = util.find_spec("matplotlib")
+    folder = next(iter(home.submodule_search_locations or [])) if home else ""
+    return ImageFont.truetype(str(Path(folder) / "mpl-data/fonts/ttf/DejaVuSans.ttf"), size)
+
+
+def png_bytes(codes: NDArray[np.uint8]) -> bytes:
+    """A PNG of grey (H, W) or coloured (H, W, 3) codes."""
+    from PIL import Image, PngImagePlugin
+
+    told, content = PngImagePlugin.PngInfo(), io.BytesIO()
+    told.add_text("Software", "pixsim")
+    # Noise repeats nothing: runs of one code are all there is to find, in a sixth of the time and even in fewer bytes.
+    how = {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
+    Image.fromarray(codes).save(content, "png", pnginfo=told, **how)
+    return content.getvalue()
+
+
+COLUMNS = 6
+SHEET_MARGIN, SHEET_GAP, SHEET_FRAME = 16, 14, 3  # px
+TITLE, LINE, LABEL_WIDTH = 34, 19, 112
+LONGEST_TITLE = 140  # characters
+INK, PAPER = 0, 255
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A detail of a picture, grey codes (H, W), with two lines of words; the best one is framed."""
+
+    codes: NDArray[np.uint8] = field(repr=False)
+    name: str
+    note: str
+    best: bool = False
+
+
+def contact_sheet_png(title: str, tiles: Sequence[Tile]) -> bytes:
+    """Tiles of at most one size in rows of six, each dot of a picture one of the sheet."""
+    from PIL import Image, ImageDraw
+
+    title = one_line(title, LONGEST_TITLE)
+    side_y, side_x = (max(tile.codes.shape[axis] for tile in tiles) for axis in (0, 1))
+    pitch_x, pitch_y = max(side_x, LABEL_WIDTH) + SHEET_GAP, side_y + 2 * LINE + SHEET_GAP
+    columns = min(COLUMNS, len(tiles))
+    width = max(2 * SHEET_MARGIN + columns * pitch_x - SHEET_GAP, round(font(16).getlength(title)) + 2 * SHEET_MARGIN)
+    canvas = Image.new("L", (width, 2 * SHEET_MARGIN + TITLE + -(-len(tiles) // columns) * pitch_y - SHEET_GAP), PAPER)
+    draw = ImageDraw.Draw(canvas)
+    draw.text((SHEET_MARGIN, SHEET_MARGIN), title, INK, font(16), anchor="lt")
+    for index, tile in enumerate(tiles):
+        x, y = SHEET_MARGIN + index % columns * pitch_x, SHEET_MARGIN + TITLE + index // columns * pitch_y
+        height, width = tile.codes.shape
+        if tile.best:
+            draw.rectangle((x - SHEET_FRAME, y - SHEET_FRAME, x + width - 1 + SHEET_FRAME, y + height - 1 + SHEET_FRAME), fill=INK)
+        canvas.paste(Image.fromarray(tile.codes), (x, y))
+        draw.text((x, y + height + 5), f"best: {tile.name}" if tile.best else tile.name, INK, font(14), anchor="lt")
+        draw.text((x, y + height + 5 + LINE), tile.note, INK, font(14), anchor="lt")
+    return png_bytes(np.asarray(canvas))
+
+
+DETAIL_DOTS = 112  # three of them stand abreast on a telephone
+MOST_PICTURE_DOTS = 1024  # along a side of a whole picture in a page: larger ones would make it tens of megabytes
+DETAIL_STEPS = 4  # tried places a detail's width
+SCALE_DOTS = 200, 12  # of the bar of colours
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of a picture, in fractions of its height and width from its upper left corner."""
+
+    top: float
+    left: float
+    height: float
+    width: float
+
+    def of(self, picture: Array) -> Array:
+        """That part of a picture of any number of dots, at least one of them."""
+        places = zip((self.top, self.left), (self.height, self.width), picture.shape, strict=True)
+        spans = ((min(round(start * n), n - 1), size, n) for start, size, n in places)
+        rows, columns = (slice(first, first + max(1, round(size * n))) for first, size, n in spans)
+        return picture[rows, columns]
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Across and down."""
+        return self.left + self.width / 2, self.top + self.height / 2
+
+
+def windows(shape: tuple[int, int]) -> list[Window]:
+    """Details of a picture of `shape` dots, a quarter of their width apart and up to its borders."""
+    height, width = shape
+    side = min(DETAIL_DOTS, *shape)
+    starts = [sorted({*range(0, n - side + 1, max(1, side // DETAIL_STEPS)), n - side}) for n in shape]
+    return [Window(y / height, x / width, side / height, side / width) for y in starts[0] for x in starts[1]]
+
+
+def window_at(centre: tuple[float, float], shape: tuple[int, int]) -> Window:
+    """The detail around a place (across, down; fractions), moved inwards at a border."""
+    height, width = shape
+    side = min(DETAIL_DOTS, *shape)
+    top, left = (min(max(round(at * n - side / 2), 0), n - side) for at, n in zip(reversed(centre), shape, strict=True))
+    return Window(top / height, left / width, side / height, side / width)
+
+
+def worst_window(maps: Sequence[Array]) -> Window:
+    """The detail in which the better of several ΔE maps is worst.
+
+    With the maps of the smallest and of the largest pixels it is where both noise and blur show: the mean of the maps would be
+    drawn to where one of them alone is very bad.
+    """
+    finest = max(maps, key=lambda each: each.size)
+    return max(windows((finest.shape[0], finest.shape[1])), key=lambda window: min(float(window.of(each).mean()) for each in maps))
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture for a page: its PNG, its size in dots, and its words."""
+
+    name: str
+    note: str
+    png: bytes = field(repr=False)
+    width: int
+    height: int
+    best: bool = False
+
+    @classmethod
+    def of(cls, codes: NDArray[np.uint8], name: str, note: str = "", best: bool = False) -> Picture:
+        return cls(name, note, png_bytes(codes), codes.shape[1], codes.shape[0], best)
+
+
+def factor_for(picture: Array) -> int:
+    """How many dots a side come to one where a whole picture stands in a page."""
+    return -(-max(picture.shape) // MOST_PICTURE_DOTS)
+
+
+def reduced(luminance: Array) -> Array:
+    """A whole picture for a page, at most `MOST_DOTS` a side: means of squares of dots (what is left over is cut off)."""
+    down, across = (min(factor_for(luminance), size) for size in luminance.shape)
+    if down == across == 1:
+        return luminance
+    rows, columns = luminance.shape[0] // down, luminance.shape[1] // across
+    return np.asarray(luminance[: rows * down, : columns * across].reshape(rows, down, columns, across).mean(axis=(1, 3)))
+
+
+def scale() -> Picture:
+    """The colours of every ΔE map, 0 at the left."""
+    width, height = SCALE_DOTS
+    ramp = delta_e_colours(np.linspace(0.0, DELTA_E_SHOWN, width, endpoint=False)[None])
+    return Picture.of(np.repeat(ramp, height, axis=0), f"colours of ΔE from 0 to {DELTA_E_SHOWN:g}")

@@ -1,0 +1,390 @@
+"""What Chen, Catrysse, El Gamal and Wandell (2000) say, and what pixsim finds: one row for each statement.
+
+A row that does not agree stays in, with its reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import NO_TECHNOLOGY, Pixel, Study
+from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.sensor.pixel import derive, fill_factor_law, physics_of
+from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.studies.result import Curve, StudyResult, interval_words
+from pixsim.viewer.display import picture_size_um
+
+# Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
+FIGURE_2_INTEGRATION_S = 0.030
+FIGURE_2_WELL_FRACTION = 0.20
+
+
+def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | None = None) -> tuple[Array, Array]:
+    """Figure 2a: eq. (1), and eq. (2) at 20 % of the well, at 30 ms, in dB, (P,) each; for the reference technology.
+
+    technology : that technology as a study has it; None takes the packaged one
+    """
+    options = ({"pitch_um": p, "capacitance": capacitance} for p in pitch_um.tolist())
+    pixels = [derive(Pixel.model_validate(each), technology) for each in options]
+    dr = [pixel.dynamic_range_db(FIGURE_2_INTEGRATION_S) for pixel in pixels]
+    snr = [pixel.snr_db(FIGURE_2_WELL_FRACTION * pixel.full_well_e, FIGURE_2_INTEGRATION_S) for pixel in pixels]
+    return np.array(dr), np.array(snr)
+
+
+def growth_exponent(pitch_um: Array, level_db: Array) -> float:
+    """b in ratio ∝ pitch^b, by least squares in logarithms."""
+    return float(np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1).convert().coef[1])
+
+
+# Stated in the paper: section 4, Figures 2 and 6, abstract.
+REFERENCE_TECHNOLOGY = "0.35um"
+FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
+FIGURE_2_RANGE_DB = (35.0, 70.0)
+FIGURE_2B_PITCHES_UM = (6.0, 8.0, 10.0, 12.0)
+FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
+OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
+TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which it tells from 6 and 8 µm
+FILL_FACTOR_TOLERANCE = 0.05
+SENSORS = 8
+FINE_DISPLAY_BITS = 16
+FREQUENCY_BINS, CONTRAST_BINS = 6, 8
+CONTRAST_SMOOTHING_DOTS = 4.0
+HISTOGRAM_BINS, MODE_PROMINENCE = 1000, 0.02  # prominence of the highest mode
+Interval = tuple[float | None, float | None]
+UNKNOWN: Interval = (None, None)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A statement of the paper beside what came out."""
+
+    statement: str
+    given: str
+    found: str
+    agrees: bool
+    why: str = ""
+
+    def as_dict(self) -> dict[str, str | bool]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The study and the mean ΔE maps that the statements are checked on."""
+
+    result: StudyResult
+    curves: dict[str, Curve] = field(repr=False)
+
+    @cached_property
+    def maps(self) -> dict[float, Array]:
+        """Pitch -> ΔE map at the reference technology, mean over the study's first eight sensors."""
+        return {pitch: np.mean(maps, axis=0) for pitch, maps in self.sensor_maps.items()}
+
+    @property
+    def sensor_maps(self) -> dict[float, list[Array]]:
+        """Pitch -> ΔE map of each of those sensors."""
+        return self._maps_and_borders[0]
+
+    def border(self, pitch_um: float) -> tuple[float, float]:
+        """Shares of the chart's height and width that the maps of a pitch leave out on either side."""
+        return self._maps_and_borders[1][pitch_um]
+
+    @cached_property
+    def _maps_and_borders(self) -> tuple[dict[float, list[Array]], dict[float, tuple[float, float]]]:
+        height_um, width_um = picture_size_um(self.result.irradiance)
+        maps, borders = {}, {}
+        for pitch in FIGURE_6_PITCHES_UM:
+            scores = self.result.scores(REFERENCE_TECHNOLOGY, pitch, SENSORS)
+            down_um, across_um = scores[0].border_um
+            maps[pitch], borders[pitch] = [score.delta_e for score in scores], (down_um / height_um, across_um / width_um)
+        return maps, borders
+
+    @cached_property
+    def fine_display_map(self) -> Array:
+        """ΔE map of one sensor at 8 µm on a display whose steps cannot be seen."""
+        study = self.result.study
+        display = study.display.model_copy(update={"bits": FINE_DISPLAY_BITS})
+        finer = replace(self.result, study=study.model_copy(update={"display": display}))
+        return finer.scores(REFERENCE_TECHNOLOGY, 8.0, 1)[0].delta_e
+
+    @cached_property
+    def thresholds(self) -> dict[float, Array]:
+        """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf where it never does."""
+        level = self.result.study.iso_delta_e
+        return {pitch: threshold_contrast(each, level, self.border(pitch)[0]) for pitch, each in self.maps.items()}
+
+    @cached_property
+    def frequencies_lp_per_mm(self) -> Array:
+        """Centres of the bins of `thresholds`."""
+        return frequency_bins_lp_per_mm(self.border(FIGURE_6_PITCHES_UM[0])[1])
+
+
+ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not tell"
+
+
+def unless(agrees: bool, remark: str = "") -> str:
+    """The reason of a row that does not agree; a remark, if any, on one that does."""
+    return remark if agrees else ASSUMED
+
+
+def by_frequency(delta_e: Array, bins: int = FREQUENCY_BINS) -> Array:
+    """Means of a CSF map over bins of equal ratio in frequency, (rows, bins)."""
+    return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, bins, axis=1)], axis=1)
+
+
+def chart_places(parts: int, border: float) -> Array:
+    """Middles of equal parts of a map along a side of the chart, (parts,), 0 to 1; `border` of the side lies outside the map."""
+    return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
+
+
+def frequency_bins_lp_per_mm(border: float = 0.0, bins: int = FREQUENCY_BINS) -> Array:
+    """Centres of `by_frequency`, of a map that leaves out a border (as a share of the chart's width) on either side."""
+    return csf_frequency_lp_per_mm(chart_places(bins, border))
+
+
+def frequency_contrast_table(delta_e: Array, border: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array, Array]:
+    """Frequencies (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map.
+
+    border : shares of the chart's height and width that the map leaves out on either side
+    """
+    table = np.stack([part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)])
+    return frequency_bins_lp_per_mm(border[1]), csf_contrast(chart_places(CONTRAST_BINS, border[0])), table
+
+
+def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Array:
+    """Contrast at which the mean ΔE of each frequency bin first exceeds a level, coming from low contrast, (F,).
+
+    border : share of the chart's height that the map leaves out above and below
+    """
+    smooth = gaussian_filter1d(by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest")
+    contrast = csf_contrast(chart_places(len(smooth), border))
+    above = smooth > level
+    return np.where(above.any(axis=0), contrast[above.argmax(axis=0)], np.inf)
+
+
+def modes(delta_e: Array) -> int:
+    """Number of modes of a map's distribution: maxima of its density that stand out by 2 % of the highest.
+
+    The density is a histogram smoothed by Silverman's rule (Density Estimation, 1986, eq. 3.31), so that fewer dots are smoothed
+    more.
+    """
+    values = delta_e[delta_e <= np.percentile(delta_e, 99.9)]
+    lower, upper = np.percentile(values, (25, 75))
+    bandwidth = 0.9 * min(values.std(), (upper - lower) / 1.34) * values.size ** (-1 / 5)
+    if bandwidth == 0:
+        return 1
+    counts, _ = np.histogram(values, bins=HISTOGRAM_BINS)
+    step = np.ptp(values) / HISTOGRAM_BINS
+    padded = np.pad(counts.astype(float), HISTOGRAM_BINS // 4)
+    density = gaussian_filter1d(padded, bandwidth / step, mode="constant")
+    from scipy.signal import find_peaks  # half a second to import
+
+    return len(find_peaks(density, prominence=MODE_PROMINENCE * density.max())[0])
+
+
+def findings(evidence: Evidence) -> list[Finding]:
+    """One row for each statement that the study has the data for."""
+    return [*reference_rows(evidence), *scaling_rows(list(evidence.curves.values()))]
+
+
+def reference_rows(evidence: Evidence) -> list[Finding]:
+    """The rows that depend on no process but the paper's own, 0.35 µm."""
+    checks: list[Callable[[Evidence], Iterator[Finding]]] = [_pixel_rows]
+    if REFERENCE_TECHNOLOGY in evidence.curves:
+        checks += [_optimum_rows, _iso_rows, _map_rows]
+    return [finding for check in checks for finding in check(evidence)]
+
+
+def reference_process(study: Study) -> Technology:
+    """The paper's own process with the numbers and the fill-factor law of a study."""
+    return with_fill_factor_law(technology_of(study, REFERENCE_TECHNOLOGY), study.pixel.fill_factor_law)
+
+
+def response_note(study: Study) -> str:
+    """How the quantum efficiency of a study compares with what its reference process states, for a report."""
+    stated = reference_process(study)
+    wavelength_nm = np.arange(300.0, 1101.0)
+    used = float(physics_of(study, REFERENCE_TECHNOLOGY, study.pitch.max_um).quantum_efficiency(wavelength_nm).max())
+    told = f"{stated.peak_quantum_efficiency:g} ({stated.sources.get('peak_quantum_efficiency', 'no source')})"
+    apart = not math.isclose(used, stated.peak_quantum_efficiency, rel_tol=0.01)
+    verdict = "The two contradict each other" if apart else "The two agree"
+    if study.pixel.quantum_efficiency is not None:
+        return f"The quantum efficiency of this study peaks at {used:.3g}. The process {stated.name} states {told}. {verdict}."
+    reading, other = ("literally, as a quantum efficiency", "scaled") if study.pixel.response == "literal" else (
+        "as A/W, scaled to the process", "literal"
+    )  # fmt: skip
+    return (
+        f"The response file is read {reading}: it peaks at {used:.3g}. The process {stated.name} states {told}. {verdict}. "
+        f"For the optimum by the other reading add `--pixel.response {other} --out FOLDER` to the command."
+    )
+
+
+def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
+    process = reference_process(evidence.result.study)
+    for size_um, given in FILL_FACTORS.items():
+        found = float(fill_factor_law(size_um, process))
+        yield Finding(
+            f"Fill factor at {size_um:g} µm",
+            f"{given:.0%}",
+            f"{found:.1%}",
+            abs(found - given) < 0.015,
+            "the law of the packaged process is fitted to these three numbers",
+        )
+    pitch_um = np.geomspace(5.3, 15.0, 25)
+    low, high = FIGURE_2_RANGE_DB
+    for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True):
+        inside = low <= db.min() and db.max() <= high
+        yield Finding(
+            f"{name} from 5.3 to 15 µm (Fig. 2a)",
+            f"within {low:g} to {high:g} dB",
+            f"{db.min():.1f} to {db.max():.1f} dB",
+            bool(inside),
+            "`paper` capacitance, fitted to this axis",
+        )
+        exponent = growth_exponent(pitch_um, db)
+        yield Finding(
+            f"{name} grows roughly as √pitch",
+            "pitch^0.5",
+            f"pitch^{exponent:.2f}",
+            abs(exponent - 0.5) < 0.15,
+            "the paper's fill factors, 5 to 73 %, make the photodiode's area grow as pitch^4.6 between these "
+            "pitches, and the axis of its Fig. 2a, 35 to 70 dB, has room for more than √pitch",
+        )
+
+
+def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
+    curve = evidence.curves[REFERENCE_TECHNOLOGY]
+    best = curve.optimum
+    yield Finding(
+        "Optimal pixel size at 0.35 µm",
+        f"about {OPTIMUM_UM:g} µm",
+        f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)})",
+        best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM,
+        ASSUMED,
+    )
+    fill_factor = curve.optimum_fill_factor
+    agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
+    yield Finding("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees, unless(agrees))
+
+
+def _bands(frequencies_lp_per_mm: Array) -> str:
+    """The frequencies at which something holds, for people."""
+    names = [f"{frequency:.2g}" for frequency in frequencies_lp_per_mm]
+    return f"{', '.join(names)} lp/mm" if names else "no frequency"
+
+
+def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
+    """Fig. 6: a pixel is better where it reaches the iso level at a higher contrast. The contrasts are figure 6's table."""
+    limits, centres = evidence.thresholds, evidence.frequencies_lp_per_mm
+    title = f"Iso-ΔE = {evidence.result.study.iso_delta_e:g}"
+    for good, bad in ((8.0, 15.0), (6.0, 8.0)):
+        better, worse = limits[good] > limits[bad], limits[good] < limits[bad]
+        found = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
+        if not (better | worse).all():
+            found += "; elsewhere neither reaches the level, or both at the same contrast"
+        agrees = bool(better.any() and not worse.any())
+        yield Finding(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", found, agrees, unless(agrees))
+    six, smallest = limits[6.0], limits[5.3]
+    apart = np.flatnonzero(six != smallest)
+    crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
+    turn = np.flatnonzero(smallest > six)[:1]
+    where = f"; they cross between {centres[turn[0] - 1]:.2g} and {centres[turn[0]]:.2g} lp/mm" if crosses and turn[0] else ""
+    yield Finding(
+        f"{title}: 6 and 5.3 µm cross",
+        "6 µm better at low, 5.3 µm at high frequencies",
+        f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}{where}",
+        crosses,
+        unless(crosses),
+    )
+
+
+def _map_rows(evidence: Evidence) -> Iterator[Finding]:
+    map_ = evidence.maps[8.0]
+    count = modes(evidence.sensor_maps[8.0][0])
+    found, why = f"{count} mode{'s' if count != 1 else ''}", ""
+    if count != 1:
+        fine = modes(evidence.fine_display_map)
+        bits = evidence.result.study.display.bits
+        why = f"the steps of the display ({bits} bits) show in it" if fine == 1 else ASSUMED
+        found += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
+    yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", found, count == 1, why)
+    frequency, contrast, table = frequency_contrast_table(map_, evidence.border(8.0))
+    row, column = np.unravel_index(table.argmax(), table.shape)
+    corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
+    yield Finding(
+        "Largest errors (8 µm)",
+        "at high frequency and high contrast",
+        f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}",
+        corner,
+        unless(corner),
+    )
+
+
+def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
+    """Section 5, from the largest to the smallest process; none for a single one. `rise` says what counts as a trend."""
+    curves = sorted((each for each in curves if each.technology != NO_TECHNOLOGY), key=lambda curve: -curve.feature_size_um)
+    if len(curves) < 2:
+        return []
+    names = [f"{curve.feature_size_um:g}" for curve in curves]
+    optima = [curve.optimum for curve in curves]
+    size_um = [best.pitch_um for best in optima]
+    # A minimum at the end of the pitches is none: nothing is known of the optimum, nor of the least error.
+    size_intervals = [best.interval_um if best.inside else UNKNOWN for best in optima]
+    ratio = [best.pitch_um / curve.feature_size_um for best, curve in zip(optima, curves, strict=True)]
+    ratio_intervals = [
+        (low and low / curve.feature_size_um, high and high / curve.feature_size_um)
+        for (low, high), curve in zip(size_intervals, curves, strict=True)
+    ]
+    least = [best.mean_delta_e for best in optima]
+    least_intervals = [best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima]
+
+    def row(statement: str, given: str, values: Sequence[float], digits: int, verdict: tuple[bool, str]) -> Finding:
+        found = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
+        agrees, why = verdict
+        if not agrees and why.startswith(FALLS) and "0.25" in why:
+            why += "; the 0.25 µm junction is unusually capacitive"
+        return Finding(statement, given, found, agrees, why)
+
+    shrinks = rise(size_um[::-1], size_intervals[::-1], names[::-1])
+    return [
+        row("The optimum shrinks with technology", "yes", size_um, 2, shrinks),
+        row("… but slower than the technology", "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals, names)),
+        row("The best mean ΔE gets worse as technology shrinks", "rises", least, 3, rise(least, least_intervals, names)),
+    ]
+
+
+FALLS = "it falls"
+
+
+def rise(values: Sequence[float], intervals: Sequence[Interval], names: Sequence[str]) -> tuple[bool, str]:
+    """Whether values rise from the first process to the last, and why or why not.
+
+    They do where no step falls and the whole rise exceeds its 95 % interval, whose half width is √((b - b_low)² +
+    (a_high - a)²) for a first value a and a last value b of independent sensors.
+
+    Parameters
+    ----------
+    values : one for each process, in one unit
+    intervals : 95 %, low and high; None for an end that is open. A rise that depends on an open end is not known, and neither
+        is one of a value with both ends open.
+    names : of the processes, their feature sizes in µm
+    """
+    unknown = [name for name, interval in zip(names, intervals, strict=True) if interval == UNKNOWN]
+    falls = [f"{names[i]} to {names[i + 1]}" for i in range(len(values) - 1) if values[i + 1] < values[i]]
+    low, high = intervals[-1][0], intervals[0][1]
+    if not unknown:
+        if falls:
+            return False, f"{FALLS} from {', from '.join(falls)} µm"
+        unknown = [name for name, end in ((names[0], high), (names[-1], low)) if end is None]
+    if unknown or low is None or high is None:
+        return False, f"not known: the 95 % interval is open at {', '.join(unknown)} µm"
+    whole, half = values[-1] - values[0], math.hypot(values[-1] - low, high - values[0])
+    agrees = whole > half
+    return agrees, f"the whole rise, {whole:.3g}, {'exceeds' if agrees else 'is within'} its 95 % interval, ±{half:.2g}"

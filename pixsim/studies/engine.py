@@ -1,0 +1,261 @@
+"""Calls on worker processes: of this machine by loky, of many by Dask, both through joblib; what a dead worker had is retried."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pixsim.base import cache
+from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.machine import processors
+
+Task = TypeVar("Task")
+Shared = TypeVar("Shared")
+Result = TypeVar("Result")
+Call = tuple[Task, Callable[[], Shared]]  # a task, and what makes that which it shares with others
+NAMED_TASKS = 4  # in a message
+SUSPECTS = 2  # calls a job that are under way or wait in its queue
+CONNECT_SECONDS = 10.0
+WORKER_SECONDS = 30.0  # until a cluster has one
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where calls run: in this process (1 job), in processes of this machine, or on a Dask cluster.
+
+    client : a connected distributed.Client, or None
+    """
+
+    jobs: int = 1
+    client: Any = None
+
+    def __str__(self) -> str:
+        return f"the cluster at {self.client.scheduler.address}" if self.client else f"{self.jobs} processes"
+
+
+def workers_here(jobs: int | None = None) -> Workers:
+    """Processes of this machine: as many as asked for, or one for each core that this process may use."""
+    return Workers(jobs or processors().usable)
+
+
+@contextmanager
+def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Workers]:
+    """The workers asked for.
+
+    Parameters
+    ----------
+    jobs : processes of this machine; None takes one a core
+    scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which stays open
+
+    Raises PixsimError for both, fewer than one job, a cluster that is not there, has no worker, or runs another pixsim.
+    """
+    if jobs is not None and (jobs < 1 or scheduler is not None):
+        got = f"{jobs} with a scheduler" if scheduler is not None else jobs
+        raise refuse("--jobs", got, "1 or more processes of this machine, or a --scheduler, which knows its workers")
+    if scheduler is None:
+        yield workers_here(jobs)
+    elif isinstance(scheduler, str):
+        client = _connected(scheduler)
+        try:
+            yield _checked(client)
+        finally:
+            client.close()
+    else:
+        yield _checked(scheduler)
+
+
+def _connected(address: str) -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise refuse("--scheduler", f"'{address}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
+    try:
+        return distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
+        got = f"'{address}' ({' '.join(str(error).split()) or type(error).__name__})"
+        raise refuse("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
+
+
+def _checked(client: Any) -> Workers:
+    """PixsimError where a worker would compute something else."""
+    try:
+        client.wait_for_workers(1, timeout=WORKER_SECONDS)
+        theirs = client.run(cache.made_by)
+    except TimeoutError:
+        mend = "Start some with `dask worker ADDRESS`."
+        raise refuse("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", mend) from None
+    except Exception as error:  # whatever happens there: Dask tells it as a plain Exception
+        got = f"a worker that cannot tell which pixsim it has ({error})"
+        raise refuse("--scheduler", got, f"{cache.made_by()} on all of them") from None
+    ours = cache.made_by()
+    for address, other in theirs.items():
+        if other != ours:
+            raise refuse("--scheduler", f"{other} at {address}", f"{ours}, as here, so that all rows are alike")
+    return Workers(client=client)
+
+
+def results_of(
+    function: Callable[[Task, Shared], Result], calls: Sequence[Call[Task, Shared]], workers: Workers
+) -> Iterator[Result]:
+    """`function(task, make())` of each call (task, make), in the order in which they come.
+
+    Calls with the same `make` share what it makes: one copy of it a worker, made while others are already at work. Where a
+    worker dies, what is left is tried again, what was under way last.
+
+    Raises PixsimError that names those which end their worker even when nothing else runs beside them.
+    """
+    left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
+    deadly: dict[int, Call[Task, Shared]] = {}
+    workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
+    while left:
+        before = len(left)
+        try:
+            for index, result in _once(function, left, workers):
+                del left[index]
+                yield result
+        except Exception as error:
+            if not is_death(error):
+                raise
+            warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
+            if len(left) == before:  # one of those that were begun first
+                suspects = {index: left.pop(index) for index in list(left)[: SUSPECTS * workers.jobs]}
+                yield from _one_by_one(function, suspects, workers, deadly)
+            else:
+                left = _later(left)
+    if deadly:
+        raise PixsimError(_told(deadly, workers))
+
+
+def _one_by_one(
+    function: Callable[[Task, Shared], Result],
+    suspects: dict[int, Call[Task, Shared]],
+    workers: Workers,
+    deadly: dict[int, Call[Task, Shared]],
+) -> Iterator[Result]:
+    """Each call with no other beside it: those that end their worker even so are added to `deadly`."""
+    for index, call in suspects.items():
+        try:
+            for _, result in _once(function, {index: call}, workers):
+                yield result
+        except Exception as error:
+            if not is_death(error):
+                raise
+            deadly[index] = call
+
+
+def is_death(error: BaseException) -> bool:
+    """Whether an error is that of a worker or a cluster, and not of the work; told by name, since neither need be installed."""
+    names = {kind.__name__ for kind in type(error).__mro__}
+    return bool(names & {"BrokenProcessPool", "KilledWorker", "CommClosedError", "FutureCancelledError", "CancelledError"})
+
+
+def _later(left: dict[int, Call[Task, Shared]]) -> dict[int, Call[Task, Shared]]:
+    """Those that were begun first may be what kills: the others go before them."""
+    indices = list(left)
+    half = len(indices) // 2
+    return {index: left[index] for index in [*indices[half:], *indices[:half]]}
+
+
+def _told(left: dict[int, Call[Task, Shared]], workers: Workers) -> str:
+    tasks = [str(task) for task, _ in left.values()]
+    named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
+    return (
+        f"workers ({workers}): each of these ended its process, even alone: {named}. Often it is the system that is out of memory. "
+        "What is finished is kept, and the same command goes on from there; --jobs 1 shows the error."
+    )
+
+
+def _once(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], workers: Workers
+) -> Iterator[tuple[int, Result]]:
+    """Each call's number and result, as they come."""
+    if not workers.client and workers.jobs == 1:
+        yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
+        return
+    if workers.client:
+        results = _on_cluster(function, calls, workers.client)
+    else:
+        # At least two: what is left after a worker's death may be what killed it, and must not come to this process.
+        results = _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
+    told: set[str] = set()
+    for index, result, notes in results:
+        for note in notes:
+            if note not in told:
+                warnings.warn(note, stacklevel=4)
+                told.add(note)
+        yield index, result
+
+
+def _on_cluster(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], client: Any
+) -> Iterator[tuple[int, Result, list[str]]]:
+    from joblib import Parallel, delayed, parallel_config
+
+    shared = {id(make): make() for _, make in calls.values()}
+    if sum(client.ncores().values()) == 1:  # joblib would compute here
+        yield from _on_one_thread(function, calls, shared, client)
+        return
+    with parallel_config("dask", client=client, scatter=list(shared.values())):
+        parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
+        yield from parallel(
+            delayed(_numbered)(function, index, task, shared[id(make)]) for index, (task, make) in list(calls.items())
+        )
+
+
+def _on_one_thread(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], shared: dict[int, Shared], client: Any
+) -> Iterator[tuple[int, Result, list[str]]]:
+    there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
+    futures = [
+        client.submit(_numbered, function, index, task, there[id(make)], pure=False) for index, (task, make) in list(calls.items())
+    ]
+    yield from (future.result() for future in futures)  # one thread does them in this order
+
+
+def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result, list[str]]:
+    """A call's number, its result, and what it warns of: the process that asked tells it, once."""
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        result = function(task, shared)
+    return index, result, [str(note.message) for note in notes if issubclass(note.category, UserWarning)]
+
+
+def _on_processes(
+    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], jobs: int
+) -> Iterator[tuple[int, Result, list[str]]]:
+    """What is shared lies in files that the workers map into their memory: one copy for all of them.
+
+    (joblib would do so by itself, but waits a second at the end for workers to let go.)
+    """
+    from joblib import Parallel, delayed, dump, parallel_config
+
+    with tempfile.TemporaryDirectory(prefix="pixsim-", ignore_cleanup_errors=True) as folder:
+        paths: dict[int, str] = {}
+
+        def numbered() -> Iterator[Any]:
+            for index, (task, make) in list(calls.items()):
+                if id(make) not in paths:
+                    paths[id(make)] = str(Path(folder) / f"{len(paths)}.joblib")
+                    dump(make(), paths[id(make)])
+                yield delayed(_numbered_from)(function, index, task, paths[id(make)])
+
+        with parallel_config("loky", inner_max_num_threads=1):
+            yield from Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)(numbered())
+
+
+@lru_cache(maxsize=1)
+def _mapped(path: str) -> Any:
+    from joblib import load
+
+    return load(path, mmap_mode="r")
+
+
+def _numbered_from(function: Callable[[Task, Any], Result], index: int, task: Task, path: str) -> tuple[int, Result, list[str]]:
+    return _numbered(function, index, task, _mapped(path))

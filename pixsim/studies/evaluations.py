@@ -1,0 +1,454 @@
+"""The evaluations of a study: which there are, which are missing, what a worker does for them, and results.csv.
+
+One writer appends rows as they come, so that whatever ends a study keeps what is finished. A row is known by its key.
+
+One row of results.csv is one evaluation (technology, pitch, repeat). Its key is the content that it depends on. So is that
+of its frame, which no viewer changes: frames are kept in the cache, and another display looks at the same ones.
+"""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import math
+import os
+import shutil
+import threading
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixsim.base import cache
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.files import read_bytes, replacing
+from pixsim.base.parameters import Camera, Study, content_hash, pixel_of
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
+from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.studies.engine import Workers, results_of
+from pixsim.viewer.score import Bench, Projection, Score, bench_of, project
+
+Row = dict[str, str]
+LARGEST_BYTES = 1 << 28  # a million rows
+LONGEST_LINE = 1 << 14
+
+
+class Ledger:
+    """A file of rows with the given columns; the first, and others in `texts`, are words, the rest are numbers."""
+
+    def __init__(self, path: Path, columns: Sequence[str], texts: Collection[str]) -> None:
+        self.path, self.columns, self.texts = path, tuple(columns), frozenset(texts)
+
+    def read(self) -> dict[str, Row]:
+        """Whole rows by key; a last line that was cut off is left out."""
+        if not self.path.is_file():
+            return {}
+        allowed = "the rows of a study"
+        whole, newline, _ = read_bytes(self.path, "results", allowed, LARGEST_BYTES).rpartition(b"\n")
+        lines = (whole + newline).decode(errors="replace").replace("\0", "").split("\n")
+        table = csv.DictReader(line for line in lines if len(line) <= LONGEST_LINE)
+        try:
+            return {row[self.columns[0]]: {name: row[name] for name in self.columns} for row in table if self._is_whole(row)}
+        except csv.Error as error:
+            raise refuse("results", f"'{self.path}' ({error})", allowed, "Move it away: its rows are made again.") from None
+
+    def _is_whole(self, row: Row) -> bool:
+        """Whether a row has every column, and numbers where they belong; others are made again."""
+        try:
+            return all(row[name] if name in self.texts else math.isfinite(float(row[name])) for name in self.columns)
+        except (KeyError, TypeError, ValueError):
+            return False
+
+    def begin(self, is_wanted: Callable[[Row], bool]) -> dict[str, Row]:
+        """Rows that are there and wanted, by key; others, of another study, are kept in FILE.old and leave the file."""
+        known = self.read()
+        done = {key: row for key, row in known.items() if is_wanted(row)}
+        something = self.path.is_file() and self.path.stat().st_size > len(",".join(self.columns)) + 2
+        if something and (len(done) < len(known) or not known):
+            self._keep_old()
+        self.write(done.values())
+        return done
+
+    def finish(self, rows: Collection[Row]) -> None:
+        """Leave these rows in the file; where it holds others, it is kept in FILE.old."""
+        if set(self.read()) - {row[self.columns[0]] for row in rows}:
+            self._keep_old()
+        self.write(rows)
+
+    def _keep_old(self) -> None:
+        shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
+
+    def write(self, rows: Collection[Row]) -> None:
+        """The file anew, whole or not at all."""
+        with self._told(), replacing(self.path) as partial:
+            partial.write_bytes(self._text([dict(zip(self.columns, self.columns, strict=True)), *rows]))
+
+    def append(self, rows: Collection[Row]) -> None:
+        """Add rows, all of them or none."""
+        text = self._text(rows)
+        with self._told(), self.path.open("ab", buffering=0) as file:
+            before = file.tell()
+            try:
+                if file.write(text) != len(text):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            except BaseException:
+                file.truncate(before)
+                raise
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """As the one writer; PixsimError where another process is. The lock goes with the process, however that ends."""
+        try:
+            import fcntl
+        except ImportError:  # Windows
+            yield
+            return
+        lock = self.path.with_name(f".{self.path.name}.lock")
+        with self._told():
+            file = lock.open("w")
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                same = os.path.samestat(os.fstat(file.fileno()), lock.stat())
+            except (BlockingIOError, FileNotFoundError):
+                same = False  # another has it, or had it a moment ago and took it away
+            if not same:
+                mend = "Wait for it, or take another --out."
+                raise refuse("study", f"'{self.path.parent}', where another process is at work", "one at a time", mend)
+            try:
+                yield
+            finally:
+                lock.unlink(missing_ok=True)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """A disk that is full or a folder that cannot be written, in words."""
+        try:
+            yield
+        except OSError as error:
+            raise PixsimError(
+                f"results: '{self.path}' cannot be written ({error.strerror or error}). What is finished is kept: make room, "
+                "and give the same command again."
+            ) from None
+
+    def _text(self, rows: Iterable[Row]) -> bytes:
+        text = io.StringIO(newline="")
+        csv.DictWriter(text, self.columns).writerows(rows)
+        return text.getvalue().encode()
+
+
+COLUMNS = (
+    "key",
+    "technology",
+    "pitch_um",
+    "repeat",
+    "fill_factor",
+    "full_well_e",
+    "integration_s",
+    "saturated_fraction",
+    "mean_electrons_e",
+    "mean_delta_e",
+    "median_delta_e",
+    "p90_delta_e",
+    "p99_delta_e",
+    "max_delta_e",
+)
+TEXTS = COLUMNS[:2]
+REPEATS_A_TASK = 8  # evaluations after which a worker reports
+LIGHTS_BYTES = 1 << 28  # of lights that are made at once
+Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order
+Progress = Callable[..., None]  # (fraction done, what to say beside it)
+# What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
+Light = Projection | SpectralImage
+
+
+def study_pitches_um(study: Study, technology: str) -> Array:
+    """The pitches of a technology; PixsimError where the range is empty."""
+    if study.pitch.values_um is not None:
+        pitches = np.unique(study.pitch.values_um)
+        if pitches.size < 5:
+            raise refuse("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
+        return pitches
+    low, told = study.pitch.min_um, "pitch.min_um"
+    if low is None:
+        process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
+        low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
+        told = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
+    if low >= study.pitch.max_um:
+        raise refuse("pitch.max_um", study.pitch.max_um, f"above {low:.4g} µm, {told}")
+    return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
+
+
+class Lights:
+    """What all pitches of a technology share, made when first asked for, and kept while there is room."""
+
+    def __init__(self, study: Study, irradiance: SpectralImage, camera: Camera) -> None:
+        self.study, self.irradiance, self.camera = study, irradiance, camera
+        self._kept: dict[str, Light] = {}
+
+    def of(self, technology: str) -> Light:
+        if self.study.display.raster == "one_to_one":
+            return self.irradiance
+        if technology not in self._kept:
+            if len(self._kept) >= self.room:
+                self._kept.clear()
+            any_um = float(study_pitches_um(self.study, technology).max())
+            physics = physics_of(self.study, technology, any_um)
+            border_um = self.study.pitch.largest_um
+            self._kept[technology] = project(self.irradiance, self.camera, physics, self.study.display, border_um=border_um)
+        return self._kept[technology]
+
+    @property
+    def room(self) -> int:
+        """How many may be there at once."""
+        planes = 2 * math.prod(self.irradiance.shape) + 4 * self.study.display.dots**2  # light, spline; ideal image, its CIELAB
+        return max(1, LIGHTS_BYTES // (8 * planes))
+
+    def groups(self) -> Iterator[tuple[str, ...]]:
+        """Technologies whose lights there is room for together."""
+        for first in range(0, len(self.study.technologies), self.room):
+            yield self.study.technologies[first : first + self.room]
+
+
+def bench_at(
+    study: Study, light: Light, camera: Camera, technology: str, pitch_um: float, process: Technology | None = None
+) -> Bench:
+    """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
+    physics = physics_of(study, technology, pitch_um, process)
+    if not isinstance(light, Projection):
+        light = project(light, camera, physics, study.display, border_um=study.pitch.largest_um)
+    return bench_of(light, physics, study.exposure, study.display)
+
+
+def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
+    """Of the technology by its name: where its file lies is no part of a result."""
+    return study.name, study.seed, technology, pitch_um, repeat
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some sensors of one pitch.
+
+    light_key, frames_key : hashes of all that their light and their frames depend on; frames without a key are not kept
+    keys : repeat -> hash of all that its row depends on
+    """
+
+    study: Study
+    camera: Camera
+    technology: str
+    process: Technology
+    pitch_um: float
+    light_key: str
+    frames_key: str
+    keys: dict[int, str]
+
+    def __str__(self) -> str:
+        return f"{self.technology} at {self.pitch_um:g} µm"
+
+
+def evaluate_task(task: Task, light: Light) -> list[Row]:
+    """The rows of a task."""
+    bench, rows = _bench(task, light), []
+    for repeat, score in scores_of(bench, task.study, list(task.keys), task.frames_key):
+        numbers = {name: repr(value) for name, value in score.statistics().items()}
+        rows.append({"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat), **numbers})
+    return rows
+
+
+def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
+    """Each repeat with `bench.score` of its stream, its frame from the cache; those that are not there are kept."""
+    technology, pitch_um = bench.physics.technology.name, bench.physics.pitch_um
+    known = (cache.arrays("frames", frames_key) if frames_key else None) or {}
+    # A frame's digital numbers under its repeat; its saturated fraction, which they do not show, as a number of its own.
+    frames = {name: each for name, each in known.items() if each.shape in (bench.signal_e_per_s.shape, ())}
+    before = len(frames)
+    for repeat in repeats:
+        name, saturated = str(repeat), f"{repeat}_saturated_fraction"
+        if name in frames and saturated in frames:
+            yield repeat, bench.view(bench.frame_of(frames[name], float(frames[saturated])))
+        else:
+            frame = bench.capture(*stream_key(study, technology, pitch_um, repeat))
+            if frames_key:
+                frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
+                frames[saturated] = np.array(frame.saturated_fraction)
+            yield repeat, bench.view(frame)
+    if len(frames) > before:
+        cache.keep_arrays("frames", frames_key, frames)
+
+
+_recent = threading.local()  # a thread's last light and last bench: both are dear, and tasks come in their order
+
+
+def _bench(task: Task, light: Light) -> Bench:
+    if getattr(_recent, "light_key", None) != task.light_key:
+        _recent.light_key, _recent.light, _recent.pitch_um = task.light_key, light, None
+    if _recent.pitch_um != task.pitch_um:
+        how = task.technology, task.pitch_um, task.process
+        _recent.bench = bench_at(task.study, _recent.light, task.camera, *how)
+        _recent.pitch_um = task.pitch_um
+    bench: Bench = _recent.bench
+    return bench
+
+
+@dataclass(frozen=True)
+class Content:
+    """What the evaluations of a study depend on, as hashes; each is made once."""
+
+    study: Study
+    camera: Camera
+    irradiance: SpectralImage
+    _ranges_um: dict[str, tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
+    _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def picture(self) -> str:
+        """Of the light, the exposure and the random streams; whatever shows it."""
+        study = self.study
+        light = [self.irradiance.header, self.camera.model_dump()]
+        # With pixsim's sources and the packages that compute: a row is never one of another formula.
+        made_by = cache.made_by("mitsuba", "drjit", "colour-science")
+        return content_hash([*light, study.exposure.model_dump(), study.name, study.seed, made_by])
+
+    @cached_property
+    def display(self) -> str:
+        """Of the viewer's raster, and of the part of the die that is scored on it."""
+        study = self.study
+        border_um = study.pitch.largest_um if study.display.raster == "fixed_size" else 0.0
+        return content_hash([study.display.content_hash, border_um])
+
+    def light(self, technology: str) -> str:
+        """Of what all pitches of a technology share."""
+        return content_hash([self.picture, self.display, self.process(technology), self.study.pixel.model_dump()])
+
+    def process(self, technology: str) -> dict[str, Any]:
+        return technology_of(self.study, technology).content
+
+    def pixel(self, technology: str, pitch_um: float) -> str:
+        """Of all that the frames of a pitch depend on."""
+        if (technology, pitch_um) not in self._pixels:
+            pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # its file's place is no content
+            self._pixels[technology, pitch_um] = content_hash([self.picture, self.process(technology), pixel])
+        return self._pixels[technology, pitch_um]
+
+    def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:
+        """Repeat -> key of its row."""
+        pixel = self.pixel(technology, pitch_um)
+        return {repeat: content_hash([pixel, self.display, repeat]) for repeat in repeats}
+
+    def is_row(self, row: Row) -> bool:
+        """Whether a row of results.csv is one that the study may have, and says what its key stands for."""
+        technology, pitch_um, repeat = row["technology"], float(row["pitch_um"]), float(row["repeat"])
+        if technology not in self.study.technologies or not (repeat >= 0 and repeat.is_integer()):
+            return False
+        pitches_um = self._range_um(technology)
+        if not pitches_um[0] <= pitch_um <= pitches_um[1]:
+            return False
+        return self.keys(technology, pitch_um, [int(repeat)])[int(repeat)] == row["key"]
+
+    def _range_um(self, technology: str) -> tuple[float, float]:
+        if technology not in self._ranges_um:
+            pitches_um = study_pitches_um(self.study, technology)
+            self._ranges_um[technology] = float(pitches_um[0]), float(pitches_um[-1])
+        return self._ranges_um[technology]
+
+    def frames(self, technology: str, pitch_um: float) -> str:
+        """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
+        return self.pixel(technology, pitch_um) if self.keeps_frames else ""
+
+    @cached_property
+    def keeps_frames(self) -> bool:
+        return frames_fit(self.study, self.camera)
+
+
+def first_sampling(study: Study) -> Sampling:
+    """What a study begins with: `repeats` sensors of each of its pitches."""
+    return {
+        technology: dict.fromkeys(study_pitches_um(study, technology).tolist(), study.repeats) for technology in study.technologies
+    }
+
+
+def frames_fit(study: Study, camera: Camera) -> bool:
+    """Whether all frames of a study may be kept without driving out most of the cache."""
+    code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
+    die_um = 1e3 * camera.die_mm
+    sensors = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+    pitches = [pitch_um for each in study.technologies for pitch_um in study_pitches_um(study, each).tolist()]
+    return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors)
+
+
+def block_key(frames_key: str, block: int) -> str:
+    """Frames of as many sensors as a task has are kept in one file."""
+    return frames_key and f"{frames_key}-{block}"
+
+
+def tasks_of(content: Content, technology: str, sensors: Mapping[float, int], done: Container[str]) -> Iterator[Task]:
+    """What is missing of a technology, small pixels first, since they take longest.
+
+    sensors : of each pitch in µm
+    """
+    study, light_key, process = content.study, content.light(technology), technology_of(content.study, technology)
+    for pitch_um, count in sensors.items():
+        keys, frames = content.keys(technology, pitch_um, range(count)), content.frames(technology, pitch_um)
+        for block in range(-(-count // REPEATS_A_TASK)):
+            repeats = range(block * REPEATS_A_TASK, min(count, (block + 1) * REPEATS_A_TASK))
+            missing = {repeat: keys[repeat] for repeat in repeats if keys[repeat] not in done}
+            if missing:
+                own = light_key, block_key(frames, block), missing
+                yield Task(study, content.camera, technology, process, pitch_um, *own)
+
+
+class Evaluations:
+    """The rows of a study in results.csv: those of an earlier run that fit are taken, missing ones are appended as they come."""
+
+    def __init__(self, lights: Lights, results: Path, workers: Workers) -> None:
+        self.study, self._lights, self._workers = lights.study, lights, workers
+        self.content = Content(lights.study, lights.camera, lights.irradiance)
+        self._ledger = Ledger(results, COLUMNS, TEXTS)
+        self._done: dict[str, Row] = {}
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """As the one writer of the file; PixsimError where another process is."""
+        with self._ledger.alone():
+            self._done = self._ledger.begin(self.content.is_row)
+            try:
+                yield
+            finally:
+                _recent.__dict__.clear()  # of this process; a worker keeps its last light until its next task
+
+    def of(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
+        """The rows of a sampling, in its order.
+
+        PixsimError where the file cannot be written; what is finished stays.
+        """
+        tasks = {
+            technology: list(tasks_of(self.content, technology, sensors, self._done)) for technology, sensors in sampling.items()
+        }
+        missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
+        for group in self._lights.groups():
+            makers = {technology: partial(self._lights.of, technology) for technology in group}
+            calls = [(task, makers[technology]) for technology in group for task in tasks[technology]]
+            for rows in results_of(evaluate_task, calls, self._workers):
+                self._ledger.append(rows)
+                self._done |= {row["key"]: row for row in rows}
+                missing -= len(rows)
+                if progress:
+                    progress(1 - missing / total)
+        return [
+            self._done[key]
+            for technology, sensors in sampling.items()
+            for pitch_um, count in sensors.items()
+            for key in self.content.keys(technology, pitch_um, range(count)).values()
+        ]
+
+    def finish(self, rows: list[Row]) -> None:
+        """Leave these rows in the file, in their order."""
+        self._ledger.finish(rows)

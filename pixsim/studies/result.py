@@ -1,0 +1,395 @@
+"""What a study found: curves of mean ΔE against pitch, their optima, and how they show themselves."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.pixel import photodiode_widths_um, physics_of
+from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
+from pixsim.show.figures import LOOKS, Look, literal, new_figure
+from pixsim.show.pages import Column, Plate, _cell
+from pixsim.studies.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, Row, bench_at, block_key, scores_of
+from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
+from pixsim.viewer.display import white_rate
+from pixsim.viewer.score import Score, dark_clip
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Mean ΔE against pitch for one technology.
+
+    technology : its name, or the path of its file
+    feature_size_um : of the process
+    pitch_um : (pitches,) rising
+    fill_factor : (pitches,) photodiode area over pixel area
+    statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
+    fit : the curve through them, with its minimum
+    label : the technology's name for readers; in a study no other curve has it
+    """
+
+    technology: str
+    feature_size_um: float
+    pitch_um: Array = field(repr=False)
+    fill_factor: Array = field(repr=False)
+    statistics: dict[str, Array] = field(repr=False)
+    fit: FittedCurve = field(repr=False)
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.label:
+            object.__setattr__(self, "label", label_of(self.technology))
+
+    @property
+    def file_label(self) -> str:
+        """The technology's name for file names."""
+        return file_label(self.label)
+
+    @property
+    def optimum_features(self) -> float | None:
+        """The optimum in feature sizes; None for a data sheet, which has no process."""
+        return None if self.technology == NO_TECHNOLOGY else self.optimum.pitch_um / self.feature_size_um
+
+    @property
+    def optimum(self) -> Optimum:
+        """The pitch with the least mean ΔE, with its interval."""
+        return self.fit.optimum
+
+    @property
+    def delta_e(self) -> Array:
+        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others."""
+        return self.statistics["mean_delta_e"]
+
+    def mean(self, statistic: str = "mean_delta_e") -> Array:
+        """Mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
+        return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
+
+    @property
+    def sensors(self) -> Array:
+        """Number of sensors of each pitch, (pitches,)."""
+        return np.asarray(np.isfinite(self.delta_e).sum(axis=1))
+
+    @property
+    def fewest_sensors(self) -> int:
+        """Of all pitches."""
+        return int(self.sensors.min())
+
+    @property
+    def optimum_fill_factor(self) -> float:
+        """Photodiode area over pixel area at the optimum, linear between pitches."""
+        return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
+
+    def as_dict(self) -> dict[str, Any]:
+        """As summary.json tells it."""
+        mean, ci95 = mean_and_ci95(self.delta_e)
+        return {
+            "technology": self.technology,
+            "optimum": self.optimum.as_dict(),
+            "optimum_fill_factor": self.optimum_fill_factor,
+            "optimum_features": self.optimum_features,
+            "pitch_um": self.pitch_um.tolist(),
+            "sensors": self.sensors.tolist(),
+            "fill_factor": self.fill_factor.tolist(),
+            "mean_delta_e": mean.tolist(),
+            "ci95_delta_e": ci95.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """What a study found, and what its report needs.
+
+    study : as it was run
+    curves : one for each technology
+    irradiance : that all of its pictures are made from
+    camera : that it was rendered with
+    budget : errors of the first curve, where a tolerance of ΔE was asked for
+    """
+
+    study: Study
+    curves: tuple[Curve, ...]
+    irradiance: SpectralImage = field(repr=False)
+    camera: Camera
+    budget: dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        labels = labels_of([curve.technology for curve in self.curves])
+        labelled = tuple(replace(curve, label=label) for curve, label in zip(self.curves, labels, strict=True))
+        object.__setattr__(self, "curves", labelled)
+
+    @cached_property
+    def lights(self) -> Lights:
+        """The light behind the lens for each response, kept for `scores`."""
+        return Lights(self.study, self.irradiance, self.camera)
+
+    @cached_property
+    def content(self) -> Content:
+        """What its frames and rows are known by."""
+        return Content(self.study, self.camera, self.irradiance)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As summary.json tells it."""
+        budget = {"error_budget": self.budget} if self.budget else {}
+        return budget | {
+            "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "irradiance": self.irradiance.header,
+            "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
+        }
+
+    def dark(self, curve: Curve) -> dict[str, list[float]]:
+        """`pixsim.viewer.score.dark_clip` of a curve's pitches, a list for each of its numbers."""
+        clips = []
+        for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True):
+            physics = physics_of(self.study, curve.technology, pitch_um)
+            rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
+            clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
+        return {name: [clip[name] for clip in clips] for name in clips[0]}
+
+    def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
+        """Pictures of the study again, for showing: the first `repeats` sensors of a `technology` at a pitch.
+
+        repeats : None takes as many as the study has there, or began with
+
+        Raises PixsimError for a pitch that the technology cannot have.
+        """
+        bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
+        count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
+        frames = self.content.frames(technology, pitch_um)
+        blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
+        each = (scores_of(bench, self.study, own, block_key(frames, block)) for block, own in enumerate(blocks))
+        return [score for block in each for _, score in block]
+
+    def sensors_at(self, technology: str, pitch_um: float) -> int:
+        """Number of sensors that the study has of a pitch; at others, the number that it began with.
+
+        technology : a name or path as in `Study.technologies`
+        """
+        for curve in self.curves:
+            if curve.technology == technology and pitch_um in curve.pitch_um:
+                return int(curve.sensors[np.searchsorted(curve.pitch_um, pitch_um)])
+        return self.study.repeats
+
+    def plot(self) -> Figure:
+        """Mean ΔE against pixel size, a Matplotlib figure."""
+
+        return study_figure(self)
+
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """A row for each technology, pitch and sensor, as CSV; also into a file where a `path` is given."""
+        from pixsim.show.pages import csv_text
+
+        return csv_text(study_rows(self), path)
+
+    def _repr_html_(self) -> str:
+
+        return study_html(self)
+
+    def __repr__(self) -> str:
+        return f"<StudyResult {self.study.name}: {'; '.join(map(found_words, self.curves))}>"
+
+
+def found_words(curve: Curve) -> str:
+    """A curve in a few words, for `repr`."""
+    best = curve.optimum
+    if not best.inside:
+        ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+        return f"{curve.label}: no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
+    return f"{curve.label}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
+
+
+def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
+    """The rows of one technology of a study as a curve with its optimum."""
+    own = [row for row in rows if row["technology"] == technology]
+    pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
+    place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
+    repeats = 1 + max(int(row["repeat"]) for row in own)
+    statistics = {
+        name: np.full((pitches.size, repeats), np.nan) for name in COLUMNS if name.endswith("_delta_e") or name == "integration_s"
+    }
+    fill_factor = np.zeros(pitches.size)
+    for row in own:
+        index = place[float(row["pitch_um"])]
+        for name, values in statistics.items():
+            values[index, int(row["repeat"])] = float(row[name])
+        fill_factor[index] = float(row["fill_factor"])
+    fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
+    return Curve(technology, technology_of(study, technology).feature_size_um, pitches, fill_factor, statistics, fit)
+
+
+def interval_words(curve: Any) -> str:
+    """The 95 % interval of a curve's optimum; an end that the tried pitches leave open is named."""
+    low, high = curve.optimum.interval_um
+    first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
+    if low is None and high is None:
+        return "no limit among the sizes tried"
+    if low is None:
+        below = f"below {high:.2f} µm" if high > first else "at or below the smallest size tried"
+        return f"{below}, no lower limit among the sizes tried" if high > first else below
+    if high is None:
+        above = f"above {low:.2f} µm" if low < last else "at or above the largest size tried"
+        return f"{above}, no upper limit among the sizes tried" if low < last else above
+    return f"{low:.2f} to {high:.2f} µm"
+
+
+def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
+    """A range of pitches of a curve; an end at the smallest or the largest tried pitch says so."""
+    low, high = ends
+    first = f"≤ {curve.pitch_um[0]:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
+    last = f"≥ {curve.pitch_um[-1]:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
+    return f"{first} to {last}"
+
+
+ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
+ROOM_ABOVE = 1.12  # over the highest point, for the legend
+ROOM_BELOW = 0.25  # of the height of an axis, for the words under an optimum and those at the foot
+MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
+OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
+
+
+def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
+    """Mean ΔE of each pitch with its 95 % interval, the fitted curve with its own, and the optimum with its own."""
+    colour = look.colour
+    mean, ci95 = mean_and_ci95(curve.delta_e)
+    best = curve.optimum
+    name = literal(curve.label)
+    label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})" if best.inside else name
+    axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
+    axes.fill_between(curve.fit.pitch_um, curve.fit.low, curve.fit.high, color=colour, alpha=0.15, lw=0)
+    axes.plot(curve.fit.pitch_um, curve.fit.delta_e, lw=1.5, **look.stroke)
+    if best.inside:
+        low_um, high_um = with_ends(best.interval_um, curve)
+        axes.plot([low_um, high_um], [best.mean_delta_e] * 2, "|-", color=colour, lw=2.5, ms=9, mew=1.5)
+        axes.plot(best.pitch_um, best.mean_delta_e, "v", ms=9, mfc="white", mec=colour, mew=1.5)
+    axes.axvspan(*with_ends(best.within_1_percent_um, curve), color=colour, alpha=0.12, lw=0)
+    for edge_um in best.within_1_percent_um:
+        if edge_um is not None:
+            axes.axvline(edge_um, lw=0.7, **look.stroke)
+
+
+def with_ends(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
+    """A range of pitches whose open ends are drawn at the smallest and the largest tried."""
+    low, high = range_um
+    return float(curve.pitch_um[0]) if low is None else low, float(curve.pitch_um[-1]) if high is None else high
+
+
+def tell_the_story(axes: Axes, curve: Curve) -> None:
+    """What a stranger asks of a single curve: where the best is, and what is wrong on either side."""
+    best = curve.optimum
+    if best.inside:
+        at = (best.pitch_um, best.mean_delta_e)
+        told = f"best: {best.pitch_um:.2f} µm"
+        below = best.mean_delta_e > ROOM_BELOW * axes.get_ylim()[1]  # else the words would lie on the axis and its numbers
+        offset, side = ((0, -14), "top") if below else ((0, 14), "bottom")
+        axes.annotate(told, at, offset, textcoords="offset points", ha="center", va=side, bbox=ON_WHITE)
+        for across, side, words in ((0.02, "left", "← more noise"), (0.98, "right", "more blur →")):
+            axes.text(across, 0.03, words, transform=axes.transAxes, color="0.3", ha=side, bbox=ON_WHITE)
+    if np.ptp(curve.fill_factor) > 0:
+        fill_factor_axis(axes, curve)
+
+
+def fill_factor_axis(axes: Axes, curve: Curve) -> None:
+    """The fill factor of each pitch on top, as many marks as there is room for."""
+    marks: dict[float, str] = {}
+    for each in (0.05, *np.arange(0.1, 1.0, 0.1)):
+        at_um = float(np.interp(each, curve.fill_factor, curve.pitch_um))
+        apart_um = at_um - max(marks, default=-np.inf)
+        if curve.fill_factor.min() <= each <= curve.fill_factor.max() and apart_um > MARK_SPACING * np.ptp(curve.pitch_um):
+            marks[at_um] = f"{100 * each:.0f}"
+    if not marks:
+        return
+    top = axes.secondary_xaxis("top")
+    top.set_xticks(list(marks), list(marks.values()), fontsize=8)
+    top.set_xlabel("fill factor (%)")
+
+
+def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: str = "delta_e_against_pitch") -> Plate:
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    for curve, look in zip(curves, cycle(LOOKS), strict=False):
+        draw_curve(axes, curve, look)
+    axes.set_xlabel("pixel size (µm)")
+    axes.set_ylabel("mean ΔE, S-CIELAB")
+    axes.set_ylim(0, axes.get_ylim()[1] * (ROOM_ABOVE if len(curves) == 1 else 1))
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
+    if len(curves) == 1:
+        tell_the_story(axes, curves[0])
+    caption = (
+        f"Mean S-CIELAB error of the picture against pixel size. Points: means of {sensors_words(curves)} with their 95 % "
+        "intervals; line: the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
+        "band: sizes within 1 % of the least error."
+    )
+    return Plate(name, caption, figure, curve_table(curves))
+
+
+def sensors_words(curves: Sequence[Curve]) -> str:
+    """How many sensors a point stands for."""
+    counts = sorted({int(each) for curve in curves for each in curve.sensors})
+    return f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
+
+
+def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
+    table: dict[str, list[float | str]] = {
+        name: [] for name in ("technology", "pitch_um", "fill_factor", "mean_delta_e", "ci95_delta_e", *OTHER_STATISTICS)
+    }
+    for curve in curves:
+        mean, ci95 = mean_and_ci95(curve.delta_e)
+        table["technology"] += [curve.label] * mean.size
+        columns = {"pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor, "mean_delta_e": mean, "ci95_delta_e": ci95}
+        columns |= {name: curve.mean(name) for name in OTHER_STATISTICS}
+        for name, values in columns.items():
+            table[name] += values.tolist()
+    return dict(table)
+
+
+def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
+    """Ends of the optima's 95 % intervals, for a table; empty where the tried pitches leave an end open."""
+    ends = {"interval_low_um": 0, "interval_high_um": 1}
+    return {
+        name: ["" if (each := curve.optimum.interval_um[end]) is None else each for curve in curves] for name, end in ends.items()
+    }
+
+
+def study_figure(result: StudyResult) -> Figure:
+    """Mean ΔE against pixel size, a curve for each technology."""
+    return delta_e_against_pitch(result, result.curves).figure
+
+
+def study_html(result: StudyResult) -> str:
+    head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
+    rows = []
+    for curve in result.curves:
+        best = curve.optimum
+        size = f"{best.pitch_um:.2f}" if best.inside else f"none between {curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
+        within = within_words(best.within_1_percent_um, curve)
+        rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
+    return _cell(result.study.title or result.study.name, head, rows, study_figure(result))
+
+
+def study_rows(result: StudyResult) -> list[dict[str, Any]]:
+    """A row for each technology, pitch and sensor."""
+    return [
+        {
+            "technology": curve.technology,
+            "pitch_um": float(pitch_um),
+            "repeat": repeat,
+            "fill_factor": float(curve.fill_factor[place]),
+        }
+        | {name: float(values[place, repeat]) for name, values in curve.statistics.items()}
+        for curve in result.curves
+        for place, pitch_um in enumerate(curve.pitch_um)
+        for repeat in range(int(curve.sensors[place]))
+    ]

@@ -1,0 +1,405 @@
+"""Which assumption decides: a study repeated with one assumption moved at a time over its plausible range."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from pixsim.base.errors import did_you_mean, refuse
+from pixsim.base.files import output_folder, versions, write_json
+from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_hash, merge
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.technology import load_technology
+from pixsim.show.figures import COLOURS, literal, new_figure
+from pixsim.show.pages import Column, Plate, write_page, write_plates
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
+from pixsim.studies.engine import Workers, results_of, workers_for
+from pixsim.studies.evaluations import Progress
+from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
+from pixsim.studies.study import load_study, refuse_bad_pitches, render_for, scene_for, sweep_pitches
+
+
+class Setting(Record):
+    """One value of an assumption: a label, and what it changes in the study."""
+
+    label: str
+    set: dict[str, Any]
+
+
+class Variation(Record):
+    """An assumption and the values that it may plausibly have."""
+
+    name: str
+    settings: Annotated[tuple[Setting, ...], Field(min_length=1)]
+
+
+class Sensitivity(Record):
+    """A base study and the assumptions to move, one at a time."""
+
+    name: Annotated[str, Field(pattern=r"^[\w.\-]+$")]
+    title: str = ""
+    base: str = Field("chen2000", description="a packaged study or a TOML file")
+    technologies: Annotated[tuple[str, ...], Field(min_length=1)] = ("0.35um",)
+    repeats: Annotated[int, Field(ge=2, le=10000)] | None = Field(None, description="sensors for each pitch; None: the base's")
+    pitch: PitchRange | None = Field(None, description="pixel sizes that are tried; None: the base's")
+    vary: Annotated[tuple[Variation, ...], Field(min_length=1)]
+    ranges: dict[str, str] = Field(
+        default_factory=dict,
+        description="name -> number of the technologies' files that goes to both ends of its range, in all and in one alone",
+    )
+    quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
+
+    def base_study(self) -> Study:
+        """The base with this record's technologies, sensors and pitches. All cases share its random streams, and its target."""
+        given = {"repeats": self.repeats, "pitch": self.pitch.model_dump() if self.pitch else None}
+        own = {"technologies": self.technologies} | {name: each for name, each in given.items() if each is not None}
+        table = load_study(self.base).model_dump(mode="json", exclude={"quick"})
+        own["process"] = {name: numbers for name, numbers in table["process"].items() if name in self.technologies}
+        return Study.model_validate(table | own | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
+
+
+@dataclass(frozen=True)
+class Move:
+    """A number of one technology at an end of its range."""
+
+    variation: str
+    number: str
+    end: int
+    technology: str
+    value: float
+
+    def study(self, base: Study) -> Study:
+        """The base with that technology alone."""
+        table = base.model_dump(mode="json") | {"technologies": [self.technology], "paper": False}
+        own = base.process.get(self.technology, {}) | {self.number: self.value}
+        return Study.model_validate(table | {"process": {self.technology: own}})
+
+    def __str__(self) -> str:
+        return f"{self.technology} {self.value:g}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One setting and what came out of it.
+
+    curves : one for each technology
+    rows : what it makes of the paper's statements; of another base, of those on scaling only
+    alone : the technology that was moved while the others stayed, or nothing
+    """
+
+    variation: str
+    label: str
+    curves: tuple[Curve, ...] = field(repr=False)
+    rows: tuple[Finding, ...] = field(default=(), repr=False)
+    alone: str = ""
+
+    @property
+    def reference(self) -> Curve:
+        """The curve of the paper's own process, or the first."""
+        return next((curve for curve in self.curves if curve.technology == REFERENCE_TECHNOLOGY), self.curves[0])
+
+    @property
+    def agrees(self) -> dict[str, bool]:
+        """Statement -> verdict."""
+        return {row.statement: row.agrees for row in self.rows}
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "variation": self.variation,
+            "label": self.label,
+            "alone": self.alone,
+            "agrees": self.agrees,
+            "technologies": [
+                {
+                    "technology": curve.technology,
+                    "optimum": curve.optimum.as_dict(),
+                    "optimum_fill_factor": curve.optimum_fill_factor,
+                }
+                for curve in self.curves
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class SensitivityResult:
+    """The base case and all others, in the order of the file."""
+
+    sensitivity: Sensitivity
+    base: StudyResult
+    base_rows: tuple[Finding, ...]
+    cases: tuple[Case, ...]
+
+    @property
+    def base_case(self) -> Case:
+        return Case("base", self.sensitivity.base, self.base.curves, self.base_rows)
+
+    def turning(self, statement: str) -> list[Case]:
+        """The cases whose verdict on a statement is not the base's."""
+        base = self.base_case.agrees[statement]
+        # A setting may change what a statement is about, an iso level say: such a case has another statement.
+        return [case for case in self.cases if case.agrees.get(statement, base) != base]
+
+    def by_variation(self) -> dict[str, list[Case]]:
+        """Variation -> its cases but those of one technology alone; the widest range of the reference's optimum comes first."""
+        groups: dict[str, list[Case]] = {}
+        for case in self.cases:
+            if not case.alone:
+                groups.setdefault(case.variation, []).append(case)
+
+        def width(cases: list[Case]) -> float:
+            sizes = [case.reference.optimum.pitch_um for case in (*cases, self.base_case)]
+            return max(sizes) - min(sizes)
+
+        return dict(sorted(groups.items(), key=lambda item: -width(item[1])))
+
+    def as_dict(self) -> dict[str, Any]:
+        """summary.json."""
+        claims = [
+            row.as_dict()
+            | {"turned_by": [{"variation": case.variation, "label": case.label} for case in self.turning(row.statement)]}
+            for row in self.base_rows
+        ]
+        return {
+            "sensitivity": self.sensitivity.model_dump(mode="json", exclude={"quick"}),
+            "base": self.base.as_dict(),
+            "claims": claims,
+            "cases": [case.as_dict() for case in self.cases],
+        }
+
+
+def cases_of(sensitivity: Sensitivity) -> Iterator[tuple[str, str, Study]]:
+    """(variation, label, study) of every setting."""
+    base = sensitivity.base_study().model_dump(mode="json")
+    for variation in sensitivity.vary:
+        for setting in variation.settings:
+            yield variation.name, setting.label, Study.model_validate(merge(base, setting.set))
+
+
+def moves_of(sensitivity: Sensitivity) -> list[Move]:
+    """Every number of `ranges` at both ends, in each technology whose file has a range for it.
+
+    Raises PixsimError for a number that no technology has.
+    """
+    processes = {name: load_technology(name) for name in sensitivity.technologies}
+    moves = []
+    for variation, number in sensitivity.ranges.items():
+        known = dict.fromkeys(name for process in processes.values() for name in process.numbers)
+        if number not in known:
+            raise refuse(f"ranges.{variation}", f"'{number}'", ", ".join(known), did_you_mean(number, known))
+        for end in (0, 1):
+            for name, process in processes.items():
+                # An A-grade number has no range, and one at the end of its range stays.
+                value = process.ranges.get(number, (process.numbers.get(number),) * 2)[end]
+                if value is not None and value != process.numbers[number]:
+                    moves.append(Move(variation, number, end, name, value))
+    return moves
+
+
+def run_sensitivity(
+    sensitivity: Sensitivity,
+    out: str | os.PathLike[str],
+    *,
+    quick: bool = False,
+    jobs: int | None = None,
+    scheduler: Any = None,
+    variant: str | None = None,
+    progress: Callable[[str], Progress] | None = None,
+) -> SensitivityResult:
+    """Run the base and every case; each keeps its rows in `out`/cases/, so an interrupted run goes on.
+
+    Raises PixsimError or ValidationError for input that cannot be used, before anything is rendered.
+    """
+    if quick:
+        table = merge(sensitivity.model_dump(mode="json", exclude={"quick"}), sensitivity.quick)
+        sensitivity = Sensitivity.model_validate(table)
+    base, moves = sensitivity.base_study(), moves_of(sensitivity)
+    moved = [move.study(base) for move in moves]
+    cases = list(cases_of(sensitivity))
+    for each in (base, *(study for _, _, study in cases), *moved):
+        refuse_bad_pitches(each)
+    for each in (base, *(study for _, _, study in cases)):
+        scene_for(each, variant)
+    stage = progress or (lambda _: lambda *_: None)
+    renders: dict[str, tuple[SpectralImage, Camera]] = {}
+
+    def render(study: Study) -> tuple[SpectralImage, Camera]:
+        light = study.model_dump(mode="json", include={"scene", "camera", "seed", "tolerance_e", "render_noise", "max_seconds"})
+        key = content_hash(
+            [light, study.exposure.model_dump(), study.pixel.model_dump(), study.technologies[0], study.pitch.max_um]
+        )
+        if key not in renders:
+            renders[key] = render_for(study, variant, stage("render"))
+        return renders[key]
+
+    def run(study: Study, name: str, light: tuple[SpectralImage, Camera]) -> StudyResult:
+        result = sweep_pitches(study, *light, folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
+        return StudyResult(study, result.curves, *light)  # without its lights: many results stay until the end
+
+    with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
+        (folder / "cases").mkdir(exist_ok=True)
+        # A process moves no light: the base's render, so that a technology that stays has the base's rows.
+        results = [run(base, "base", render(base))]
+        results += [run(study, file_name(n, name, label), render(study)) for n, (name, label, study) in enumerate(cases)]
+        results += [
+            run(study, file_name(len(cases) + n, move.variation, str(move)), render(base))
+            for n, (move, study) in enumerate(zip(moves, moved, strict=True))
+        ]
+        rows: list[tuple[Finding, ...]] = [()] * len(results)
+        if base.paper:
+            rows = claims(results, workers, stage("claims"))
+    return assemble(sensitivity, results, rows, moves)
+
+
+def claims(results: list[StudyResult], workers: Workers, progress: Progress) -> list[tuple[Finding, ...]]:
+    """What each result says of the paper's own process; nothing where it does not have it."""
+    found: list[tuple[Finding, ...]] = [()] * len(results)
+    with_reference = [
+        (number, result)
+        for number, result in enumerate(results)
+        if any(c.technology == REFERENCE_TECHNOLOGY for c in result.curves)
+    ]
+    calls = [(number, partial(itself, result)) for number, result in with_reference]
+    for done, (number, rows) in enumerate(results_of(claims_task, calls, workers), 1):
+        found[number] = rows
+        progress(done / len(calls))
+    return found
+
+
+def itself(result: StudyResult) -> StudyResult:
+    """What a worker shares with no other."""
+    return result
+
+
+def claims_task(number: int, result: StudyResult) -> tuple[int, tuple[Finding, ...]]:
+    """The rows of one result, with its number."""
+    return number, tuple(reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves})))
+
+
+def assemble(
+    sensitivity: Sensitivity, results: list[StudyResult], rows: list[tuple[Finding, ...]], moves: list[Move]
+) -> SensitivityResult:
+    """The cases from results and their rows, each the base's, then those of `vary`, then one for each of `moves`.
+
+    Technologies do not depend on each other, so that a case of several that are moved is put together from those of one.
+    """
+    base, base_rows = results[0], rows[0]
+
+    def trends(curves: Sequence[Curve]) -> list[Finding]:
+        return scaling_rows(curves) if base.study.paper else []
+
+    named = [(variation.name, setting.label) for variation in sensitivity.vary for setting in variation.settings]
+    cases = [
+        Case(*names, result.curves, (*own, *trends(result.curves)))
+        for names, result, own in zip(named, results[1:], rows[1:], strict=False)
+    ]
+    ends: dict[tuple[str, int], list[tuple[Move, Curve, tuple[Finding, ...]]]] = {}
+    for move, result, own in zip(moves, results[1 + len(named) :], rows[1 + len(named) :], strict=True):
+        ends.setdefault((move.variation, move.end), []).append((move, result.curves[0], own))
+    for (variation, end), group in ends.items():
+        together = [(f"all {('low', 'high')[end]}", "", group)] if len(group) > 1 else []
+        alone = [(str(each[0]), each[0].technology if together else "", [each]) for each in group]
+        for label, technology, part in (*together, *alone):
+            own_curves = {move.technology: curve for move, curve, _ in part}
+            curves = tuple(own_curves.get(curve.technology, curve) for curve in base.curves)
+            own_rows = next((found for move, _, found in part if move.technology == REFERENCE_TECHNOLOGY), base_rows)
+            cases.append(Case(variation, label, curves, (*own_rows, *trends(curves)), technology))
+    return SensitivityResult(sensitivity, base, (*base_rows, *trends(base.curves)), tuple(cases))
+
+
+def turned_words(settings: Sequence[tuple[str, str]]) -> str:
+    """(variation, label) of each setting that turns a verdict, by variation, for people."""
+    groups: dict[str, list[str]] = {}
+    for variation, label in settings:
+        groups.setdefault(variation, []).append(label)
+    return "; ".join(f"{variation} ({', '.join(labels)})" for variation, labels in groups.items()) or "none"
+
+
+def file_name(number: int, variation: str, label: str) -> str:
+    """Numbered, since different labels may clean to the same name."""
+    return re.sub(r"[^\w.\-]+", "_", f"{number:02d}-{variation}-{label}")
+
+
+def tornado(result: SensitivityResult) -> Plate:
+    """Range of the optimum and of the best mean ΔE of each assumption, widest first."""
+    groups = result.by_variation()
+    reference = result.base_case.reference
+    base = reference.optimum
+    figure = new_figure(9.5, 0.42 * len(groups) + 1.4)
+    left, right = figure.subplots(1, 2, sharey=True)
+    for row, cases in enumerate(groups.values()):
+        optima = [(case.label, case.reference.optimum) for case in cases]
+        draw_bar(left, row, base.pitch_um, [(label, best.pitch_um, best.inside) for label, best in optima])
+        draw_bar(right, row, base.mean_delta_e, [(label, best.mean_delta_e, True) for label, best in optima])
+    for axes, at, label in ((left, base.pitch_um, "optimal pixel size (µm)"), (right, base.mean_delta_e, "best mean ΔE")):
+        axes.axvline(at, color="0.2", lw=1)
+        axes.set_xlabel(f"{label}, {literal(reference.label)}")
+        axes.grid(axis="x", alpha=0.25)
+        axes.use_sticky_edges = False
+        axes.margins(x=0.15, y=0.03)
+    left.set_yticks(range(len(groups)), list(groups))
+    left.invert_yaxis()
+    caption = (
+        f"Each assumption moved alone from the base ({base.pitch_um:.2f} µm, ΔE {base.mean_delta_e:.3f}: vertical lines) over its "
+        "plausible range. The wider the bar, the more it decides. A hollow point: the optimum is at the end of the pitches."
+    )
+    return Plate("tornado", caption, figure, case_table(result))
+
+
+def draw_bar(axes: Any, row: int, base: float, points: list[tuple[str, float, bool]]) -> None:
+    """A bar from the lowest to the highest value, the base among them, with a labelled point for each setting."""
+    values = [base, *(value for _, value, _ in points)]
+    axes.barh(row, max(values) - min(values), left=min(values), height=0.55, color=COLOURS[0], alpha=0.25)
+    for index, (label, value, solid) in enumerate(sorted(points, key=lambda point: point[1])):
+        axes.plot(value, row, "o", ms=4, color=COLOURS[0], mfc=COLOURS[0] if solid else "white")
+        axes.annotate(label, (value, row), textcoords="offset points", xytext=(0, 5 if index % 2 else -10), fontsize=7, ha="center")
+
+
+def case_table(result: SensitivityResult) -> dict[str, Column]:
+    """One row for each case and technology."""
+    rows = [(case, curve) for case in (result.base_case, *result.cases) for curve in case.curves]
+    return {
+        "variation": [case.variation for case, _ in rows],
+        "setting": [case.label for case, _ in rows],
+        "technology": [curve.technology for _, curve in rows],
+        "optimum_um": [curve.optimum.pitch_um for _, curve in rows],
+        **interval_columns([curve for _, curve in rows]),
+        "optimum_fill_factor": [curve.optimum_fill_factor for _, curve in rows],
+        "mean_delta_e": [curve.optimum.mean_delta_e for _, curve in rows],
+        "inside": [str(curve.optimum.inside) for _, curve in rows],
+    }
+
+
+def differing(case: Case, base: Case) -> list[str]:
+    """The statements of the paper whose verdict is not the base's."""
+    return [statement for statement, agrees in case.agrees.items() if agrees != base.agrees.get(statement, agrees)]
+
+
+def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
+    """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; returns the report's path."""
+    plate = tornado(result)
+    ((_, image, data),) = write_plates(folder, [plate])
+    write_json(folder / "summary.json", result.as_dict())
+    provenance = {"versions": versions(), "seconds": seconds}
+    write_json(folder / "provenance.json", provenance)
+    page = {
+        "interval": interval_words,
+        "sensitivity": result.sensitivity,
+        "plate": plate,
+        "image": image,
+        "data": data,
+        "claims": [
+            (row, len(turning), turned_words([(case.variation, case.label) for case in turning]))
+            for row, turning in ((row, result.turning(row.statement)) for row in result.base_rows)
+        ],
+        "cases": [(case, differing(case, result.base_case)) for case in (result.base_case, *result.cases)],
+        "header": result.base.irradiance.header,
+        "provenance": provenance,
+    }
+    return write_page(folder / "report.html", "sensitivity.html.j2", page)

@@ -1,0 +1,6 @@
+"""What a viewer sees of a frame: `Frame` and irradiance in, shown pictures, ΔE map and statistics out.
+
+In the order of the flow: `display` (electrons to light on the display's dots), `scielab` (S-CIELAB), `score` (all of it, from
+irradiance to mean ΔE).
+May import: base, light, optics, sensor, show.
+"""

@@ -1,0 +1,311 @@
+"""What the viewer sees: electrons → relative luminance on the display's dots → digital counts → light → XYZ.
+
+Relative luminance is 1 for the scene's white. It is electrons over the on-axis mean electrons that white gives: one
+known number, never a measured maximum.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import refuse
+from pixsim.base.parameters import Camera, Display
+from pixsim.light.spectral import SpectralImage, d65
+from pixsim.optics.thin_lens import field_factor, irradiance_factor
+from pixsim.sensor.integration import (
+    M2_PER_UM2,
+    MOST_PIXELS,
+    electrons_per_joule,
+    ideal_rate,
+    integrate_axis,
+    pixels_along,
+    weighted,
+)
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import Frame
+
+# Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
+WHITE_XYZ = np.array([95.047, 100.0, 108.883])
+WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # so that pictures over white, of any sensor and exposure, stay in the range of float64
+SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # no display has the last: cubic ones are compared with it
+B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
+WHITE_PERCENTILE = 99.0  # of a scene that tells no white
+WHITE_DIGITS = 2  # so that the noise of a render does not move the white
+
+
+def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
+    """Scene luminance that is shown as display white: the display's own number, else that of texel value 1.
+
+    Raises PixsimError where neither tells it.
+    """
+    white = display.white_cd_per_m2 or irradiance.header.get("luminance_cd_per_m2")
+    if not white:
+        raise refuse(
+            "display.white_cd_per_m2",
+            "nothing, and the scene has no emissive chart that tells it",
+            "the luminance in cd/m² that the display shows as white",
+            "Set --display.white-cd-per-m2.",
+        )
+    return float(white)
+
+
+def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
+    """A white for a scene that tells none: the 99th percentile of its luminance, to two digits; with a warning.
+
+    Raises PixsimError for a picture too dark to tell.
+    """
+    factor = field_factor(irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    luminance = weighted(irradiance, irradiance.luminous_weight())
+    luminance /= factor
+    luminance /= camera.transmittance
+    white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")
+    if not white > 0:
+        raise refuse("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
+    warnings.warn(
+        f"the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
+        f"set --display.white-cd-per-m2 {white:g} to keep it",
+        stacklevel=2,
+    )
+    return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
+
+
+def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
+    """What the header lacks for a white: nothing where the display or the scene tells it, else `measured_white`.
+
+    Raises PixsimError as that does.
+    """
+    if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
+        return {}
+    return measured_white(irradiance, camera)
+
+
+def white_spectrum(irradiance: SpectralImage) -> Array | None:
+    """Spectrum of the scene's white in the image's bands, (B,) in any unit: that of its lamps where they share one, else None."""
+    lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
+    if lamp:
+        return np.asarray(lamp, float)
+    return irradiance.factors[0][0] if irradiance.factors and len(irradiance.factors[0]) == 1 else None
+
+
+def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
+    """Photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
+
+    Its spectrum is that of the scene's lamps where they share one, else D65.
+
+    Raises PixsimError where the eye or the sensor sees nothing of it: no picture can be shown over it.
+    """
+    factor_sr = irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
+    white_lx = white_cd_per_m2(irradiance, display) * float(factor_sr)
+    spectrum = white_spectrum(irradiance)
+    if spectrum is None:
+        spectrum = irradiance.band_mean(d65)
+    electrons = float((electrons_per_joule(physics, irradiance) * spectrum).sum())
+    lux = float((irradiance.luminous_weight() * spectrum).sum())
+    rate = electrons / lux * white_lx * M2_PER_UM2 if lux > 0 else 0.0
+    low, high = WHITE_E_PER_S_UM2
+    if not low < rate < high:
+        raise refuse(
+            "the scene's white",
+            f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx of its light in all bands)",
+            f"light that both the sensor and the eye see, {low:g} to {high:g}",
+            "Take a lamp within the sensor's response and within 360-830 nm, or another technology, infrared cut or white.",
+        )
+    return rate
+
+
+def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display, border_um: float) -> tuple[Array, Array]:
+    """Edges of the dots that are shown and scored, rows and columns, measured from the top left corner of the picture.
+
+    `fixed_size`: `dots` span the width of the die, and the frame is the die less `border_um` on each side, whole dots only.
+    `one_to_one`: a dot is a pixel of the centred array, all of it.
+
+    size_um : (height, width) of the picture on the sensor
+    pitch_um : of the pixels; used by `one_to_one` only
+    border_um : the largest pitch that shares the frame. Half of it holds the strip that whole pixels do not fill, the other
+        half the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
+
+    Returns ((rows + 1,), (columns + 1,)). Raises PixsimError where not one whole pixel fits or not one whole dot is left, and for
+    more dots than memory holds.
+    """
+    pixels = [pixels_along(length_um, pitch_um) for length_um in size_um]
+    if display.raster == "one_to_one":
+        rows, columns = (pixel_edges_um(um, count, pitch_um) for um, count in zip(size_um, pixels, strict=True))
+        return rows, columns
+    counts = [max(1, round(display.dots * length_um / size_um[1])) for length_um in size_um]
+    if math.prod(counts) > MOST_PIXELS:
+        found = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {math.prod(counts):.3g} dots"
+        raise refuse("display.dots", found, f"at most {MOST_PIXELS:.3g} dots in all")
+    edges = []
+    for length_um, count in zip(size_um, counts, strict=True):
+        cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
+        if 2 * cut >= count:
+            raise refuse(
+                "pixel.pitch_um",
+                f"{border_um:g} µm: its border on either side leaves none of the {count} dots of {length_um / count:.3g} µm",
+                f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die",
+                "Take smaller pixels, a larger die, or display.raster = 'one_to_one'.",
+            )
+        edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
+    return edges[0], edges[1]
+
+
+def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:
+    """Borders of a centred line of `count` pixels, (count + 1,), measured from the picture's border."""
+    return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
+
+
+def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
+    """(height, width) of the picture on the sensor."""
+    height, width = irradiance.shape
+    return height * irradiance.pitch_um, width * irradiance.pitch_um
+
+
+def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
+    """Means, over the intervals between `edges_um`, of lines of equal cells interpolated through their centres, along an axis.
+
+    The cells start at `low_um`; beyond the outermost centres a line goes on constant.
+
+    values : (n, ...) or (..., n), any unit; the result has a mean for each interval there
+    pitch_um : of the cells
+    edges_um : (intervals + 1,) rising
+    degree : 0 is piecewise constant, 1 linear, 3 the cubic and 5 the quintic spline
+    axis : 0 or 1, along which
+    """
+    edges = (edges_um - low_um) / pitch_um - 0.5
+    lines = np.moveaxis(values, axis, 0)
+    degree = min(degree, len(lines) - 1)
+    if degree < 2:
+        means = _mean_weights(len(lines), edges, degree) @ np.ascontiguousarray(lines)
+    else:
+        from scipy.interpolate import make_interp_spline  # 0.3 s, for cubic displays only
+
+        running = make_interp_spline(np.arange(float(len(lines))), lines, k=degree).antiderivative()
+        column = edges.reshape(-1, *[1] * (lines.ndim - 1))
+        beyond = np.minimum(column, 0.0) * lines[0] + np.maximum(column - (len(lines) - 1), 0.0) * lines[-1]
+        means = np.diff(running(np.clip(edges, 0, len(lines) - 1)) + beyond, axis=0) / np.diff(column, axis=0)
+    return np.ascontiguousarray(np.moveaxis(means, 0, axis))
+
+
+def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
+    """What n values at 0 … n - 1 weigh in the mean between neighbouring edges, (edges - 1, n).
+
+    A value belongs to a box (degree 0) or to a hat (degree 1) around its place; the outermost ones go on for ever. Its
+    integral up to an edge has a closed form, and few values reach into an interval.
+    """
+    reach = 0.5 if degree == 0 else 1.0
+    first = np.clip(np.floor(edges[:-1] - reach), 0, n - 1).astype(int)
+    last = np.clip(np.ceil(edges[1:] + reach), 0, n - 1).astype(int)
+    value = first[:, None] + np.arange((last - first).max() + 1)
+
+    def part_below(edge: Array) -> Array:
+        at = edge[:, None] - value
+        near = np.clip(at, -reach, reach)
+        part = near + reach if degree == 0 else 0.5 + near - near * np.abs(near) / 2
+        return np.where(((value == 0) & (at < 0)) | ((value == n - 1) & (at > 0)), at + 0.5, part)
+
+    weight = (part_below(edges[1:]) - part_below(edges[:-1])) / np.diff(edges)[:, None]
+    kept = (value <= last[:, None]) & (weight != 0)
+    rows = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
+    return csr_array((weight[kept], value[kept], rows), shape=(edges.size - 1, n))
+
+
+def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpolation: str) -> Array:
+    """MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
+
+    With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline sinc⁴ x · 3/(2 + cos 2πx). In
+    general the transform of the B-spline over that of its samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal
+    Process. 41 (1993) 821.
+
+    A component below the pixels' Nyquist frequency is shown with this contrast, its images around each multiple of 1/pitch
+    with that of their own frequencies.
+
+    pitch_um : of the pixels
+    interpolation : nearest, linear, cubic or quintic
+
+    Raises PixsimError for another interpolation.
+
+    >>> interpolation_mtf(50.0, 10.0, "linear").round(6).item()  # at the Nyquist frequency: (2/π)²
+    0.405285
+    """
+    if interpolation not in SPLINE_DEGREE:
+        raise refuse("interpolation", f"'{interpolation}'", ", ".join(SPLINE_DEGREE))
+    degree = SPLINE_DEGREE[interpolation]
+    x = np.asarray(frequency_cy_per_mm, float) * pitch_um * 1e-3
+    middle, *others = B_SPLINE_SAMPLES[degree]
+    samples = middle + sum(2 * each * np.cos(2 * np.pi * k * x) for k, each in enumerate(others, 1))
+    return np.asarray(np.abs(np.sinc(x)) ** (degree + 1) / samples)
+
+
+def ideal_luminance(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Array, Array]
+) -> Array:
+    """Relative luminance of each dot from a sensor without pixels, noise or quantisation behind a lens without diffraction.
+
+    A dot shows the mean of the light over itself: what the image of ever smaller pixels tends to.
+
+    edges_um : of the dots' rows and columns, as `dot_edges_um` gives them
+
+    Returns (H, W) dots, 1 for the scene's white.
+
+    Raises PixsimError as `white_rate` does.
+    """
+    rate = ideal_rate(irradiance, physics)
+    for axis, edges in enumerate(edges_um):
+        rate = integrate_axis(rate, irradiance.pitch_um, edges[:-1], edges[1:], axis)
+        rate /= np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
+    rate /= white_rate(irradiance, camera, physics, display)
+    return np.maximum(rate, 0.0, out=rate)
+
+
+def frame_luminance(
+    frame: Frame, size_um: tuple[float, float], white_e: float, display: Display, edges_um: tuple[Array, Array]
+) -> Array:
+    """Relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
+
+    A dot shows the mean over itself of the picture interpolated between pixel centres. (Reading the picture at the dots'
+    centres would make noise depend on how pixels and dots register: mean ΔE jumps by a quarter where the pitches agree.)
+
+    Parameters
+    ----------
+    size_um : (height, width) of the picture on the sensor
+    white_e : mean electrons on axis of the scene's white, in this frame's exposure
+    edges_um : of the dots' rows and columns, as `dot_edges_um` gives them
+    """
+    picture = frame.electrons
+    picture /= white_e
+    if display.raster == "one_to_one":
+        return picture
+    # The shorter way: what is transposed is small.
+    for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
+        low_um = size_um[axis] / 2 - picture.shape[axis] / 2 * frame.pitch_um
+        degree = SPLINE_DEGREE[display.interpolation]
+        picture = average_axis(picture, frame.pitch_um, low_um, edges_um[axis], degree, axis)
+    return picture
+
+
+def shown_luminance(relative_luminance: Array, display: Display) -> Array:
+    """What a display of finite bits and range shows of `relative_luminance` (...), in the same shape, 1 for white.
+
+    Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
+
+    >>> shown_luminance(np.array([-0.1, 0.5, 2.0]), Display(gamma=1.0, bits=1)).tolist()
+    [0.0, 0.0, 1.0]
+    """
+    top = 2**display.bits - 1
+    light = (np.arange(top + 1) / top) ** display.gamma
+    counts = np.asarray(np.clip(relative_luminance, 0.0, 1.0))
+    np.power(counts, 1 / display.gamma, out=counts)
+    counts *= top
+    return light[np.rint(counts, out=counts).astype(np.intp)]
+
+
+def to_xyz(luminance: Array) -> Array:
+    """Grey light of a D65 display, (H, W, 3), white at Y = 100, from relative luminance (H, W). CIE 15, 2-degree observer."""
+    return luminance[:, :, None] * WHITE_XYZ

@@ -1,0 +1,405 @@
+"""S-CIELAB: the colour difference that a viewer at a given distance sees between two pictures.
+
+XYZ -> three opponent channels -> the eye's blur of each -> XYZ -> CIELAB -> a difference per sample.
+
+A kernel that is even in x and in y is diagonal in the DCT-II, whose basis is the image reflected at its edges (half a
+sample outside the outermost centres). So each filter is one product with its transfer function: exact, no padding, and
+an image may be smaller than the kernel, which then meets repeated reflections.
+
+[ZW] X. Zhang & B. A. Wandell, "A spatial extension of CIELAB for digital color-image reproduction", J. SID 5 (1997) 61.
+[1996] the authors' first public code, SCIELAB-1996; what it computes, not its text (tests/data/scielab/README.md).
+[CIE] CIE 15:2004, Colorimetry, 8.2.1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache, partial
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from pixsim.base.arrays import dct, empty_planes, inverse_dct, strips_of
+from pixsim.base.errors import refuse
+
+# What the reference shows; the rest is for pixsim itself.
+__all__ = ["delta_e", "delta_e_map", "filtered_grey_lab", "filtered_lab", "grey_delta_e_map", "xyz_to_lab"]
+
+Floats = npt.NDArray[np.float64]
+
+
+def checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = None) -> Floats:
+    array = np.asarray(values, np.float64)
+    if array.ndim != (dimensions or max(array.ndim, 1)) or array.shape[-1] != 3 or array.size == 0:
+        allowed = "(H, W, 3), not empty" if dimensions else "(..., 3), not empty"
+        raise refuse(f"{name}, shape", array.shape, allowed, "Move the three values last, y and x before them.")
+    if not is_finite(array):
+        finite = np.isfinite(array)
+        first = np.argwhere(~finite)[0]
+        got = f"{array[tuple(first)]} at {first.tolist()} ({np.count_nonzero(~finite)} such of {array.size})"
+        raise refuse(name, got, "finite numbers", "Mend them where they arise: a filter would spread them.")
+    return array
+
+
+def is_finite(values: Floats) -> bool:
+    """NaN goes through both extremes: two readings, and no array of truths."""
+    return math.isfinite(values.min()) and math.isfinite(values.max())
+
+
+def checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tuple[Floats, Floats]:
+    first, second = (checked_triples(name, values, dimensions) for name, values in arrays.items())
+    if first.shape != second.shape:
+        shapes = f"shapes {first.shape} and {second.shape}"
+        raise refuse(" and ".join(arrays), shapes, "equal ones", "Resample one image to the raster of the other.")
+    return first, second
+
+
+def checked_white(white_xyz: npt.ArrayLike) -> Floats:
+    white = np.asarray(white_xyz, np.float64)
+    if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
+        mend = "Give X, Y, Z in the image's unit; D65 is (95.047, 100, 108.883) times its luminance over 100."
+        raise refuse("white_xyz", white.tolist(), "three finite numbers above 0", mend)
+    return white
+
+
+def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise refuse(name, repr(value), ", ".join(map(repr, allowed)))
+
+
+Filters = Literal["published", "zhang1996"]
+# (weight, spread in degrees) of each Gaussian exp(-r^2 / spread^2), a row per opponent channel: [ZW].
+PUBLISHED_GAUSSIANS = (
+    ((0.921, 0.0283), (0.105, 0.133), (-0.108, 4.336)),
+    ((0.531, 0.0392), (0.330, 0.494)),
+    ((0.488, 0.0536), (0.371, 0.386)),
+)
+# (weight, full width at half maximum in degrees): [1996].
+ZHANG1996_GAUSSIANS = (
+    ((1.00327, 0.05), (0.114416, 0.225), (-0.117686, 7.0)),
+    ((0.616725, 0.0685), (0.383275, 0.826)),
+    ((0.567885, 0.092), (0.432115, 0.6451)),
+)
+ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
+ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)  # its kernels are a degree long: beyond, they are one sample, or fill the memory
+
+
+@lru_cache(maxsize=1)  # as large as a picture
+def transfer(filters: Filters, height: int, width: int, samples_per_deg: float) -> Floats:
+    """`new_transfer`, kept for the next picture: it is shared by all calls, and must not be written to."""
+    kept = new_transfer(filters, height, width, samples_per_deg)
+    kept.flags.writeable = False
+    return kept
+
+
+def new_transfer(filters: Filters, height: int, width: int, samples_per_deg: float) -> Floats:
+    """Each opponent channel's factor for each DCT-II coefficient, (3, height, width)."""
+    terms = _published_terms if filters == "published" else _zhang1996_terms
+    factors = np.zeros((3, height, width))
+    for channel, plane in enumerate(factors):
+        along_y, along_x = terms(channel, height, samples_per_deg), terms(channel, width, samples_per_deg)
+        for (weight, fy), (_, fx) in zip(along_y, along_x, strict=True):
+            plane += (weight * fy)[:, np.newaxis] * fx
+    return factors
+
+
+def _published_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
+    """(weight, transfer (samples,) on an axis) of each Gaussian: exp(-x²/s²) becomes exp(-π²s²f²), f in cycles/deg."""
+    frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
+    gaussians = PUBLISHED_GAUSSIANS[channel]
+    gain = sum(weight for weight, _ in gaussians)
+    with np.errstate(over="ignore"):  # exp(-infinity): from so far away only the mean is seen
+        return [(weight / gain, np.exp(-((np.pi * s_deg * frequency_cy_per_deg) ** 2))) for weight, s_deg in gaussians]
+
+
+def _zhang1996_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
+    """The same for [1996]: an even kernel, wrapped on the reflected image's period 2·samples, has a real spectrum."""
+    position = _centred_positions(samples_per_deg).astype(int) % (2 * samples)
+    kernels = [(weight, zhang1996_kernel(w_deg, samples_per_deg)) for weight, w_deg in ZHANG1996_GAUSSIANS[channel]]
+    wrapped = [(weight, np.bincount(position, kernel, 2 * samples)) for weight, kernel in kernels]
+    return [(weight, scipy.fft.rfft(kernel).real[:samples]) for weight, kernel in wrapped]
+
+
+def zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
+    """One Gaussian of [1996], one degree long: its sum is 1 as built, but not after thinning to the image's density."""
+    upsampling = max(1, math.ceil(ZHANG1996_BUILD_SAMPLES_PER_DEG / samples_per_deg))
+    position = _centred_positions(samples_per_deg * upsampling)
+    alpha = 2 * math.sqrt(math.log(2)) / (width_deg * samples_per_deg * upsampling - 1)
+    dense = np.exp(-((alpha * position) ** 2))
+    dense /= dense.sum()
+    if upsampling == 1:
+        return dense
+    kept = _centred_positions(samples_per_deg) * upsampling
+    triangle = np.maximum(0, 1 - np.abs(position - kept[:, np.newaxis]) / upsampling)
+    return np.asarray((triangle * dense).sum(axis=1))
+
+
+def _centred_positions(samples_per_deg: float) -> Floats:
+    reach = math.ceil(samples_per_deg / 2) - 1  # so a kernel has 2⌈samples_per_deg / 2⌉ - 1 samples
+    return np.arange(-reach, reach + 1.0)
+
+
+Formula = Literal["1976", "1994", "2000"]
+Strips = Iterator[tuple[slice, Floats]]  # rows, and planes (3, rows, W)
+# Luminance, red-green, blue-yellow from XYZ: [ZW] and [1996].
+OPPONENT_FROM_XYZ = np.array(
+    [[0.2787336, 0.7218031, -0.1065520], [-0.4487736, 0.2898056, 0.0771569], [0.0859513, -0.5899859, 0.5011089]]
+)
+XYZ_FROM_OPPONENT = np.linalg.inv(OPPONENT_FROM_XYZ).astype(np.float64)
+# CIELAB's f(t) is the cube root above a threshold, and slope t + 16/116 up to it, where L* is dark_slope Y/Yn.
+CIE_LAB = (216 / 24389, 841 / 108, 24389 / 27)  # [CIE]: (6/29)^3, (29/6)^2 / 3, (29/3)^3
+ZHANG1996_LAB = (0.008856, 7.787, 903.3)  # [1996]
+
+
+def delta_e_map(
+    reference_xyz: npt.ArrayLike,
+    test_xyz: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    formula: Formula = "1976",
+    workers: int = 1,
+) -> Floats:
+    """S-CIELAB difference of a test image from its reference, (H, W), in units of ΔE.
+
+    Zhang & Wandell [ZW]. Multiplying both images and the white by one number changes nothing, whatever its size. XYZ slightly
+    below zero, as noise leaves it, is kept: CIELAB's linear branch goes on through zero, with no clipping and no step.
+
+    reference_xyz, test_xyz : (H, W, 3) CIE XYZ in any unit, the same for both and for the white
+    white_xyz : (3,) XYZ of the white that the viewer is adapted to
+    samples_per_deg : image samples per degree of visual angle
+    filters, workers : as of `filtered_lab`
+    formula : as of `delta_e`
+
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+
+    >>> white = np.array([95.047, 100.0, 108.883])
+    >>> light, half = np.ones((8, 8, 1)) * white, 0.5 * np.ones((8, 8, 1)) * white
+    >>> delta_e = delta_e_map(light, half, white_xyz=white, samples_per_deg=23)  # even pictures have their plain CIELAB
+    >>> round(float(delta_e.mean()), 6), round(116 * (1 - 0.5 ** (1 / 3)), 6)
+    (23.930739, 23.930739)
+    """
+    reference, test = checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
+    seen = partial(filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters, workers=workers)
+    return delta_e(seen(reference), seen(test), formula)
+
+
+def filtered_lab(
+    xyz: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    workers: int = 1,
+) -> Floats:
+    """CIELAB of an image as the eye blurs it, (H, W, 3): filter a study's ideal image once, compare many with it. [ZW]
+
+    XYZ below zero (noise, the filters' negative lobe) follows CIELAB's linear branch on, so L* may be negative: clipping
+    before the eye's blur would make noise around black brighter on average than it is.
+
+    xyz : (H, W, 3)
+    white_xyz : (3,), in the same unit
+    samples_per_deg : samples per degree of visual angle
+    filters : "published" is [ZW] as defined in frequency, with unit gain at zero, so that a uniform image has its plain
+        CIELAB; "zhang1996" follows [1996], sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg
+    workers : threads of the transforms; the result does not depend on it
+
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    """
+    white, exponent = _checked_view(filters, white_xyz, samples_per_deg)
+    planes = np.moveaxis(checked_triples("xyz", xyz, dimensions=3), -1, 0)
+    opponent = empty_planes(*planes.shape)
+    for rows, strip in strips_of(planes.shape):
+        np.ldexp(planes[:, rows], -exponent, out=strip)
+        _combine(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
+    spectrum = dct(opponent, workers)
+    spectrum *= transfer(filters, *spectrum.shape[1:], float(samples_per_deg))
+    return _whole(_seen(spectrum, XYZ_FROM_OPPONENT / white[:, np.newaxis], filters, workers), spectrum.shape)
+
+
+def filtered_grey_lab(
+    luminance: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    workers: int = 1,
+) -> Floats:
+    """`filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white: (H, W, 3). [ZW]
+
+    Its opponent channels are multiples of one picture, so that one transform serves all three on the way in; each is
+    blurred in its own way, so grey gains chroma. The transfer functions also turn them into X/Xn, Y/Yn and Z/Zn.
+    `filters` and `workers` are those of `filtered_lab`.
+
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    """
+    spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
+    return _whole(_seen(spectrum, None, filters, workers), spectrum.shape)
+
+
+def grey_delta_e_map(
+    reference_lab: npt.ArrayLike,
+    luminance: npt.ArrayLike,
+    *,
+    white_xyz: npt.ArrayLike,
+    samples_per_deg: float,
+    filters: Filters = "published",
+    workers: int = 1,
+) -> Floats:
+    """`delta_e` (1976) of `filtered_grey_lab` from a picture that was filtered once, (H, W), without the grey one's CIELAB. [ZW]
+
+    reference_lab : (H, W, 3)
+    luminance : (H, W) relative, 1 for white
+    white_xyz, samples_per_deg, filters, workers : as of `filtered_lab`
+
+    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    """
+    spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
+    reference, shape = np.asarray(reference_lab, np.float64), (*spectrum.shape[1:], 3)
+    if reference.shape != shape:
+        raise refuse("reference_lab, shape", reference.shape, str(shape), "Resample one image to the raster of the other.")
+    reference = np.moveaxis(reference, -1, 0)
+    difference = np.empty(spectrum.shape[1:])
+    for rows, lab in _seen(spectrum, None, filters, workers):
+        _distance(reference[:, rows], lab, difference[rows])
+    if not is_finite(difference):
+        checked_triples("reference_lab", reference_lab)
+    return difference
+
+
+def _grey_spectrum(
+    luminance: npt.ArrayLike, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters, workers: int
+) -> Floats:
+    """DCT-II of X/Xn, Y/Yn and Z/Zn of a grey picture as they are seen, (3, H, W)."""
+    white, _ = _checked_view(filters, white_xyz, samples_per_deg)
+    grey = np.asarray(luminance, np.float64)
+    if grey.ndim != 2 or grey.size == 0 or not is_finite(grey):
+        raise refuse("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
+    picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
+    picture[...] = grey
+    factors = _grey_transfer(filters, *grey.shape, float(samples_per_deg), tuple(white.tolist()))
+    return np.multiply(factors, dct(picture, workers), out=spectrum)
+
+
+def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: float) -> tuple[Floats, int]:
+    """The white over a power of two that brings its Y to 0.5 … 1, and that power's exponent.
+
+    Powers of two round nothing, and sums over an image neither overflow nor vanish, whatever the unit.
+    """
+    check_choice("filters", filters, get_args(Filters))
+    white = checked_white(white_xyz)
+    if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
+        mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
+        raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
+    low, high = ZHANG1996_SAMPLES_PER_DEG
+    if filters == "zhang1996" and not low <= samples_per_deg <= high:
+        raise refuse("samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or take 'published'.")
+    exponent = math.frexp(white[1])[1]
+    return np.ldexp(white, -exponent), exponent
+
+
+def _seen(spectrum: Floats, relative_from_opponent: Floats | None, filters: Filters, workers: int) -> Strips:
+    """Planes of CIELAB, in one memory, from the filtered DCT-II (3, H, W) of the opponent channels, or of X/Xn, Y/Yn and Z/Zn."""
+    planes = inverse_dct(spectrum, workers)
+    constants = CIE_LAB if filters == "published" else ZHANG1996_LAB
+    for (rows, strip), (_, lab) in zip(strips_of(planes.shape), strips_of(planes.shape), strict=True):
+        if relative_from_opponent is None:
+            np.copyto(strip, planes[:, rows])
+        else:
+            _combine(relative_from_opponent, planes[:, rows], strip)
+        _lab_planes(strip, *constants, out=lab)
+        yield rows, lab
+
+
+def _whole(strips: Strips, shape: tuple[int, ...]) -> Floats:
+    """(H, W, 3) from strips of planes (3, H, W)."""
+    planes = np.empty(shape)
+    for rows, strip in strips:
+        planes[:, rows] = strip
+    return np.moveaxis(planes, 0, -1)
+
+
+def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
+    """Colour difference of each sample, (...), from two CIELAB arrays (..., 3).
+
+    lab_reference, lab_test : (..., 3)
+    formula : "1976" Euclidean [CIE]; "1994" CIE 116-1995, graphic arts (kL 1, K1 .045, K2 .015), weighted by the chroma
+        of the reference, so not symmetric; "2000" CIE 142-2001, kL = kC = kH = 1. The last two by colour-science.
+
+    Raises PixsimError (a ValueError) for shapes that differ, values that are not finite, an unknown formula.
+
+    >>> float(delta_e([50.0, 0.0, 0.0], [53.0, 4.0, 0.0]))
+    5.0
+    """
+    check_choice("formula", formula, get_args(Formula))
+    reference, test = checked_pair(lab_reference=lab_reference, lab_test=lab_test)
+    if formula == "1976":
+        distance = np.empty(reference.shape[:-1])
+        _distance(np.moveaxis(reference, -1, 0), np.moveaxis(test, -1, 0).copy(), distance)
+        return distance[()]
+    import colour  # 2.6 s to import: only for those who ask
+
+    compare = colour.difference.delta_E_CIE1994 if formula == "1994" else colour.difference.delta_E_CIE2000
+    with colour.domain_range_scale("reference"):  # else a caller's global setting would change the result
+        return np.asarray(compare(reference, test), np.float64)
+
+
+def _distance(first: Floats, second: Floats, out: Floats) -> None:
+    """Euclidean distance of planes (3, ...); the second ones are overwritten."""
+    np.square(np.subtract(first, second, out=second), out=second)
+    np.add(second[0], second[1], out=out)
+    out += second[2]
+    np.sqrt(out, out=out)
+
+
+def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
+    """CIELAB [CIE], unfiltered, (..., 3), of xyz (..., 3) under white_xyz (3,), of one unit; below zero: see `filtered_lab`.
+
+    Raises PixsimError (a ValueError) for shapes or values that cannot be meant.
+    """
+    planes = np.moveaxis(checked_triples("xyz", xyz), -1, 0)
+    white = checked_white(white_xyz)
+    return _lab(np.stack([plane / scale for plane, scale in zip(planes, white, strict=True)]), *CIE_LAB)
+
+
+def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) -> Floats:
+    """(3, ...) planes of X/Xn, Y/Yn, Z/Zn to CIELAB (..., 3)."""
+    planes = np.array(relative).reshape(3, -1)
+    lab = np.empty_like(planes)
+    _lab_planes(planes, threshold, slope, dark_slope, out=lab)
+    return np.moveaxis(lab.reshape(relative.shape), 0, -1)
+
+
+def _lab_planes(relative: Floats, threshold: float, slope: float, dark_slope: float, out: Floats) -> None:
+    """Planes of X/Xn, Y/Yn, Z/Zn (3, ...), which are overwritten, to planes of L*, a*, b*. Only dark samples pay for darkness."""
+    linear = relative.copy() if relative.min() <= threshold else None
+    f = np.cbrt(relative, out=relative)
+    if linear is not None:
+        np.copyto(f, slope * linear + 16 / 116, where=linear <= threshold)
+    np.multiply(f[1], 116, out=out[0])
+    out[0] -= 16
+    np.subtract(f[:2], f[1:], out=out[1:])
+    out[1] *= 500
+    out[2] *= 200
+    if linear is not None:
+        np.copyto(out[0], dark_slope * linear[1], where=linear[1] <= threshold)
+
+
+def _combine(matrix: Floats, planes: Floats, out: Floats) -> None:
+    """3x3 matrix times planes (3, H, W), by einsum's own loop: a BLAS product rounds differently with more threads."""
+    np.einsum("ij,jyx->iyx", matrix, planes, out=out, optimize=False)
+
+
+@lru_cache(maxsize=1)  # as large as a picture
+def _grey_transfer(filters: Filters, height: int, width: int, samples_per_deg: float, white: tuple[float, float, float]) -> Floats:
+    """Factors of each DCT-II coefficient of a grey picture for X/Xn, Y/Yn and Z/Zn as they are seen, (3, height, width)."""
+    opponent = (OPPONENT_FROM_XYZ * white).sum(axis=1)
+    transfer = new_transfer(filters, height, width, samples_per_deg)
+    for rows, strip in strips_of(transfer.shape):
+        np.copyto(strip, transfer[:, rows])
+        _combine(XYZ_FROM_OPPONENT / np.array(white)[:, np.newaxis] * opponent, strip, transfer[:, rows])
+    return transfer
