@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from fuzz_targets import CONFIG, ENVI, SCENE, changed, light, read_picture, rows, seeds
+from helpers.fuzz_targets import CONFIG, ENVI, SCENE, changed, light, read_picture, rows, seeds
+from helpers.processes import HANG_S
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from processes import HANG_S
 
 import pixsim
 from pixsim import cli

@@ -17,7 +17,7 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from dense_curves import covers, simulated
+from helpers.dense_curves import covers, simulated
 
 from pixsim.base.parameters import Study
 from pixsim.show.figures import LOOKS, new_figure, save_svg

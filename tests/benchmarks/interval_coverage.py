@@ -23,7 +23,7 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from dense_curves import Sensors, SimulatedStudy, covers, simulated, truth_of
+from helpers.dense_curves import Sensors, SimulatedStudy, covers, simulated, truth_of
 
 from pixsim.studies.optimum import FittedCurve
 

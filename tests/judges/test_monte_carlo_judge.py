@@ -23,8 +23,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from edits import VARIANT
-from gates import not_met, row
+from helpers.edits import VARIANT
+from judges.gates import not_met, row
 from scipy.stats import ttest_ind_from_stats
 
 import pixsim

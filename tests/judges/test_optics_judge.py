@@ -28,8 +28,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edits import VARIANT
-from gates import not_met, row
+from helpers.edits import VARIANT
+from judges.gates import not_met, row
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.optimize import brentq
 

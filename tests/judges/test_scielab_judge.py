@@ -13,7 +13,7 @@ Gates:
 * ±1e-4 for Sharma's pairs, printed with 4 decimals.
 * 1 to 7 % (17 % below 60 samples/deg) between the published filters and the code of 1996: two parametrisations of one
   experiment. Were they nearer than 1 %, one of them would not be what it says. A wide gate: no outside map has the published
-  filters, whose closed form tests/test_scielab.py holds to 1e-12.
+  filters, whose closed form tests/viewer/test_scielab.py holds to 1e-12.
 
 How independent they are: ΔE 1994 and 2000 are colour-science's own in pixsim, so that colour-science judges there only what
 pixsim hands over; the MATLAB maps and Sharma's table judge the formulas.
@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gates import not_met, row
+from judges.gates import not_met, row
 
 from pixsim.viewer import scielab
 from pixsim.viewer import scielab as eye_filters

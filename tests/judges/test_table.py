@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-import table
-from gates import not_met, row
+from judges import table
+from judges.gates import not_met, row
 
 
 def test_a_gate_has_two_sides():

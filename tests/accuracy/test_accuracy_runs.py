@@ -1,0 +1,394 @@
+"""`pixsim accuracy` and `--tolerance-delta-e`, from the command line to the files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from dataclasses import replace
+from functools import cache as once
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.browser import BROWSER, assert_fits, assert_prints
+from helpers.commands import command
+from helpers.edits import VARIANT, edited, load
+from helpers.looks import grey_look
+from helpers.processes import HANG_S
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+import pixsim
+from pixsim.accuracy import stability
+from pixsim.accuracy import survey as surveys
+from pixsim.accuracy.ladders import Clock, Rung, seed_rungs
+from pixsim.accuracy.reference import analytic_reference
+from pixsim.accuracy.report import plates_of, write_accuracy
+from pixsim.accuracy.result import METRICS, Accuracy
+from pixsim.accuracy.solvers import solvers
+from pixsim.accuracy.stability import compare
+from pixsim.accuracy.survey import QUICK, survey
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.parameters import Run
+from pixsim.scene.renderer import render
+from pixsim.studies import budget as probes
+from pixsim.studies.budget import SOURCES, Setup, pitch_range_um, pitches_around_optimum_um, probe
+from pixsim.viewer.score import bench_of
+
+LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
+pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # what a command warns of is in its stderr
+DISPLAY, DIE = {"dots": 32}, {"die_mm": 0.4}  # 75 pixels of 5.3 µm: quick
+SMALL = replace(
+    QUICK,
+    seconds=math.inf,
+    reference_s=0.0,
+    spp=16,
+    films=(-1,),
+    bands=(2,),
+    lens=(4,),
+    plain=(4,),
+    pool=8,
+    dots=(0.5, 2),
+)
+NO_TIME = replace(SMALL, seconds=0.0, ladders_s=0.0)  # for any rung, however fast the machine is
+
+
+each_discharge_once = once(solvers)
+
+
+@pytest.fixture(autouse=True)
+def few_extremes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cases have tests of their own, and so have the solvers: equal pixels share their discharges."""
+    monkeypatch.setattr(surveys, "solvers", each_discharge_once)
+    cases = [
+        replace(compare("one", 1.0, 1.0, 0.1, "by <hand>"), room="optics"),
+        compare("two & three", 1.0, 2.0, 0.1, "it's wrong"),
+    ]
+    monkeypatch.setattr(stability, "all_cases", lambda told=None: (cases, {"optics": 0.0}))
+
+
+def settings(**values) -> Run:
+    return Run.model_validate({"scene": {"resolution": 64, "spp": 4}, "display": DISPLAY, "camera": DIE} | values)
+
+
+def surveyed(source: str | Path, depth=SMALL, **values) -> Accuracy:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surveys, "QUICK", depth)
+        return survey(str(source), settings(**values), quick=True, variant=VARIANT, progress=lambda _: lambda *_: None)
+
+
+class Page(HTMLParser):
+    """Every tag that is opened is closed, in order."""
+
+    VOID = ("meta", "img", "br", "hr", "link", "input")
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture
+def letters_where_they_fall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of a figure's time is its layout: for surveys whose figures differ in their data only."""
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
+
+
+def check(found: Accuracy, folder: Path) -> dict:
+    """What every survey holds, and its files; returns summary.json."""
+    assert set(found.names) >= LADDERS - {"film"}
+    assert found.shipped.seconds > 0
+    assert set(found.budget) == set(SOURCES)
+    for each in found.rungs:
+        assert each.left_out or each.seconds > 0
+    for metric in ("error_e", "error_delta_e"):
+        assert found.rivals(metric)[0] is found.shipped
+    report = write_accuracy(found, folder)
+    text = report.read_text(encoding="utf-8")
+    Page(text)
+    assert "by &lt;hand&gt;" in text
+    assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    json.dumps(summary, allow_nan=False)
+    assert summary["reference"] == found.reference
+    assert set(summary["ladders"]) == set(found.names)
+    with (folder / "ladders.csv").open(encoding="utf-8", newline="") as file:
+        assert len(list(csv.DictReader(file))) == len(found.rungs)
+    climbed = [name for name in found.names if len(found.ladder(name)) > 1]
+    for name in ("work_precision", *(("convergence", "viewing") if climbed else ()), "stages", "budget"):
+        assert (folder / f"figures/{name}.svg").stat().st_size > 1000
+        assert (folder / f"figures/{name}.csv").exists()
+    return summary
+
+
+# --- Surveys ---
+
+
+def test_a_survey_of_a_chart_with_a_formula(tmp_path):
+    found = surveyed("csf")
+    summary = check(found, tmp_path / "out")
+    if BROWSER:
+        page, headings = tmp_path / "out/report.html", ["What it costs to be less wrong", "Every rung"]
+        assert_fits(page, tmp_path)
+        assert_prints(page, tmp_path, range(4, 10), ["As shipped", "formula of the csf chart"], headings)
+    for plate in plates_of(found):
+        for legend in [axes.get_legend() for axes in plate.figure.axes if axes.get_legend()] + plate.figure.legends:
+            looks = [grey_look(each) for each in legend.get_lines()]
+            assert len(set(looks)) == len(looks), plate.name
+    assert set(found.names) == LADDERS
+    assert summary["analytic"] is True
+    assert "formula of the csf chart" in summary["reference"]
+    assert list(found.stage_seconds) == ["parse", "compile", "render", "diffraction", "sensor", "S-CIELAB", "report"]
+    assert all(each >= 0 for each in found.stage_seconds.values())
+    spp = found.ladder("spp")
+    assert spp[-1].error_e < spp[0].error_e
+    films = found.ladder("film")
+    assert films[-1].error_e < films[0].error_e
+
+
+@pytest.mark.parametrize("name", ["flat", "slanted_edge"])
+@pytest.mark.usefixtures("letters_where_they_fall")
+def test_a_survey_of_other_charts(name, tmp_path):
+    found = surveyed(name, NO_TIME, scene={"resolution": 32, "spp": 4})
+    assert check(found, tmp_path / "out")["analytic"] is True
+    if name == "flat":  # its electrons are right but for the fall-off and the bands
+        assert found.shipped.error_e < 1e-3
+
+
+def test_a_survey_of_a_scene_without_a_formula(tmp_path):
+    found = surveyed("macbeth", NO_TIME, scene={"resolution": 16, "spp": 4})
+    summary = check(found, tmp_path / "out")
+    assert summary["analytic"] is False
+    assert "times the work, other seeds" in summary["reference"]
+
+
+@pytest.mark.usefixtures("letters_where_they_fall")
+def test_what_there_is_no_time_for_is_left_out_and_says_so(tmp_path):
+    found = surveyed("csf", NO_TIME)
+    check(found, tmp_path / "out")
+    left = [each for each in found.rungs if each.left_out]
+    assert {each.ladder for each in left} == LADDERS
+    assert all(math.isnan(each.seconds) and "about" in each.left_out for each in left)
+    assert math.isfinite(found.shipped.error_e)
+
+
+SETTINGS = {
+    "one to one": {"display": DISPLAY | {"raster": "one_to_one"}},
+    "given fill factor": {"pixel": {"fill_factor": 0.6, "pitch_um": 8.0}},
+    "pinned process": {"pixel": {"technology": "4t-bsi", "pitch_um": 2.0}, "camera": {"die_mm": 0.1}},
+    "dim": {"exposure": {"integration_s": 1e-6}},
+    "no room for a sweep": {"camera": {"die_mm": 0.1}, "pixel": {"pitch_um": 8.0}},
+}
+
+
+@pytest.mark.parametrize("case", SETTINGS)
+@pytest.mark.usefixtures("letters_where_they_fall")
+def test_surveys_of_other_sensors_and_viewers(case, tmp_path):
+    found = surveyed("csf", NO_TIME, scene={"resolution": 32, "spp": 4}, **SETTINGS[case])
+    check(found, tmp_path / "out")
+    if case == "one to one":
+        assert [each.left_out for each in found.rungs if each.ladder == "raster"] == ["the dots are the pixels"]
+    if case == "no room for a sweep":
+        assert found.setup.pitches_um == ()
+        assert "error_optimum_um" not in {metric for metric in METRICS if found.rivals(metric)}
+
+
+# --- Pitches ---
+
+
+def csf(**values) -> tuple[Setup, pixsim.SpectralImage]:
+    scene = load("csf", resolution=128, spp=4)
+    run = settings(**values)
+    camera = scene.camera(run.camera)
+    return Setup.of(run, camera), render(scene, camera)
+
+
+def test_pitches_lie_around_the_least_error():
+    setup, image = csf(pixel={"technology": "4t-bsi", "pitch_um": 2.0}, camera={"die_mm": 0.1})
+    low, high = pitch_range_um(setup)
+    pitches = pitches_around_optimum_um(image, setup, 6)
+    assert len(pitches) == 6
+    assert low * 0.999 <= pitches[0] < pitches[-1] <= high * 1.001
+    assert list(pitches) == sorted(set(pitches))
+    paper = replace(setup, pixel=pixsim.Pixel())
+    narrow = replace(paper, camera=setup.camera.model_copy(update={"die_mm": 0.1}))  # 16 pixels of 6.25 µm, and none below 5.3
+    assert pitches_around_optimum_um(image, narrow, 6) == ()
+    large = replace(setup, camera=setup.camera.model_copy(update={"die_mm": 10.0}))
+    assert pitch_range_um(large)[0] * 1024 == pytest.approx(10_000)  # 0.4 µm would be 600 million pixels
+
+
+def test_the_set_ups_pixel_is_the_optimums_where_that_is_asked_for():
+    setup, _ = csf()
+    assert setup.around((4.0, 5.0, 9.0)).pixel == setup.pixel
+    moved = replace(setup, at_optimum=True).around((4.0, 5.0, 9.0))
+    assert moved.pixel.pitch_um == 6.0
+    assert replace(setup, at_optimum=True).around(()).pixel == setup.pixel
+
+
+def test_errors_of_seeds_are_those_of_independent_sensors():
+    """Means over n sensors err by σ/√n: 8 means of 4 and a reference of 32 tell that to a third, 3 of them."""
+    setup, image = csf()
+    shipped, clock = Rung("methods", "own", 1, seconds=1.0), Clock(math.inf, 1, 0.0, 0.01)
+    rungs = {each.value: each for each in seed_rungs(image, setup, shipped, clock, 8)}
+    assert set(rungs) == {1, 2, 4, 8}
+    sensor = probe(image, replace(setup, sensors=32, seed=5)).delta_e.std(ddof=1)
+    for count in (1, 2, 4):
+        assert rungs[count].error_delta_e == pytest.approx(sensor / math.sqrt(count), rel=0.7)
+        assert rungs[count].seconds >= 1.0
+
+
+def test_what_sensors_share_is_made_once(monkeypatch):
+    setup, image = csf()
+    made = []
+    plain = bench_of
+    monkeypatch.setattr(probes, "bench_of", lambda *given: made.append(1) or plain(*given))
+    probe(image, replace(setup, sensors=3, pitches_um=(6.0, 7.0)))
+    assert len(made) == 3
+
+
+def test_a_probe_is_the_same_each_time_and_changes_as_little_as_its_picture():
+    setup, image = csf()
+    setup = replace(setup, sensors=2, pitches_um=(6.0, 7.0, 8.0, 9.0, 10.0))
+    one, again = probe(image, setup), probe(image, setup)
+    np.testing.assert_array_equal(one.sweep_delta_e, again.sweep_delta_e)
+    np.testing.assert_array_equal(one.delta_e, again.delta_e)
+    assert one.sweep_delta_e.shape == (5, 2)
+    assert one.delta_e[0] != one.delta_e[1]
+    alone = probe(image, replace(setup, sensors=1))
+    np.testing.assert_array_equal(alone.sweep_delta_e, one.of_first_sensor.sweep_delta_e)
+    np.testing.assert_array_equal(alone.delta_e, one.of_first_sensor.delta_e)
+    from pixsim.studies.budget import brighter
+
+    near = probe(brighter(image, 1 + 1e-6), setup)
+    assert abs(near.mean_delta_e - one.mean_delta_e) < 1e-3
+    assert 0 < one.score_seconds <= one.seconds
+
+
+# --- A tolerance of ΔE ---
+
+
+@pytest.fixture
+def chart(tmp_path: Path) -> Path:
+    """The csf scene with a film that is left open, of half of its samples across."""
+    return edited(tmp_path, "csf", ('name="resolution" value="1024"', 'name="resolution" value="512"'), ('value="16"', 'value="4"'))
+
+
+RUN = f"--variant {VARIANT} --display.dots 128 --camera.die-mm 0.8 --json"
+
+
+def run(source: Path | str, more: str, out: Path) -> dict:
+    code, told, err = command(f"run {source} {RUN} {more} --out {out}")
+    assert code == 0, err
+    return {**json.loads(told), "err": err}
+
+
+def truth_of(sensors: int = 16) -> float:
+    """Mean ΔE over many other sensors of the formula's picture."""
+    scene = load("csf")
+    options = Run.model_validate({"camera": {"die_mm": 0.8}, "display": {"dots": 128}})
+    camera = scene.camera(options.camera)
+    image = analytic_reference(scene, camera, Setup.of(options, camera), "csf", (1024, 1024)).image
+    setup = replace(Setup.of(options, camera), sensors=sensors, seed=99)
+    return probe(image, setup).mean_delta_e
+
+
+def test_a_run_meets_its_tolerance_and_a_looser_one_is_cheaper(chart, tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
+    tolerances = 0.01, 1.0
+    results = {t: run(chart, f"--tolerance-delta-e {t} --max-seconds {HANG_S}", tmp_path / f"{t}") for t in tolerances}
+    truth = truth_of()
+    for tolerance, result in results.items():
+        budget = result["error_budget"]
+        assert set(budget["sources"]) == set(SOURCES)
+        assert budget["met"] is True
+        assert budget["total"]["delta_e"] <= tolerance
+        assert abs(result["sensors_mean_delta_e"] - truth) <= tolerance
+        assert result["sensors"] == budget["settings"]["sensors"]
+    tight, loose = (results[t]["error_budget"]["settings"] for t in tolerances)
+    assert tight["resolution"] > loose["resolution"]
+    assert tight["render_noise"] <= loose["render_noise"]
+    assert tight["sensors"] >= loose["sensors"]
+    errors = [abs(results[t]["sensors_mean_delta_e"] - truth) for t in tolerances]
+    assert errors[0] < errors[1]
+    assert len(list((tmp_path / "cache/calibration").iterdir())) == 1  # the second took what the first had measured
+
+
+def test_a_film_that_is_set_stays_and_what_it_leaves_is_told(tmp_path):
+    result = run("csf", "-D resolution=64 --tolerance-delta-e 0.001 --max-seconds 5", tmp_path / "out")
+    budget = result["error_budget"]
+    assert (budget["met"], budget["settings"]["resolution"]) == (False, 64)
+    assert budget["sources"]["oversampling"]["delta_e"] > 0.001
+    assert "no settings meet" in result["err"]
+    assert "leave it open" in result["err"]
+
+
+def test_what_a_user_reads_is_the_mean_over_the_sensors(chart, tmp_path):
+    code, told, _ = command(f"run {chart} {RUN.replace('--json', '')} --tolerance-delta-e 5 --out {tmp_path / 'out'}")
+    assert code == 0
+    score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
+    assert f"mean ΔE {score['sensors_mean_delta_e']:.4f} ± " in told
+    for name in SOURCES:
+        assert name in told
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("run csf --tolerance-delta-e 0.01 --full", "with --full"),
+        ("run picture.exr --tolerance-delta-e 0.01", "a picture"),
+        ("run csf --tolerance-delta-e 0", "tolerance_delta_e"),
+        ("run csf --tolerance-delta-e -1", "tolerance_delta_e"),
+        ("run csf --tolerance-delta-e nan", "tolerance_delta_e"),
+        ("run csf --tolerance-delta-e much", "tolerance_delta_e"),
+        ("accuracy no_such_scene --quick", "no_such_scene"),
+        ("accuracy csf --pixel.pitch-um 1 --quick", "pitch"),
+        ("accuracy csf --display.dots -3 --quick", "dots"),
+        ("accuracy picture.exr", "picture.exr"),
+    ],
+)
+def test_bad_input_is_told_in_one_message(line, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pixsim.write_chart("picture.exr", pixsim.make_chart("flat"))
+    code, told, err = command(line)
+    assert (code, told) == (2, "")
+    assert message in err
+    assert len([row for row in err.splitlines() if row.startswith("pixsim:")]) == 1
+    assert "Traceback" not in err
+    assert not (tmp_path / "pixsim-out").exists()
+
+
+def test_a_scene_that_tells_no_white_can_have_a_tolerance(tmp_path):
+    own = edited(tmp_path, "macbeth", *WHITELESS)
+    result = run(own, "-D resolution=32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
+    assert "error_budget" in result
+    assert result["err"].count("does not tell its white") == 1
+
+
+WHITELESS = (('<default name="white_cd_per_m2"', '<default name="unused_white"'),)
+
+
+def test_a_study_carries_its_budget(chart, tmp_path):
+    study = tmp_path / "small.toml"
+    study.write_text(
+        f'name = "small"\ntolerance_delta_e = 2\nmax_repeats = 3\nscene.file = "{chart}"\ncamera.die_mm = 0.4\n'
+        "display.dots = 32\npitch = { count = 6 }\n",
+        encoding="utf-8",
+    )
+    code, told, err = command(f"study {study} --jobs 1 --variant {VARIANT} --out {tmp_path / 'out'}")
+    assert code == 0, err
+    assert "error budget for 2 ΔE" in told
+    summary = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))
+    budget = summary["error_budget"]
+    assert set(budget["sources"]) == set(SOURCES)
+    assert budget["settings"]["sensors"] == summary["study"]["repeats"] <= 3
+    json.dumps(summary, allow_nan=False)

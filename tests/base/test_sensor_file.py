@@ -1,0 +1,297 @@
+"""A sensor's file: the same for one picture and for a study of its pixel size; its well and dark current go with the area."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+
+import pixsim
+from pixsim.base.config import study_layers
+from pixsim.base.parameters import pixel_of
+from pixsim.sensor.pixel import fill_factor_law
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.study import checked_study, load_study, read_study
+
+SHEET = """
+[pixel]
+pitch_um = 4.0
+full_well_e = 12000
+read_noise_e = 2.5
+dark_current_e_per_s = 8
+quantum_efficiency = 0.6
+bits = 12
+
+[camera]
+die_mm = 2.0
+f_number = 2.8
+"""
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("pitch_um", [1.0, 4.0, 9.0])
+def test_well_and_dark_current_go_with_the_area(pitch_um: float) -> None:
+    measured = {"full_well_e": 12000, "read_noise_e": 2.5, "dark_current_e_per_s": 8, "quantum_efficiency": 0.6}
+    physics = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, data_sheet_pitch_um=4.0, **measured))
+    assert physics.full_well_e == pytest.approx(12000 * (pitch_um / 4) ** 2, rel=1e-12)
+    assert physics.dark_current_e_per_s == pytest.approx(8 * (pitch_um / 4) ** 2, rel=1e-12)
+    assert physics.read_noise_e == 2.5
+    alone = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, **measured))
+    assert (alone.full_well_e, alone.dark_current_e_per_s) == (12000, 8)
+
+
+def test_the_area_is_the_photodiode_s() -> None:
+    """At 0.35 µm a pixel of 8 µm has more photodiode beside its transistors than one of 6 µm, not (8/6)² as much."""
+    process = pixsim.load_technology("0.35um")
+    physics = pixsim.derive(pixsim.Pixel(pitch_um=8.0, full_well_e=40000, data_sheet_pitch_um=6.0))
+    areas_um2 = fill_factor_law([8.0, 6.0], process) * np.array([64.0, 36.0])
+    assert areas_um2[0] / areas_um2[1] > 2
+    assert physics.full_well_e == pytest.approx(40000 * areas_um2[0] / areas_um2[1], rel=1e-12)
+    # What is not measured stays the process's.
+    assert physics.dark_current_e_per_s == pixsim.derive(pixsim.Pixel(pitch_um=8.0)).dark_current_e_per_s
+
+
+def test_a_well_of_no_electron_is_refused() -> None:
+    with pytest.raises(pixsim.PixsimError, match=r"0\.01.*12000 electrons at 4 µm.*full well of 1 to 1e\+18"):
+        pixsim.derive(pixsim.Pixel(pitch_um=0.01, technology="none", data_sheet_pitch_um=4.0, full_well_e=12000, read_noise_e=1,
+                                   dark_current_e_per_s=0, quantum_efficiency=0.5))  # fmt: skip
+    with pytest.raises(pixsim.PixsimError, match=r"data_sheet_pitch_um: got 3; allowed: above 5\.13"):
+        pixsim.derive(pixsim.Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0))
+
+
+def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
+    return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
+
+
+def test_a_data_sheet_becomes_the_study_s_sensor(tmp_path: Path) -> None:
+    study = study_of(SHEET, tmp_path)
+    assert study.technologies == ("none",)
+    assert (study.camera.die_mm, study.camera.f_number, study.pixel.bits) == (2.0, 2.8, 12)
+    pitches_um = study_pitches_um(study, "none")
+    assert pitches_um[[0, -1]] == pytest.approx([1.0, 16.0])
+    wells_e = [pixsim.derive(pixel_of(study, "none", each)).full_well_e for each in pitches_um.tolist()]
+    np.testing.assert_allclose(wells_e, 12000 * (pitches_um / 4) ** 2, rtol=1e-12)
+
+
+def test_the_study_says_from_where_to_where(tmp_path: Path) -> None:
+    own = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
+    study = study_of(SHEET, tmp_path, str(own))
+    np.testing.assert_allclose(study_pitches_um(study, "none"), np.geomspace(2, 6, 5), atol=5e-5)
+
+
+def test_a_technology_replaces_the_study_s(tmp_path: Path) -> None:
+    study = study_of('[pixel]\ntechnology = "0.25um"\npitch_um = 7\nbits = 11\n[scene]\nresolution = 128\n', tmp_path)
+    assert (study.technologies, study.pixel.bits) == (("0.25um",), 11)
+    assert study.scene.parameters["resolution"] == 128
+    assert study.pixel.data_sheet_pitch_um is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (SHEET.replace("full_well_e = 12000", ""), ["sensor.toml: pixel", "full_well_e"]),
+        (SHEET.replace("pitch_um = 4.0", 'pitch_um = "wide"'), ["sensor.toml", "wide"]),
+        (SHEET + "[exposure]\nmax_integration = 3\n", ["sensor.toml: exposure.max_integration", "max_integration_s"]),
+        ("[pixel]\npitch_umm = 3\n", ["sensor.toml: pixel.pitch_umm"]),
+    ],
+)
+def test_what_is_wrong_with_a_sensor_is_told(text: str, words: list[str], tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", text)
+    assert_refused(*command(f"study pixel-size --config {path} --out {tmp_path / 'out'}"), words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_data_sheet_without_a_pitch_of_its_own_is_no_study() -> None:
+    table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
+    with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
+        pixsim.Study.model_validate(table)
+    table["pixel"] |= {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
+    with pytest.raises(ValueError, match=r"give pitch\.min_um"):
+        pixsim.Study.model_validate(table)
+
+
+def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
+    small = "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n"
+    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
+    path = written(tmp_path / "sensor.toml", SHEET + small)
+    code, out, err = command(f"study {own} --config {path} --jobs 1 --out {tmp_path / 'out'}")
+    assert code == 0, err
+    assert out.startswith("data sheet: ")
+    rows = (tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 1 + 5 * 2
+
+
+def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", SHEET)
+    study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
+    assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
+    assert study.technologies == ("none",)
+    with pytest.raises(pixsim.PixsimError, match=r"config, parameters, pixel: got with a Study"):
+        pixsim.study(study, tmp_path / "out", config=[path])
+
+
+def test_a_scene_parameter_of_a_study_from_the_command_line(tmp_path: Path) -> None:
+    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n[display]\ndots = 64\n')
+    told = "-D luminance_cd_per_m2=50 -D resolution=64 -D spp=4"
+    code, out, err = command(f"study {own} {told} --jobs 1 --json --out {tmp_path / 'out'}")
+    assert code == 0, err
+    assert json.loads(out)["irradiance"]["luminance_cd_per_m2"] == 50
+    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
+
+
+# --- What says more, and what less -------------------------------------------------------------------------------------
+
+
+def test_quick_gives_way_to_files_and_options(tmp_path: Path) -> None:
+    """[quick] of `modern` names a technology: with a data sheet over it the study would be neither."""
+    paths = [written(tmp_path / "sensor.toml", SHEET)]
+    study = checked_study(study_layers(read_study("modern"), paths)).quickened
+    assert (study.technologies, study.pitch.count) == (("none",), 10)
+    own = written(
+        tmp_path / "own.toml",
+        'name = "own"\n[quick]\nrepeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n',
+    )
+    option = {"scene": {"parameters": {"resolution": 96}}}
+    study = checked_study(study_layers(read_study(own), paths, option)).quickened
+    assert study.scene.parameters == {"resolution": 96, "spp": 4}
+    assert (study.camera.f_number, study.repeats) == (2.8, 2)
+
+
+def test_later_files_win(tmp_path: Path) -> None:
+    first = written(tmp_path / "a.toml", SHEET)
+    second = written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")
+    study = checked_study(study_layers(read_study("pixel-size"), [first, second]))
+    assert (study.pixel.read_noise_e, study.pixel.full_well_e) == (7, 12000)
+    assert checked_study(study_layers(read_study("pixel-size"), [second, first])).pixel.read_noise_e == 2.5
+
+
+def test_what_a_file_measured_goes_with_the_area_whatever_its_technology(tmp_path: Path) -> None:
+    text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
+    study = study_of(text, tmp_path)
+    assert study.pixel.data_sheet_pitch_um == 6.5
+    area_um2 = fill_factor_law([6.5, 13.0], pixsim.load_technology("0.35um")) * np.array([6.5, 13.0]) ** 2
+    well_e = pixsim.derive(pixel_of(study, "0.35um", 13.0)).full_well_e
+    assert well_e == pytest.approx(40000 * area_um2[1] / area_um2[0], rel=1e-12)
+    assert study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path).pixel.data_sheet_pitch_um is None
+
+
+def test_a_file_s_own_pitch_of_measurement_is_kept(tmp_path: Path) -> None:
+    text = SHEET.replace("pitch_um = 4.0", "pitch_um = 4.0\ndata_sheet_pitch_um = 2.0")
+    study = study_of(text, tmp_path)
+    run = pixsim.derive(pixsim.Pixel.model_validate(study.pixel.model_dump() | {"technology": "none", "pitch_um": 4.0}))
+    assert study.pixel.data_sheet_pitch_um == 2.0
+    assert pixsim.derive(pixel_of(study, "none", 4.0)).full_well_e == run.full_well_e == pytest.approx(4 * 12000)
+    assert study.pitch.max_um == 16.0
+
+
+def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
+    study = study_of(SHEET, tmp_path, "chen2000")
+    assert not study.paper
+    assert "camera.die_mm" not in study.sources
+    assert study.sources["display.dots"].startswith("assumed")
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("study {path}", ["the file of a sensor", "pixsim study pixel-size --config"]),
+        ("run {path}", ["a TOML file", "pixsim run csf --config"]),
+        ("study chen2000-sensitivity --config {path}", ["--config, -D, --pixel", "varies another study"]),
+        ("study pixel-size --config {path} --render-noise 0", ["render_noise", "1e-06"]),
+    ],
+)
+def test_likely_slips_are_told_how_to_mend_them(line: str, words: list[str], tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", SHEET)
+    assert_refused(*command(line.format(path=path) + f" --out {tmp_path / 'out'}"), words)
+
+
+def test_a_data_sheet_stands_alone() -> None:
+    table = {"name": "a", "technologies": ["none", "0.35um"], "pitch": {"min_um": 2}}
+    with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
+        pixsim.Study.model_validate(table)
+
+
+def test_a_single_file_needs_no_list(tmp_path: Path) -> None:
+    path = written(tmp_path / "sensor.toml", SHEET)
+    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path])
+
+
+def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
+    """Rows are known by their content: two names of one process would share them, and one curve would have none."""
+    source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+    for name in ("a", "b"):
+        written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
+    own = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
+    assert_refused(*command(f"study {own} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
+        ("", "cuts off dark noise: 72 % of dark pixels stand at 0 DN and darkness reads 0.93 e- too bright"),
+        ("black_level_dn = 7", ""),
+        # Offsets count: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
+        (
+            "black_level_dn = 7\noffset_fpn = 0.002",
+            "21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright",
+        ),
+        ("black_level_dn = 50\noffset_fpn = 0.002", ""),
+        # So do kTC and offsets of a process.
+        ('technology = "0.35um"', "pixel.black_level_dn = 15 keeps it"),
+        ('technology = "0.35um"\nblack_level_dn = 15', ""),
+        ("offset_fpn = 0.2", "to keep it takes more bits (pixel.bits)"),
+    ],
+)
+def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, tmp_path: Path) -> None:
+    film = "--no-irradiance -D resolution=64 -D spp=4 --display.dots 64"
+    sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
+    path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
+    code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
+    assert code == 0, err
+    notes = [line for line in out.splitlines() if line.startswith("note: ")]
+    assert len(notes) == bool(told)
+    assert out.startswith("mean ΔE ")
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert ("cuts off dark noise" in page) == bool(told)
+    if told:
+        assert told in notes[0]
+        assert notes[0] in page
+    dark = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["dark"]
+    assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(told)
+
+
+def test_a_study_tells_once_a_curve_what_its_black_level_cuts_off(tmp_path: Path) -> None:
+    """The worst size has the least white: the smallest pixel, of a well in proportion to its area."""
+    table = """name = "dark"
+technologies = ["0.35um", "4t-bsi"]
+repeats = 2
+scene = { file = "csf", parameters = { resolution = 64, spp = 4 } }
+pitch = { values_um = [6, 8, 10, 14, 20] }
+display = { dots = 64 }
+[pixel]
+bits = 14
+"""
+    for black, notes in (("", 2), ("black_level_dn = 250\n", 0)):
+        path = written(tmp_path / "dark.toml", table + black)
+        code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
+        assert code == 0, err
+        told = [line for line in out.splitlines() if line.startswith("note: ")]
+        page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+        assert len(told) == notes == page.count("cuts off dark noise")
+        curves = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["curves"]
+        for line, curve in zip(told, curves, strict=bool(notes)):
+            dark = curve["dark"]
+            where = "at 5 of 5 pixel sizes, most at 6.00 µm"
+            assert line.startswith(f"note: {curve['technology']}: a black level of 0 DN cuts off dark noise {where}: ")
+            assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
+            assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
+            assert f"<p>{line.removeprefix('note: ')}." in page
+        assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())

@@ -1,0 +1,323 @@
+"""The command as a user meets it: bad input is told in one message, good input leaves whole files."""
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.processes import HANG_S
+from matplotlib.image import imread
+
+import pixsim
+from pixsim.light.exr import read_channels
+from pixsim.scene.scene import packaged_scenes
+
+COMMAND = Path(sys.executable).with_name("pixsim")
+RUN_FILES = {
+    "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json", "provenance.json",
+    "report.html",
+}  # fmt: skip
+SMALL = "-D resolution=64 --display.dots 64"
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Everything below a folder, hidden files too."""
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder full of input that cannot be used."""
+    monkeypatch.chdir(tmp_path)
+    flat = packaged_scenes()["flat"].read_text(encoding="utf-8")
+    start, end = flat.index("<sensor"), flat.index("</sensor>") + len("</sensor>")
+    sensor = flat[start:end]
+    Path("charts").mkdir()
+    pixsim.write_chart("charts/flat.exr", pixsim.make_chart("flat"))
+    for name, texel in (("nan", np.nan), ("infinite", np.inf), ("negative", -0.5)):
+        texels = np.ones((4, 4), np.float32)
+        texels[1, 2] = texel
+        pixsim.write_chart(f"{name}.exr", texels)
+    files = {
+        "broken.xml": flat.replace("</scene>", ""),
+        "no_sensor.xml": flat.replace(sensor, ""),
+        "two_sensors.xml": flat.replace(sensor, sensor + sensor.replace('id="camera"', 'id="spare"')),
+        "perspective.xml": flat.replace('"thinlens"', '"perspective"'),
+        "turned_away.xml": flat.replace('<rotate y="1" angle="180"/>', ""),
+        "text.exr": "not an image",
+        "key.toml": "[pixel]\npitch_mu = 6\n",
+        "table.toml": "[pixle]\npitch_um = 6\n",
+        "scalar.toml": "pixel = 3\n",
+        "not.toml": "pitch_um == 6\n",
+        "process.toml": "[reset_voltage_v]\nvalue = 3.3\n",
+        "study_key.toml": 'name = "s"\nrepeat = 3\n',
+        "study_small.toml": 'name = "s"\npitch = { values_um = [4, 6, 7, 8, 9] }\n',
+        "study_few.toml": 'name = "s"\npitch = { values_um = [6, 7, 8] }\n',
+        "study_large.toml": 'name = "s"\nscene.parameters.resolution = 64\npitch = { values_um = [6, 7, 8, 9, 3000] }\n',
+        "taken": "a file in the way",
+    }
+    for name, text in files.items():
+        Path(name).write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+UNUSABLE = {
+    # command line: what the message must contain (the value that was found, what is allowed or how to mend it)
+    "run nowhere.xml": ["nowhere.xml", "csf, flat"],
+    "run broken.xml": ["broken.xml", "no element found", "readable XML"],
+    "run no_sensor.xml": ["no sensor", "one thinlens"],
+    "run two_sensors.xml": ["'camera'", "'spare'", "--sensor"],
+    "run two_sensors.xml --sensor third": ["third", "'camera'", "'spare'"],
+    "run perspective.xml": ["'perspective'", "thinlens", "aperture_radius"],
+    f"run turned_away.xml {SMALL}": ["black", "turned away"],
+    "run flat -D chart=gone.exr": ["gone.exr", "does not exist"],
+    "run flat -D chart=text.exr": ["text.exr", "OpenEXR"],
+    "run flat -D chart=nan.exr": ["nan.exr", "nan at row 1, column 2", "0 or more"],
+    "run flat -D chart=infinite.exr": ["infinite.exr", "inf at row 1, column 2", "0 or more"],
+    "run flat -D chart=negative.exr": ["negative.exr", "-0.5 at row 1, column 2", "0 or more"],
+    "run flat --pixel.technology 0.3um": ["0.3um", "0.35um, 0.5um"],
+    "run flat --pixel.technology gone.toml": ["gone.toml", "does not exist"],
+    "run flat --pixel.technology process.toml": ["process.toml", "confidence"],
+    "run flat --pixel.pitch-um 5": ["pitch_um", "5", "5.135 µm", "5.297 µm"],
+    "run flat --pixel.pitch-um 3000": ["pitch_um", "3000", "2713.6 µm"],
+    "run flat --pixel.pitch-um wide": ["pitch_um", "wide", "number"],
+    "run flat --pixel.pitch-um nan": ["pitch_um", "nan", "finite"],
+    f"run flat {SMALL} --pixel.quantum-efficiency 0": ["quantum_efficiency", "0"],
+    "run flat --pixel.bits 10 --pixel.black-level-dn 1023": ["black_level_dn", "1023"],
+    "run flat --camera.f-number 0": ["f_number", "'0'", "greater than 0"],
+    "run flat --camera.f-number -2": ["f_number", "'-2'", "greater than 0"],
+    f"run flat {SMALL} --camera.f-number 0.3": ["f-number", "0.3", "0.5"],
+    "run flat --camera.focal-length-mm 50 --camera.object-distance-m 0.04": ["50", "0.04", "40 mm"],
+    "run flat --config key.toml": ["pixel.pitch_mu", "Did you mean 'pitch_um'?"],
+    "run flat --config table.toml": ["pixle", "Did you mean 'pixel'?"],
+    "run flat --config scalar.toml": ["pixel", "3"],
+    "run flat --config not.toml": ["not.toml", "line 1", "TOML"],
+    "run flat --config gone.toml": ["gone.toml", "does not exist"],
+    "run flat --config charts": ["charts", "TOML"],
+    "run flat --camera.fnumber 4": ["--camera.fnumber", "--camera.f-number"],
+    "run flat --seed -1": ["seed", "-1", "0"],
+    "run flat --variant fast": ["fast", "scalar_spectral"],
+    "run flat -D resolution": ["-D", "resolution", "name=value"],
+    "run flat -D resolutoin=64": ["resolutoin", "Did you mean 'resolution'?"],
+    "run flat -D resolution=wide": ["wide", "integer"],
+    "run flat -D resolution=0": ["resolution", "0", "1 to"],
+    "run flat -D spp=-4": ["spp", "-4", "1 to"],
+    "run flat -D fov=0": ["fov", "0"],
+    f"run flat {SMALL} -D luminance_cd_per_m2=-100": ["luminance_cd_per_m2", "-100", "positive"],
+    f"run flat {SMALL} -D emitter_scale=-1": ["-1"],
+    f"run flat {SMALL} -D emitter_scale=nan": ["nan"],
+    f"run flat {SMALL} --out taken": ["taken", "cannot be written", "--out"],
+    f"run flat {SMALL} --out taken/deeper": ["taken/deeper", "cannot be written", "--out"],
+    f"run flat {SMALL} --out /proc/pixsim": ["/proc/pixsim", "cannot be written", "--out"],
+    "run": ["SCENE"],
+    "look": ["look", "run, plan, study, accuracy, datasheet, sfr, chart"],
+    "study nowhere": ["nowhere", "chen2000"],
+    "study gone.toml": ["gone.toml", "does not exist"],
+    "study study_key.toml": ["repeat", "Did you mean 'repeats'?"],
+    "study study_small.toml": ["4", "5.135 µm"],
+    "study study_few.toml": ["[6.0, 7.0, 8.0]", "at least 5"],
+    "study study_large.toml": ["3000", "2713.6 µm"],
+    "study chen2000 --jobs 0": ["--jobs", "0", "1 or more"],
+    "study chen2000 --out taken": ["taken", "cannot be written", "--out"],
+    "chart sphere -o x.exr": ["sphere", "csf, flat"],
+    "chart flat -o gone/x.exr": ["gone/x.exr", "can be written"],
+    "chart flat -o x.png": ["x.png", ".exr"],
+    "chart flat --width 1 -o x.exr": ["1", "2 to"],
+}
+
+
+@pytest.mark.parametrize("line", UNUSABLE)
+def test_bad_input_is_refused_in_one_message_and_leaves_nothing(line: str, desk: Path) -> None:
+    before = contents(desk)
+    code, out, err = command(line)
+    assert_refused(code, out, err, UNUSABLE[line])
+    assert contents(desk) == before
+
+
+def test_a_failed_run_leaves_an_earlier_one_as_it_was(desk: Path) -> None:
+    assert command(f"run flat {SMALL} --out earlier")[0] == 0
+    before = contents(desk)
+    assert command(f"run turned_away.xml {SMALL} --out earlier")[0] == 2
+    assert contents(desk) == before
+
+
+def in_a_process(line: str, **environment: str) -> tuple[int, str, str]:
+    done = subprocess.run(
+        [COMMAND, *shlex.split(line)], capture_output=True, text=True, timeout=HANG_S, env=os.environ | environment
+    )
+    # Without LLVM each command warns that it renders with scalar_spectral.
+    told = [
+        line for line in done.stderr.splitlines(keepends=True) if not line.startswith("warning: rendering with scalar_spectral")
+    ]
+    return done.returncode, done.stdout, "".join(told)
+
+
+@pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", "run perspective.xml"])
+def test_the_installed_command_refuses_alike(line: str, desk: Path) -> None:
+    before = contents(desk)
+    assert in_a_process(line) == command(line)
+    assert contents(desk) == before
+
+
+OLD_LLVM = sorted(str(path) for number in (14, 15, 16) for path in Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{number}.so.1"))
+
+
+@pytest.mark.parametrize("library", ["taken", *OLD_LLVM])
+def test_an_llvm_that_would_abort_the_process_is_refused(library: str, desk: Path) -> None:
+    before = contents(desk)
+    assert_refused(*in_a_process("run flat", DRJIT_LIBLLVM_PATH=library), [library, "LLVM 17 or newer", "pip install"])
+    assert contents(desk) == before
+
+
+QUADRANTS = np.array([[1.0, 0.25], [0.5, 0.75]])  # no two alike: a flip or a transposition shows
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of four grey quadrants with a quiet, dark-free sensor."""
+    folder = tmp_path_factory.mktemp("picture")
+    pixsim.write_chart(folder / "quadrants.exr", np.kron(QUADRANTS, np.ones((32, 32))).astype(np.float32))
+    quiet = " ".join(f"--pixel.{name} 0" for name in ("prnu", "dsnu", "offset-fpn", "column-fpn", "dark-current-e-per-s"))
+    code, out, err = command(
+        f"run csf -D chart={folder / 'quadrants.exr'} -D resolution=128 --display.dots 128 --seed 7 --json "
+        f"--pixel.pitch-um 8 --pixel.bits 12 --pixel.black-level-dn 64 --pixel.full-well-e 40000 {quiet} --out {folder / 'out'}"
+    )
+    assert (code, err) == (0, "")
+    (folder / "stdout").write_text(out, encoding="utf-8")
+    return folder
+
+
+def expected_quadrants(count: int) -> np.ndarray:
+    """(count, count) relative luminance: the chart under the thin lens's fall-off, 1 on the axis at texel value 1."""
+    camera = pixsim.Camera()
+    at_mm = ((np.arange(count) + 0.5) / count - 0.5) * camera.die_mm
+    tan_field = np.hypot(*np.meshgrid(at_mm, at_mm)) / camera.image_distance_mm
+    factor = [pixsim.optics.irradiance_factor(camera.f_number, t, camera.magnification) for t in (tan_field, 0.0)]
+    return np.kron(QUADRANTS, np.ones((count // 2, count // 2))) * factor[0] / factor[1]
+
+
+def away_from_edges(count: int) -> np.ndarray:
+    """Not within 1/16 of a border or of the cross, which diffraction and the texture's interpolation blur."""
+    distance = np.abs((np.arange(count) + 0.5) / count * 2 % 1 - 0.5)
+    return np.logical_and.outer(distance < 3 / 8, distance < 3 / 8)
+
+
+def test_run_writes_these_files_and_no_others(picture: Path) -> None:
+    assert {path.name for path in (picture / "out").iterdir()} == RUN_FILES
+
+
+def test_json_on_stdout_is_score_json(picture: Path) -> None:
+    told = json.loads((picture / "stdout").read_text(encoding="utf-8"))
+    assert told == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
+    delta_e = read_channels(picture / "out/delta_e.exr")[0]["delta_e"]
+    assert delta_e.shape == tuple(told["scored_dots"]) == (126, 126)  # less a border of one pixel
+    assert told["border_um"] == pytest.approx([21.2, 21.2])
+    assert told["mean_delta_e"] == pytest.approx(delta_e.mean(dtype=float), rel=1e-6)  # the file is float32
+    assert told["pitch_um"] == 8.0
+
+
+def test_the_ideal_png_decodes_to_the_luminance_shown(picture: Path) -> None:
+    """8 bits under gamma 2.2, on the display and in the PNG; half a code for rounding, a quarter for the render's 0.1 %."""
+    png = imread(picture / "out/ideal.png")[:, :, :3]
+    assert png.shape == (126, 126, 3)
+    assert np.ptp(png, axis=2).max() == 0, "grey"
+    codes = 255 * expected_quadrants(128)[1:-1, 1:-1] ** (1 / 2.2)
+    assert np.abs(255.0 * png[:, :, 0] - codes)[away_from_edges(128)[1:-1, 1:-1]].max() < 0.75
+
+
+def test_the_sensors_picture_has_the_same_sides_and_greys(picture: Path) -> None:
+    """Means over a quadrant's middle, 2304 dots: noise and gamma's curvature stay below 0.5 %."""
+    png = np.pad(imread(picture / "out/image.png")[:, :, 0].astype(float), 1)  # a dot of border is not shown
+    middles = np.where(away_from_edges(128), 1.0, np.nan)
+    shown, expected = (
+        np.nanmean((middles * image).reshape(2, 64, 2, 64), axis=(1, 3)) for image in (png**2.2, expected_quadrants(128))
+    )
+    np.testing.assert_allclose(shown, expected, rtol=0.005)
+    assert imread(picture / "out/delta_e.png").shape[0] > 128, "a map with axes and a scale"
+
+
+def test_raw_exr_holds_digital_numbers_and_what_they_mean(picture: Path) -> None:
+    channels, header = read_channels(picture / "out/raw.exr")
+    dn = channels["DN"]
+    score = json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
+    pixels = int(2713.6 / 8)
+    assert dn.shape == (pixels, pixels)
+    assert np.array_equal(dn, np.rint(dn))
+    assert dn.min() >= 0
+    assert dn.max() <= 4095
+    assert (header["bits"], header["black_level_dn"], header["pitch_um"]) == (12, 64, 8)
+    assert header["dn_per_e"] == pytest.approx((4095 - 64) / 40_000, rel=1e-6)  # the full well is the top code
+    assert header["integration_s"] == pytest.approx(score["integration_s"], rel=1e-6)
+    electrons = (dn.mean(dtype=float) - header["black_level_dn"]) / header["dn_per_e"]
+    # 339² pixels of shot and reset noise below 200 e: 0.6 e on a mean of about 20 000.
+    assert electrons == pytest.approx(score["mean_electrons_e"], rel=2e-4)
+
+
+ONE_CORE = """
+import os, sys
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+from pixsim.cli import main
+main()
+"""
+
+
+def test_the_same_command_gives_the_same_bytes_on_one_core_and_from_another_folder(
+    desk: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    line = f"run csf {SMALL} --seed 3 --out "
+    assert command(line + "here")[0] == 0
+    subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")], cwd=elsewhere, check=True, timeout=HANG_S)
+    here, there = contents(desk / "here"), contents(elsewhere / "there")
+    assert here.keys() == there.keys() == RUN_FILES
+    assert [name for name in here if here[name] != there[name]] in ([], ["provenance.json"])  # it holds the times
+    assert command(f"run csf {SMALL} --seed 4 --out other")[0] == 0
+    assert contents(desk / "other")["raw.exr"] != here["raw.exr"]
+
+
+def test_later_layers_win_and_the_rest_stays(desk: Path) -> None:
+    Path("first.toml").write_text("seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32")
+    Path("second.toml").write_text("[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4")
+    code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
+    assert code == 0, err
+    score = json.loads(out)
+    pixel, irradiance = score["pixel"], score["irradiance"]
+    assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"]) == (10, 0, 12)  # option, second file, first file
+    assert irradiance["parameters"] == {"resolution": "64", "spp": "4"}
+    assert (irradiance["camera"]["f_number"], score["seed"], score["display"]["dots"]) == (2.8, 5, 32)
+    assert (irradiance["camera"]["focal_length_mm"], pixel["technology"]) == (3.86, "0.35um")  # the scene's, the default
+    assert {path.name for path in (desk / "pixsim-out/flat").iterdir()} == RUN_FILES  # where nothing else is said
+
+
+@pytest.mark.parametrize("kind", ["csf", "flat", "siemens_star", "slanted_edge"])
+def test_chart_writes_what_make_chart_returns(kind: str, desk: Path) -> None:
+    assert command(f"chart {kind} -o x.exr --width 96 --height 64")[0] == 0
+    channels, _ = read_channels("x.exr")
+    assert list(channels) == ["Y"]
+    np.testing.assert_array_equal(channels["Y"], pixsim.make_chart(kind, 96, 64))
+
+
+@pytest.mark.parametrize("line", ["--help", "run --help", "study --help", "chart --help", "--version"])
+def test_help_goes_to_stdout(line: str) -> None:
+    code, out, err = command(line)
+    assert (code, err) == (0, "")
+    assert pixsim.__version__ in out if line == "--version" else "Usage: pixsim" in out
+
+
+@pytest.mark.parametrize("statement", ["import pixsim; pixsim.Camera()", "import pixsim.cli; pixsim.cli.main()"])
+def test_nothing_slow_is_imported_before_it_is_needed(statement: str) -> None:
+    """Mitsuba takes 0.3 s, matplotlib 0.5 s, colour 2.6 s."""
+    script = f"""
+import atexit, sys
+slow = {{"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "scipy"}}
+atexit.register(lambda: print("slow:", sorted(slow & set(sys.modules))))
+sys.argv = ["pixsim", "--help"]
+{statement}
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=HANG_S)
+    assert done.stdout.endswith("slow: []\n")

@@ -1,0 +1,361 @@
+"""The doctor: on machines that lack something, or whose Mitsuba aborts, hangs or renders wrongly; nothing takes it down."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import cache as once
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers.processes import HANG_S
+
+from pixsim.base import machine
+from pixsim.cli import doctor, trial
+from pixsim.cli.commands import report
+from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, requirements, satisfies
+from pixsim.scene import variant
+
+OLD_LLVM = [str(path) for major in (14, 15) for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))]
+HIDES_THE_WHEEL = """
+from importlib import metadata
+def hidden(function):
+    def without(name, *more):
+        if name == "karellen-llvm-core":
+            raise metadata.PackageNotFoundError(name)
+        return function(name, *more)
+    return without
+metadata.files, metadata.version = hidden(metadata.files), hidden(metadata.version)
+"""
+DOCTOR = "import sys; sys.argv = ['pixsim', *sys.argv[1:]]; from pixsim.cli import main; main()"
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What `pixsim doctor --json` said."""
+
+    code: int
+    err: str
+    found: dict[str, Any]
+
+    def about(self, subject: str, room: str | None = None) -> dict[str, Any]:
+        (one,) = (each for each in self.found["findings"] if each["subject"] == subject and room in (None, each["room"]))
+        return one
+
+    @property
+    def problems(self) -> list[str]:
+        return [each["subject"] for each in self.found["findings"] if each["mark"] == PROBLEM]
+
+    @property
+    def picture(self) -> dict[str, Any]:
+        return next(each for each in self.found["findings"] if each["room"] == "test render")
+
+
+def pixsim(*arguments: str, path: Path | None = None, unset: tuple[str, ...] = (), **environment: str) -> Any:
+    """The command in a fresh process; modules in `path` come before all others."""
+    left_out = (variant.LLVM_VARIABLE, *unset)
+    clean = {key: value for key, value in os.environ.items() if key not in left_out}
+    if path:
+        clean["PYTHONPATH"] = os.pathsep.join([str(path), *filter(None, [clean.get("PYTHONPATH")])])
+    command = [sys.executable, "-c", DOCTOR, *arguments]
+    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S)
+
+
+def visit(*arguments: str, **how: Any) -> Visit:
+    done = pixsim("doctor", "--json", "--limit-s", str(HANG_S), *arguments, **how)
+    assert done.returncode in (0, 1), done.stderr  # negative: a signal took it down
+    assert "Traceback" not in done.stderr
+    return Visit(done.returncode, done.stderr, json.loads(done.stdout))
+
+
+def package(folder: Path, name: str, text: str) -> Path:
+    """A folder for the front of the module path, with one module in it."""
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    return folder
+
+
+@once
+def healthy() -> Visit:
+    return visit()
+
+
+# --- This machine ---
+
+
+def test_a_machine_that_renders_is_told_so():
+    seen = healthy()
+    assert (seen.code, seen.found["ok"], seen.problems) == (0, True, [])
+    assert seen.picture["mark"] == OK
+    facts = seen.picture["facts"]
+    assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < doctor.MEAN_GATE
+    assert 0 < facts["render_s"] < facts["seconds"]
+    rooms = dict.fromkeys(each["room"] for each in seen.found["findings"])
+    assert list(rooms) == ["software", "LLVM", "Mitsuba", "machine", "folders", "optional", "test render"]
+    versions = seen.about("packages")["facts"]["versions"]
+    assert {"mitsuba", "drjit", "numpy", "scipy", "colour-science", "openexr"} <= set(versions)
+    assert None not in versions.values()
+    assert "llvm_ad_spectral" in seen.about("compiled in")["facts"]["variants"]
+    assert seen.about("scalar_spectral", "Mitsuba")["mark"] == OK
+
+
+def test_the_library_that_is_told_is_the_one_that_mitsuba_has():
+    facts = healthy().picture["facts"]
+    if facts["llvm"] is None:
+        pytest.skip("no usable LLVM here")
+    taken = [each for each in healthy().found["findings"] if each["found"].endswith(", taken")]
+    assert [each["facts"]["path"] for each in taken] == [facts["llvm"]]
+    assert os.path.realpath(facts["llvm"]) in facts["mapped_llvm"]
+
+
+def test_the_closed_form_has_the_light_of_the_chart():
+    """Against numbers by hand: 0.5125 of 1000 cd/m² in the mean, π/(1 + 4·16·1.00387²) sr on the axis at f/4, f = 3.86 mm, 1 m."""
+    import numpy as np
+
+    import pixsim as package
+
+    camera = package.Camera()
+    found = trial.closed_form_lx(camera, 16)
+    magnification = 3.86e-3 / (1 - 3.86e-3)
+    on_axis = np.pi / (1 + 64 * (1 + magnification) ** 2)
+    assert found[7:9].mean(axis=0)[7:9].mean() / (512.5 * on_axis) == pytest.approx(1, abs=0.1)  # contrast .1 there
+    cos4 = np.cos(np.arctan(camera.die_mm / 2 / camera.image_distance_mm)) ** 4
+    assert found[:, 0].mean() < found[:, 7:9].mean()
+    assert cos4 < found.mean() / (512.5 * on_axis) < 1
+
+
+# --- LLVM ---
+
+
+@pytest.mark.skipif(not OLD_LLVM, reason="no LLVM 14 or 15 on this system")
+@pytest.mark.parametrize("path", [*OLD_LLVM[-1:], *(pytest.param(path, marks=pytest.mark.slow) for path in OLD_LLVM[:-1])])
+def test_an_old_llvm_in_the_variable_aborts_nothing(path: str, tmp_path: Path):
+    """That `pixsim run` refuses it is in test_variant."""
+    seen = visit(**{variant.LLVM_VARIABLE: path})
+    assert seen.code == 1
+    assert seen.problems == [variant.LLVM_VARIABLE, "Mitsuba"]
+    assert "version 15 or older" in seen.about(variant.LLVM_VARIABLE)["found"]
+    assert {seen.about(variant.LLVM_VARIABLE)["mend"], seen.picture["mend"]} == {"unset DRJIT_LIBLLVM_PATH"}
+    assert seen.about("scalar_spectral")["mark"] == OK
+
+
+def test_with_old_libraries_only_no_home_and_no_cache_renders_are_slow_but_work(tmp_path: Path):
+    """With the libraries of this system, where it has some; the wheel is hidden."""
+    hidden = package(tmp_path / "hidden", "sitecustomize", HIDES_THE_WHEEL)
+    lacking: dict[str, Any] = {"path": hidden, "unset": ("HOME",), "PIXSIM_CACHE_DIR": "/dev/null/there"}
+    seen = visit(**lacking)
+    usable = [each for each in seen.found["findings"] if each["room"] == "LLVM" and each["facts"].get("origin") == variant.SYSTEM]
+    if any(each["facts"]["fault"] is None for each in usable):
+        pytest.skip("this system has a usable LLVM")
+    assert (seen.code, seen.problems, seen.picture["subject"]) == (0, [], "scalar_spectral")
+    assert [seen.about(each)["mark"] for each in ("llvm_ad_spectral", "libraries", "cache")] == [NOTE] * 3
+    assert all("15 or older" in each["found"] for each in usable if "/libLLVM-15" in each["found"])
+    assert "karellen-llvm-core" in seen.about("libraries")["mend"] or variant.LLVM_VARIABLE in seen.about("libraries")["mend"]
+    done = pixsim("run", "flat", "-D", "resolution=8", "--display.dots", "8", "--out", str(tmp_path / "out"), **lacking)
+    assert done.returncode == 0, done.stderr
+    assert "rendering with scalar_spectral, since no LLVM 17" in done.stderr
+
+
+@pytest.mark.parametrize(("kind", "word"), [("gone", "no such file"), ("text", "no library"), ("folder", "a folder")])
+def test_a_variable_that_leads_to_no_library(kind: str, word: str, tmp_path: Path):
+    (tmp_path / "text").write_text("no library")
+    (tmp_path / "folder").mkdir()
+    tried = trial_with(tmp_path / kind)
+    findings = list(doctor._llvm(tried, doctor.usable_llvm(tried)))
+    (own,) = (each for each in findings if each.subject == variant.LLVM_VARIABLE)
+    assert (own.mark, own.mend) == (PROBLEM, "unset DRJIT_LIBLLVM_PATH")
+    assert word in own.found
+    assert doctor.usable_llvm(tried) is None  # not another in its place: `pixsim run` refuses
+
+
+def trial_with(path: Path) -> trial.Trial:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(variant.LLVM_VARIABLE, str(path))
+        return trial.attempt("libraries", limit_s=HANG_S)
+
+
+# --- Mitsuba that fails, aborts, hangs, or is wrong ---
+
+
+@pytest.mark.parametrize(
+    ("text", "limit_s", "fault"),
+    [
+        ("raise ImportError('libfoo.so.3 is not there')", HANG_S, "fails: ImportError: libfoo.so.3 is not there"),
+        (f"import time; time.sleep({HANG_S})", 2, r"hangs: it was stopped after \d+ s"),
+    ],
+    ids=["import", "hang"],
+)
+def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(package(tmp_path / "broken", "mitsuba", text))
+    found = doctor._picture(trial.attempt("render", limit_s=limit_s), None)
+    assert found.mark == PROBLEM
+    assert re.fullmatch(fault, found.found)
+    assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(found.mend)
+
+
+def test_a_mitsuba_that_aborts_does_not_take_the_doctor_with_it(tmp_path: Path):
+    seen = visit(path=package(tmp_path / "broken", "mitsuba", "import os; os.abort()"))
+    assert seen.code == 1
+    assert seen.problems == ["mitsuba", "Mitsuba"]  # the package, and the test render with it
+    assert "dies of signal 6 (SIGABRT)" in seen.picture["found"]
+    assert seen.about("scalar_spectral")["mark"] == NOTE
+
+
+def test_a_wrong_picture_is_no_picture():
+    right = {"mean_error": 1e-5, "rms_error": 4e-3}
+    judge = lambda **error: doctor._fault(trial.Trial([right | error], 1.0, 0, ""))  # noqa: E731
+    assert judge() is None
+    for wrong in ({"mean_error": -0.01}, {"rms_error": 0.1}, {"mean_error": float("nan")}, {"rms_error": float("nan")}):
+        assert "wrong" in str(judge(**wrong))
+    assert doctor._fault(trial.Trial([], 1.0, 0, "")) == "says nothing"
+
+
+def test_the_lines_before_an_abort_count():
+    tried = trial.attempt("imports", "json", "nowhere_at_all", "antigravity_of_a_test", limit_s=HANG_S)
+    assert [line["module"] for line in tried.lines if "module" in line] == ["nowhere_at_all", "antigravity_of_a_test"]
+    aborting = trial.Trial([{"importing": "numpy"}, {"importing": "OpenEXR"}], 0.1, -6, "")
+    required = {"numpy": ">=2.0", "openexr": ">=3.4"}
+    (found,) = doctor._broken_packages(required, {"numpy": "2.1", "openexr": "3.5"}, aborting)
+    assert (found.subject, found.mark) == ("openexr", PROBLEM)
+    assert "dies of signal 6" in found.found
+
+
+# --- Packages ---
+
+
+def test_packages_that_are_missing_or_too_old_are_told():
+    required = requirements(
+        ["numpy>=2.0", "mitsuba==3.9.*", "drjit", 'dask[distributed]>=2024.8; extra == "cluster"', "rich >=14.3"]
+    )
+    assert required == {"numpy": ">=2.0", "mitsuba": "==3.9.*", "drjit": "", "rich": ">=14.3"}
+    versions = {"numpy": "1.26.4", "mitsuba": "3.9.1", "drjit": None, "rich": "14.3"}
+    found = list(doctor._broken_packages(required, versions, trial.Trial([], 0.1, 0, "")))
+    assert [(each.subject, each.mark) for each in found] == [("numpy", PROBLEM), ("drjit", PROBLEM)]
+    assert found[0].mend == doctor.pip("numpy>=2.0")
+
+
+def test_a_checkout_on_the_path_is_not_installed():
+    found = list(doctor._software({}, trial.Trial([], 0.1, 0, "")))
+    assert [(each.subject, each.mark) for each in found if each.mark != OK] == [("pixsim", PROBLEM)]
+    assert "pip install -e" in str(found[0].mend)
+
+
+def test_packages_are_imported_by_their_own_names():
+    names = [doctor.module_of(each) for each in ("OpenEXR", "colour-science", "pillow", "a-b", "numpy")]
+    assert names == ["OpenEXR", "colour", "PIL", "a_b", "numpy"]
+
+
+@pytest.mark.parametrize(
+    ("version", "wanted", "fits"),
+    [("2.0", ">=2.0", True), ("1.26.4", ">=2.0", False), ("2.0.0rc1", ">=2.0", True), ("10.0", ">=9", True),
+     ("3.8.10", ">=3.8.4", True), ("3.9.1", "==3.9.*", True), ("3.10.0", "==3.9.*", False), ("3.9", "==3.9.*", True),
+     ("1.0+cpu2", ">=1.0", True), ("1", "", True)],
+)  # fmt: skip
+def test_versions_in_a_range(version: str, wanted: str, fits: bool):
+    assert satisfies(version, wanted) == fits
+
+
+# --- The machine ---
+
+
+def written(root: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text, encoding="utf-8")
+    return root
+
+
+VERSION_2 = {
+    "proc/self/cgroup": "0::/a/b\n",
+    "sys/fs/cgroup/a/cpu.max": "150000 100000\n",
+    "sys/fs/cgroup/a/b/cpu.max": "max 100000\n",
+    "sys/fs/cgroup/memory.max": "max\n",
+    "sys/fs/cgroup/a/b/memory.max": "536870912\n",
+}
+VERSION_1 = {
+    "proc/self/cgroup": "5:cpu,cpuacct:/job\n4:memory:/job\n0::/\n",
+    "sys/fs/cgroup/cpu,cpuacct/cpu.cfs_quota_us": "150000",
+    "sys/fs/cgroup/cpu,cpuacct/cpu.cfs_period_us": "100000",
+    "sys/fs/cgroup/memory/memory.limit_in_bytes": "9223372036854771712",
+    "sys/fs/cgroup/memory/job/memory.limit_in_bytes": "536870912",
+}
+
+
+@pytest.mark.parametrize("files", [VERSION_2, VERSION_1], ids=["version 2", "version 1"])
+def test_limits_of_a_container(files: dict[str, str], tmp_path: Path):
+    root = written(tmp_path, files | {"proc/meminfo": "MemTotal: 4194304 kB\nMemAvailable: 2097152 kB\n"})
+    assert machine.processors(root).granted == 1.5
+    assert machine.processors(root).usable == 1
+    assert machine.memory(root) == machine.Memory(4 << 30, 2 << 30, 512 << 20)
+    assert machine.memory(root).usable == 512 << 20
+
+
+def test_a_machine_that_tells_nothing_limits_nothing(tmp_path: Path):
+    assert machine.processors(tmp_path).granted is None
+    assert machine.memory(tmp_path) == machine.Memory(None, None, None)
+    broken = written(tmp_path, {"proc/self/cgroup": "0::/\n", "sys/fs/cgroup/cpu.max": "max", "sys/fs/cgroup/memory.max": ""})
+    assert machine.processors(broken).granted is None
+    assert machine.memory(broken).usable is None
+
+
+def test_a_folder_is_tried_without_a_trace(tmp_path: Path):
+    there = machine.folder_at(tmp_path / "a" / "b")
+    assert there.fault is None
+    assert there.free
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").touch()
+    assert machine.folder_at(tmp_path / "file" / "b").fault == "Not a directory"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "mark", "mend"),
+    [
+        ("PIXSIM_CACHE_GIB", "lots", PROBLEM, "unset PIXSIM_CACHE_GIB"),
+        ("PIXSIM_CACHE_GIB", "0", OK, None),
+        ("PIXSIM_CACHE_DIR", "/dev/null/there", NOTE, "export PIXSIM_CACHE_DIR=FOLDER"),
+    ],
+)
+def test_caches(name: str, value: str, mark: str, mend: str | None, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(name, value)
+    found = doctor._cache()
+    assert (found.mark, found.mend) == (mark, mend)
+
+
+def test_a_user_without_a_home_is_told_to_name_a_cache(monkeypatch: pytest.MonkeyPatch):
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("PIXSIM_CACHE_DIR")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    assert (doctor._cache().mark, doctor._cache().mend) == (PROBLEM, "export PIXSIM_CACHE_DIR=FOLDER")
+
+
+# --- The report ---
+
+
+def test_the_report_is_words_and_commands_that_can_be_copied():
+    mend = "export A=" + "x" * 200
+    findings = [
+        Finding("room", "good", OK, "it is there"),
+        Finding("room", "bad", PROBLEM, "word " * 60, mend),
+        Finding("b", "c", NOTE, "-"),
+    ]
+    lines = report(findings, 80).splitlines()
+    assert lines[:2] == ["room", "  ok       good                 it is there"]
+    assert lines[2].startswith("  problem  bad ")
+    assert f"           mend it: {mend}" in lines
+    assert max(len(line) for line in lines if mend not in line) <= 80
+    assert lines[-1] == "pixsim does not work here as it is: 1 problem, 1 note"
+    assert report(findings[::2], 80).splitlines()[-1] == "renders work here: 0 problems, 1 note"
+
+
+def test_a_limit_below_nothing_is_refused():
+    done = pixsim("doctor", "--limit-s", "0")
+    assert done.returncode == 2
+    assert "--limit-s: got 0; allowed: a number above 0" in done.stderr

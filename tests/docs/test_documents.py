@@ -1,0 +1,188 @@
+"""README and the pages of docs/ do what they say: blocks are run, what is printed and drawn is what they show."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.documents import ROOT, Page, alike, alike_pictures, blocks_of, difference
+
+import pixsim
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Study
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import Frame
+from pixsim.sensor.technology import Junction, Technology
+from pixsim.studies.optimum import Optimum
+from pixsim.studies.result import Curve
+from pixsim.viewer.score import Bench, Score
+
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def run(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    page = Page(path, folder)
+    page.run()
+    for shown, made in page.made:
+        assert shown.is_file(), f"{path.name} shows {shown.name}, which is not there"
+        assert alike_pictures(shown, made), f"{shown} is not what is made now: run python tests/helpers/documents.py {path}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_a_page_does_what_it_says(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three minutes in all; `.ci/run` takes them."""
+    run(path, tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_no_block_is_left_out(path: Path) -> None:
+    """What is not run is a file that others use, what is printed, or is run elsewhere, and that place exists."""
+    for block in blocks_of(text_of(path)):
+        where = f"{path.name}, line {block.line}"
+        if "elsewhere" in block.told:
+            assert (ROOT / block.told["elsewhere"].partition(",")[0]).is_file(), where
+        elif block.language not in ("sh", "python", "picture") and not block.language.startswith("{"):  # a directive of the site
+            assert {"file", "output"} & block.told.keys(), f"{where}: neither run nor compared"
+
+
+@pytest.mark.slow
+def test_readme_begins_with_the_commands_that_ci_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The study of its first line prints what README says, and draws its first picture."""
+    elsewhere = [
+        block for block in blocks_of(text_of(README)) if block.told.get("elsewhere", "").startswith((".ci", "tests/docs/test_d"))
+    ]
+    first, printed = elsewhere
+    command = re.search(r"\.venv/bin/(pixsim study .*)", first.text)[1]
+    page = tmp_path / "page.md"
+    picture = next(line for line in text_of(README).splitlines() if line.startswith("!["))
+    made = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
+    parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {made} -->\n{picture}"]
+    page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    shown = Page(page, tmp_path)
+    shown.run()
+    ((_, drawn),) = shown.made
+    assert alike_pictures(ROOT / re.search(r"\(([^)]+)\)", picture)[1], drawn)
+
+
+# --- The paper's words and ours ---------------------------------------------------------------------------------------
+
+HOMES: dict[str, object] = {
+    each.__name__: each for each in (Pixel, PixelPhysics, Bench, Frame, Exposure, Technology, Junction, Camera, Display)
+}
+HOMES |= {each.__name__: each for each in (Score, Study, Curve)} | {"optics": pixsim.optics}
+OWN = {"optimum": Optimum}
+WORDS = re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| `?(\w+)`? \|$", text_of(README), re.MULTILINE)
+
+
+UNIT_OF = {"_um": "µm", "_mm": "mm", "_s": "s", "_e": "electrons", "_db": "dB", "_cd_per_m2": "cd/m²", "_ff": "fF", "_v": "V"}
+UNIT_OF |= {"_e_per_s": "electrons/s", "delta_e": "ΔE", "_per_deg": "dots/degree"}
+
+
+@pytest.mark.parametrize(("words", "ours", "unit", "home"), [row for row in WORDS if row[3] in HOMES], ids=lambda word: word[:20])
+def test_names_of_the_glossary_exist(words: str, ours: str, unit: str, home: str) -> None:
+    names = re.findall(r"`([\w.]+)`", ours)
+    assert names
+    for name in names:
+        endings = [each for each in UNIT_OF if name.endswith(each)]
+        assert not endings or UNIT_OF[max(endings, key=len)] in unit, f"{name} is in {UNIT_OF[max(endings, key=len)]}"
+    for name in names:
+        first, _, second = name.partition(".")
+        assert has(HOMES[home], first), f"{home} has no {first}"
+        assert not second or has(OWN[first], second), f"{first} has no {second}"
+
+
+def has(home: object, name: str) -> bool:
+    return name in getattr(home, "model_fields", {}) | getattr(home, "__dataclass_fields__", {}) | vars(home)
+
+
+def test_the_glossary_has_the_symbols_of_both_equations() -> None:
+    said = " ".join(row[0] for row in WORDS)
+    for symbol in ("q_max", "i_dc", "i_ph", "t_int", "σ_r²", "DR", "SNR", "fill factor", "MTF", "f/#", "ΔE"):
+        assert symbol in said, symbol
+
+
+# --- The runner itself can fail ---------------------------------------------------------------------------------------
+
+
+def test_blocks_and_what_is_told_of_them() -> None:
+    text = "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```sh\ntrue\n```\n\n<!-- picture: made.svg -->\n![a](b.svg)\n"
+    file, command, picture = blocks_of(text)
+    assert (file.language, file.text, file.told, file.line) == ("toml", "x = 1\n", {"file": "a.toml"}, 2)
+    assert (command.language, command.told) == ("sh", {})
+    assert (picture.language, picture.text, picture.told) == ("picture", "b.svg", {"picture": "made.svg"})
+
+
+@pytest.mark.parametrize(
+    ("said", "printed", "same"),
+    [
+        ("mean ΔE 0.325 with 640 pixels", "mean ΔE 0.326 with 640 pixels", True),
+        ("mean ΔE 0.325", "mean ΔE 0.345", False),
+        ("mean ΔE 0.325", "median ΔE 0.325", False),
+        ("a 1\n…\nd 4", "a 1\nb 2\nc 3\nd 4", True),
+        ("a 1\n…\nd 4", "a 1\nb 2\nc 3\nd 5", False),
+        ("a 1", "a 1\nb 2", False),
+        ("a 1\nb 2", "a 1", False),
+        ("", "a 1", False),
+        ("± 0.04 µm", "± 0.05 µm", True),
+        ("± 0.04 µm", "± 0.10 µm", True),
+        ("± 0.04 µm", "± 0.16 µm", False),
+        ("640 × 640", "641 × 640", False),
+        ("x 1.0e-04", "x 1.2e-04", False),
+    ],
+)
+def test_what_is_printed_is_compared(said: str, printed: str, same: bool) -> None:
+    assert (difference(said, printed) == "") == same
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```sh\nexit 3\n```\n",
+        "```python\nassert 1 == 2\n```\n",
+        "```sh\necho 1\n```\n\n<!-- output -->\n```text\n2\n```\n",
+        "```python\nprint(1)\n```\n",
+        "```python\nprint(1)\n```\n\n```python\nx = 2\n```\n",
+        "<!-- output -->\n```sh\necho 1\n```\n",
+        "<!-- picture: a.svg -->\nwords\n",
+        "~~~sh\nexit 3\n~~~\n",
+        "> ```sh\n> exit 3\n> ```\n",
+        "```sh\ntrue\n",
+    ],
+)
+def test_a_page_that_does_not_do_what_it_says_fails(text: str, tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text(text, encoding="utf-8")
+    with pytest.raises(AssertionError):
+        Page(tmp_path / "page.md", tmp_path).run()
+
+
+def test_pictures_are_compared(tmp_path: Path) -> None:
+    from PIL import Image
+
+    grey = np.full((20, 30), 100, np.uint8)
+    for name, picture in {
+        "a": grey,
+        "b": grey + 1,
+        "c": np.where(np.arange(30) < 15, grey, 130).astype(np.uint8),
+        "d": grey[:10],
+    }.items():
+        Image.fromarray(picture).save(tmp_path / f"{name}.png")
+    same = {name: alike_pictures(tmp_path / "a.png", tmp_path / f"{name}.png") for name in "abcd"}
+    assert same == {"a": True, "b": True, "c": False, "d": False}
+    for name, text in {
+        "a": '<path d="M 1.0 2.0"/>',
+        "b": '<path d="M 1.001 2.0"/>',
+        "c": '<path d="M 9.0 2.0"/>',
+        "d": '<g d="M 1.0 2.0"/>',
+    }.items():
+        (tmp_path / f"{name}.svg").write_text(text, encoding="utf-8")
+    same = {name: alike_pictures(tmp_path / "a.svg", tmp_path / f"{name}.svg") for name in "abcd"}
+    assert same == {"a": True, "b": True, "c": False, "d": False}
+    assert not alike("a 1", "b 1")

@@ -1,0 +1,295 @@
+"""The site: one command builds it without a warning, every link leads somewhere, and it opens from disk on a telephone too."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from helpers.browser import browse, needs_browser, print_page
+from helpers.processes import HANG_S
+from helpers.public_names import CLASSES, PUBLIC, fields
+
+import pixsim
+from pixsim.cli.options import app
+
+for needed in ("sphinx", "myst_parser", "furo"):
+    pytest.importorskip(needed, reason=f"{needed} is not installed: pip install '.[docs]'")
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+if not (DOCS / "conf.py").is_file():
+    pytest.skip("the tests are installed without the pages' sources", allow_module_level=True)
+TOGETHER = ["--allow-file-access-from-files"]  # pages on disk may read one another
+MARKDOWN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "scenes/README.md", *sorted(DOCS.rglob("*.md"))]
+
+
+def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess[str]:
+    """The site's command, with another builder where one is asked for."""
+    command = [sys.executable, "-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", builder, "-d", str(out / "../trees")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run([*command, str(DOCS), str(out)], capture_output=True, encoding="utf-8", env=environment, timeout=HANG_S)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built once: 9 s."""
+    out = tmp_path_factory.mktemp("site") / "html"
+    done = sphinx("html", out)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    return out
+
+
+class Page(HTMLParser):
+    """What a page can be pointed at, where it points, and what it fetches."""
+
+    FETCHED = ("img", "script", "link", "iframe", "source", "video", "audio", "embed", "object")
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.ids: set[str] = set()
+        self.links: list[str] = []
+        self.fetched: list[str] = []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        told = {name: value or "" for name, value in attrs}
+        self.ids |= {told[name] for name in ("id", "name") if name in told}
+        if tag == "a" and "href" in told:
+            self.links.append(told["href"])
+        if tag in self.FETCHED and told.get("rel", "stylesheet") in ("stylesheet", "icon", "preload", "prefetch", "manifest"):
+            self.fetched += [told[name] for name in ("src", "href", "srcset", "data") if name in told]
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Page]:
+    return {path: Page(path) for path in sorted(site.rglob("*.html"))}
+
+
+def written(pages: dict[Path, Page]) -> list[Path]:
+    """Pages that were written, not made: neither indices nor source code."""
+    return [path for path in pages if "_modules" not in path.parts and path.stem not in ("genindex", "py-modindex", "search")]
+
+
+def dead_links(pages: dict[Path, Page]) -> tuple[list[str], int]:
+    """Links to files or anchors that are not there, and how many were looked at."""
+    wrong, checked = [], 0
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            checked += 1
+            if target not in pages and not target.is_file():
+                wrong.append(f"{path.name}: {link}")
+            elif parts.fragment and unquote(parts.fragment) not in pages[target].ids:
+                wrong.append(f"{path.name}: {link}, no such anchor")
+    return wrong, checked
+
+
+def test_every_link_leads_somewhere(pages: dict[Path, Page]) -> None:
+    wrong, checked = dead_links(pages)
+    assert not wrong
+    assert checked > 1000
+
+
+def test_a_dead_link_is_found(tmp_path: Path) -> None:
+    path = tmp_path.resolve() / "a.html"
+    path.write_text('<p id="here"><a href="#here"></a><a href="a.html#gone"></a><a href="b.html"></a>', encoding="utf-8")
+    assert dead_links({path: Page(path)}) == (["a.html: a.html#gone, no such anchor", "a.html: b.html"], 3)
+
+
+def test_links_to_elsewhere_are_well_formed(pages: dict[Path, Page]) -> None:
+    elsewhere = {link for page in pages.values() for link in page.links if urlsplit(link).scheme not in ("", "mailto")}
+    assert elsewhere
+    assert all(urlsplit(link).scheme == "https" and re.fullmatch(r"[\w.-]+\.\w+", urlsplit(link).netloc) for link in elsewhere)
+
+
+def test_nothing_comes_from_the_network(site: Path, pages: dict[Path, Page]) -> None:
+    fetched = [(path, link) for path, page in pages.items() for link in page.fetched]
+    assert fetched
+    for path, link in fetched:
+        parts = urlsplit(link)
+        assert parts.scheme in ("", "data"), link
+        assert not parts.netloc, link
+        assert parts.scheme or (path.parent / unquote(parts.path)).is_file(), link
+    for style in site.rglob("*.css"):
+        assert not re.search(r"(url\(\s*['\"]?|@import\s+['\"]?)(https?:)?//", style.read_text(encoding="utf-8")), style
+    for script in site.rglob("*.js"):
+        code = re.sub(r"/\*.*?\*/|(?<![:'\"])//[^\n]*", "", script.read_text(encoding="utf-8"), flags=re.DOTALL)
+        assert not re.search(r"(fetch|importScripts|import|open)\(\s*['\"`](https?:)?//", code), script
+
+
+def test_every_public_name_has_an_entry(site: Path, pages: dict[Path, Page]) -> None:
+    """Functions, classes, methods, and fields of records; those that a public record has all of are told there."""
+    told = {each for path, page in pages.items() if "reference" in path.parts for each in page.ids}
+    public = [getattr(pixsim, name) for name in pixsim.__all__]
+    heirs = [kind for kind in CLASSES.values() if any(kind in getattr(each, "__mro__", ())[1:] for each in public)]
+    names = set(PUBLIC)
+    names |= {f"{name}.{field}" for name, kind in CLASSES.items() if kind not in heirs for field in fields(kind)}
+    inherited = {name for name in names if name.endswith(".content_hash")}  # told of `Record`
+    assert names - inherited - told == set()
+    assert "pixsim.base.parameters.Record.content_hash" in told
+
+
+def commands() -> Iterator[tuple[str, Any]]:
+    for name in app:
+        if not name.startswith("-"):
+            yield name, app[name]
+
+
+@pytest.mark.parametrize("name", [name for name, _ in commands()])
+def test_every_command_is_told_with_its_options(name: str, site: Path) -> None:
+    text = re.sub(r"<[^>]+>", "", (site / "reference/command_line.html").read_text(encoding="utf-8"))
+    words = {word for argument in app[name].assemble_argument_collection() for word in argument.names}
+    words = {word for word in words if not word.startswith(("--no-", "--empty-"))}  # the app has none
+    assert words
+    own = re.split(r"\n\s*pixsim \w+¶", text[text.index(f"pixsim {name}¶") :])[0]
+    assert {word for word in words if word not in own} == set()
+    assert f"\npixsim {name} " in own, "how it is used, however this was built"
+    assert not re.search(r"^-?[^:\n]+: *\[(required|default|choices)", own, re.MULTILINE), "an option that nothing is said of"
+
+
+def anchors(path: Path) -> set[str]:
+    """Of a Markdown file's headings, as GitHub names them."""
+    text = re.sub(r"^(```|~~~).*?^\1", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    found: set[str] = set()
+    for heading in re.findall(r"^#{1,6} +(.+?)\s*#*$", text, re.MULTILINE):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading)
+        slug = re.sub(r"[^\w\- ]", "", words.lower()).strip().replace(" ", "-")
+        found.add(slug if slug not in found else f"{slug}-{sum(each.startswith(slug) for each in found)}")
+    return found
+
+
+@pytest.mark.parametrize("path", MARKDOWN, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_in_markdown_lead_somewhere(path: Path) -> None:
+    text = re.sub(r"^(```|~~~).*?^\1|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    for link in re.findall(r"\]\(([^()\s]+)\)", text):
+        parts = urlsplit(link)
+        if parts.scheme:
+            assert parts.scheme == "https", link
+            continue
+        target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+        assert target.exists(), link
+        assert not parts.fragment or parts.fragment in anchors(target), link
+
+
+def test_markdown_links_become_pages_or_paths(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page's link stays one wherever its text is shown; another file's becomes its path; one to nothing is told."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    from from_markdown import rewritten
+
+    scenes = ROOT / "scenes/README.md"
+    for text, expected in {
+        "see [changes](../CHANGELOG.md#changelog)": "see [changes](changelog.md#changelog)",
+        "see [start](../README.md#in-python)": "see [start](readme.md#in-python)",
+        "see [lens](../pixsim/optics/thin_lens.py)": "see lens (`pixsim/optics/thin_lens.py`)",
+        "see [`csf.xml`](csf.xml)": "see `csf.xml` (`scenes/csf.xml`)",
+        "![growth](../docs/pictures/growth.svg)": "![growth](../pictures/growth.svg)",
+        "[![growth](../docs/pictures/growth.svg)](../CHANGELOG.md)": "[![growth](../pictures/growth.svg)](changelog.md)",
+        "[far](https://example.org/a.md) [here](#charts)": "[far](https://example.org/a.md) [here](#charts)",
+        "see [two\nlines](../CHANGELOG.md)": "see [two\nlines](changelog.md)",
+        "```md\n[not](nothing.md)\n```\n`[nor](this.md)`": "```md\n[not](nothing.md)\n```\n`[nor](this.md)`",
+    }.items():
+        assert rewritten(text, scenes, "repository/scenes") == f"{expected}\n"
+    assert not caplog.records
+    assert rewritten("[gone](gone.md)", scenes, "repository/scenes") == "gone\n"
+
+
+FRAMES = """<!DOCTYPE html><title></title>{frames}
+<script>
+onload = () => {{
+  document.title = JSON.stringify([...document.querySelectorAll("iframe")].map(frame => {{
+    const page = frame.contentDocument, root = page.documentElement;
+    const pictures = [...page.images].filter(each => each.naturalWidth == 0).map(each => each.src);
+    const out = [...page.querySelectorAll("article *")].filter(each => each.getBoundingClientRect().right > root.clientWidth + 1)
+      .filter(each => !each.closest("pre, table, dt, .highlight, .toctree-wrapper") && each.getBoundingClientRect().width > 0);
+    return [root.clientWidth, root.scrollWidth, page.title, pictures, out.map(each => each.outerHTML.slice(0, 80))];
+  }}));
+}};
+</script>"""
+
+
+def looked_at(shown: list[Path], width: int, folder: Path) -> list[Any]:
+    """[room, width of what is in it, title, pictures that are missing, elements that stick out] of each page."""
+    frames = "\n".join(f'<iframe width="{width}" height="900" style="border: 0" src="{path.as_uri()}"></iframe>' for path in shown)
+    frame = folder / "frames.html"
+    frame.write_text(FRAMES.format(frames=frames), encoding="utf-8")
+    title = re.search(r"<title>(.*?)</title>", browse([*TOGETHER, "--dump-dom", frame.as_uri()], folder).stdout, re.DOTALL)
+    assert title
+    found: list[Any] = json.loads(html.unescape(title[1]))
+    assert len(found) == len(shown)
+    return found
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [400, 1280])
+def test_nothing_sticks_out_of_a_page(width: int, pages: dict[Path, Page], tmp_path: Path) -> None:
+    """A telephone and a desk; wide tables and code scroll within themselves."""
+    shown = written(pages)
+    assert len(shown) > 15
+    for path, (room, wide, name, missing, out) in zip(shown, looked_at(shown, width, tmp_path), strict=True):
+        assert name, path
+        assert width - 20 <= room <= width, "the frame is as wide as it should be, but for a scroll bar"
+        assert wide <= room, path
+        assert missing == [], path
+        assert out == [], path
+
+
+@needs_browser
+def test_what_sticks_out_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "wide.html"
+    page.write_text('<title>w</title><article><p style="width: 600px">w<img src="gone.png"></article>', encoding="utf-8")
+    ((room, wide, _, missing, out),) = looked_at([page], 400, tmp_path)
+    assert room <= 400 < wide
+    assert len(missing) == len(out) == 1
+
+
+PRINTED = {
+    "reference/kernels/optics": ("Optics", "irradiance_factor", "Foote", "Goodman", "E/L in sr", "0.048332", "square_aperture_mtf"),
+    "how_small": ("How small should my pixel be?", "full_well_e = 10500", "Why: light against detail", "The decision"),
+}
+
+
+@needs_browser
+@pytest.mark.parametrize("name", PRINTED)
+def test_a_page_as_pdf_has_its_words(name: str, site: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pypdf", reason="pypdf is not installed")
+    sheets = print_page(site / f"{name}.html", tmp_path).pages
+    words = re.sub(r"\s+", " ", " ".join(sheet.extract_text() for sheet in sheets))
+    assert 2 <= len(sheets) <= 8
+    for told in PRINTED[name]:
+        assert told in words
+    assert "Skip to content" not in words, "a link for keyboards would lie over the text"
+
+
+@pytest.mark.slow
+def test_the_site_is_the_same_bytes_each_time(site: Path, tmp_path: Path) -> None:
+    again = tmp_path / "html"
+    assert sphinx("html", again).returncode == 0
+    files = {path.relative_to(site): path.read_bytes() for path in site.rglob("*") if path.is_file()}
+    assert {path for path in files if path.suffix == ".html"}
+    changed = [path for path, content in files.items() if (again / path).read_bytes() != content]
+    assert changed == []
+
+
+@pytest.mark.slow
+def test_pages_elsewhere_are_there(tmp_path: Path) -> None:
+    try:
+        socket.create_connection(("www.python.org", 443), 5).close()
+    except OSError as error:
+        pytest.skip(f"no network: {error}")
+    done = sphinx("linkcheck", tmp_path / "links")
+    assert done.returncode == 0, done.stdout + done.stderr

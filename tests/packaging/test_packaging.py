@@ -1,0 +1,216 @@
+"""What is shipped: the wheel's contents, that it works outside the checkout, and that the lowest versions allowed do."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+from helpers.processes import HANG_S
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+BUILD = "import sys; from hatchling import build; getattr(build, sys.argv[1])(sys.argv[2])"
+UNREACHABLE = ("Could not find a version", "No matching distribution", "connection", "Failed to establish", "Read timed out")
+LONGEST_S = 6 * HANG_S  # packages are fetched, and half of the tests run
+LANGUAGE_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
+STUDY = """
+name = "tiny"
+repeats = 2
+scene = { file = "csf", parameters = { resolution = 32, spp = 4 } }
+pitch = { values_um = [5.6, 6.5, 7.5, 9.0, 12.0] }
+display = { dots = 32, samples_per_deg = 10.0 }
+"""
+
+
+def run(*command: str | Path, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A command that knows nothing of the checkout."""
+    kept = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "DRJIT_LIBLLVM_PATH")}
+    command = tuple(map(str, command))
+    return subprocess.run(command, cwd=folder, env=kept | environment, capture_output=True, text=True, timeout=LONGEST_S)
+
+
+def pip_install(python: Path | str, *what: str | Path, folder: Path) -> None:
+    """Skip the test where there is no index."""
+    done = run(python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *what, folder=folder)
+    if done.returncode and any(word in done.stderr for word in UNREACHABLE):
+        pytest.skip("no package index: " + done.stderr.strip().splitlines()[-1])
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def hatchling(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A folder with the build tool, or nothing where it is installed beside pytest."""
+    if run(sys.executable, "-c", "import hatchling", folder=ROOT).returncode == 0:
+        return ""
+    folder = tmp_path_factory.mktemp("tool")
+    pip_install(sys.executable, "--target", folder, "hatchling>=1.21", folder=folder)
+    return str(folder)
+
+
+def build(hook: str, source: Path, out: Path, hatchling: str) -> Path:
+    out.mkdir(exist_ok=True)
+    done = run(sys.executable, "-c", BUILD, hook, out, folder=source, **({"PYTHONPATH": hatchling} if hatchling else {}))
+    assert done.returncode == 0, done.stderr
+    (made,) = out.iterdir()
+    return made
+
+
+@pytest.fixture(scope="module")
+def shipped(hatchling: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The wheel, the sdist, and the wheel that the sdist gives."""
+    folder = tmp_path_factory.mktemp("shipped")
+    wheel, sdist = (build(f"build_{kind}", ROOT, folder / kind, hatchling) for kind in ("wheel", "sdist"))
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder / "unpacked", filter="data")
+    (source,) = (folder / "unpacked").iterdir()
+    return {"wheel": wheel, "sdist": sdist, "second": build("build_wheel", source, folder / "second", hatchling)}
+
+
+def contents(wheel: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(wheel) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def test_the_wheel_holds_everything_that_runs(shipped: dict[str, Path]):
+    names = set(contents(shipped["wheel"]))
+    info = f"pixsim-{PROJECT['version']}.dist-info"
+    package = ROOT / "pixsim"
+    ours = {path.relative_to(ROOT).as_posix() for path in package.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    scenes = {f"pixsim/data/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "scenes").rglob("*") if path.is_file()}
+    assert {
+        "pixsim/py.typed",
+        "pixsim/data/style.css.j2",
+        "pixsim/data/technologies/0.35um.toml",
+        "pixsim/data/studies/chen2000.toml",
+    } <= ours
+    assert {
+        "pixsim/data/scenes/csf.xml",
+        "pixsim/data/scenes/charts/csf.exr",
+        "pixsim/data/scenes/spectra/macbeth/01_dark_skin.spd",
+    } <= scenes
+    rest = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")}
+    assert names == ours | scenes | rest  # so: no tests, no caches
+
+
+def test_nothing_of_this_machine_is_shipped(shipped: dict[str, Path]):
+    for name, content in contents(shipped["wheel"]).items():
+        if name.endswith(LANGUAGE_FILES):
+            text = content.decode("utf-8")
+            machine = [str(ROOT), str(Path.home()) + "/", "file://", "/work/"]
+            assert not [word for word in machine if word in text], name
+
+
+def test_the_source_distribution_gives_the_same_wheel(shipped: dict[str, Path]):
+    assert contents(shipped["second"]) == contents(shipped["wheel"])
+
+
+def test_the_source_distribution_holds_no_caches(shipped: dict[str, Path]):
+    with tarfile.open(shipped["sdist"]) as archive:
+        names = archive.getnames()
+    assert any(name.endswith("/tests/packaging/test_packaging.py") for name in names)
+    assert not [name for name in names if re.search(r"__pycache__|\.pyc$|_cache/|pixsim-out|\.part$|/\.git/", name)]
+
+
+def test_metadata_promise_only_what_was_tried(shipped: dict[str, Path]):
+    (text,) = (content.decode() for name, content in contents(shipped["wheel"]).items() if name.endswith("/METADATA"))
+    systems = re.findall(r"^Classifier: Operating System :: (.*)$", text, re.MULTILINE)
+    assert systems == ["POSIX :: Linux"]
+    assert "Requires-Python: >=3.11" in text
+    assert "License-Expression: BSD-3-Clause" in text
+    assert not re.search(r"^(Project-URL|Home-page|Download-URL)", text, re.MULTILINE)
+
+
+# --- Installed elsewhere ----------------------------------------------------------------------------------------------
+
+
+def venv(folder: Path, python: str = sys.executable) -> Path:
+    done = run(python, "-m", "venv", folder, folder=folder.parent)
+    assert done.returncode == 0, done.stderr
+    return folder / "bin" / "python"
+
+
+def assert_it_works(python: Path, folder: Path) -> None:
+    """Help, the doctor, a picture and a study, from an empty folder that has spaces in its path."""
+    folder.mkdir()
+    (folder / "tiny study.toml").write_text(STUDY, encoding="utf-8")
+    command, own = python.with_name("pixsim"), {"PIXSIM_CACHE_DIR": str(folder / "the cache"), "HOME": str(folder)}
+    for arguments in (
+        ["--help"],
+        ["doctor", "--json", "--limit-s", str(HANG_S)],
+        ["run", "csf", "-D", "resolution=32", "--display.dots", "32", "--out", "a picture"],
+        ["study", "tiny study.toml", "--out", "a study", "--jobs", "2"],
+    ):
+        done = run(command, *arguments, folder=folder, **own)
+        assert done.returncode == 0, (arguments, done.stdout, done.stderr)
+        if arguments[0] == "doctor":
+            found = json.loads(done.stdout)
+            where = next(each["found"] for each in found["findings"] if each["subject"] == "pixsim")
+            assert str(python.parent.parent) in where  # not the checkout
+    assert (folder / "a picture" / "score.json").is_file()
+    assert (folder / "a study" / "report.html").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+def test_it_works_where_nothing_else_is_installed(kind: str, shipped: dict[str, Path], tmp_path: Path):
+    python = venv(tmp_path / "empty environment")
+    pip_install(python, f"{shipped[kind]}[llvm]", folder=tmp_path)
+    assert_it_works(python, tmp_path / "some where")
+    if kind == "wheel":
+        assert_types_are_seen(python, tmp_path)
+
+
+def assert_types_are_seen(python: Path, folder: Path) -> None:
+    """mypy reads pixsim's own annotations in the installed package, and tells a wrong argument from a right one."""
+    script = folder / "script.py"
+    script.write_text(
+        "import pixsim\n"
+        "camera = pixsim.Camera(f_number=2.8)\n"
+        "image: pixsim.SpectralImage = pixsim.render(pixsim.load_scene('csf', resolution=32), camera, seed=1)\n"
+        "wrong: int = image.illuminance_lx()\n"
+        "pixsim.render('csf')\n",
+        encoding="utf-8",
+    )
+    # Without the plugin mypy takes all fields of a record to be required: their defaults stand first in Field(…).
+    (folder / "mypy.ini").write_text("[mypy]\nplugins = pydantic.mypy\n", encoding="utf-8")
+    arguments = ("--python-executable", python, "--strict", "--config-file", "mypy.ini", "--no-incremental", script)
+    done = run(sys.executable, "-m", "mypy", *arguments, folder=folder)
+    assert re.findall(r"script\.py:(\d+): error", done.stdout) == ["4", "5"], done.stdout + done.stderr
+
+
+def lowest(requirement: str) -> str:
+    """`numpy>=2.0` as `numpy==2.0`; `mitsuba==3.9.*` as `mitsuba==3.9.0`."""
+    return requirement.replace(">=", "==").replace(".*", ".0")
+
+
+def test_lowest_versions():
+    found = [lowest(each) for each in PROJECT["dependencies"]]
+    assert "mitsuba==3.9.0" in found
+    assert not [each for each in found if re.search(r"[<>*~!]", each)], "a bound that this test does not know"
+
+
+@pytest.mark.slow
+def test_the_lowest_versions_allowed_work(shipped: dict[str, Path], tmp_path: Path):
+    """On the oldest Python, with the quick tests that most of the packages have a part in."""
+    oldest = shutil.which("python3.11")
+    if oldest is None:
+        pytest.skip("no Python 3.11")
+    python = venv(tmp_path / "lowest", oldest)
+    bounds = [lowest(each) for each in PROJECT["dependencies"]]
+    pip_install(python, f"{shipped['wheel']}[llvm]", *bounds, "pytest>=8", "pytest-xdist>=3.5", folder=tmp_path)
+    assert_it_works(python, tmp_path / "some where")
+    rooms = [
+        ROOT / "tests" / f"test_{room}.py" for room in ("cli", "scene", "spectral", "parameters", "report", "outputs", "cache")
+    ]
+    options = ("-q", "-n", "1", "-p", "no:cacheprovider", "--rootdir", ROOT, "-c", ROOT / "pyproject.toml")
+    done = run(python, "-m", "pytest", *options, *rooms, folder=tmp_path)
+    assert done.returncode == 0, done.stdout[-4000:]

@@ -1,0 +1,466 @@
+"""The figures: what is drawn is what stands in the table, and both are the same bytes each time."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.looks import grey_look
+from matplotlib.axes import Axes
+from matplotlib.image import imread
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+import pixsim
+from pixsim.base.parameters import pixel_of
+from pixsim.light.spectral import SpectralImage
+from pixsim.report.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
+from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
+from pixsim.report.pictures import picture_axes
+from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
+from pixsim.report.views import study_pictures
+from pixsim.scene.charts import DIE_MM
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
+from pixsim.show.pages import Plate
+from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
+from pixsim.studies.optimum import Optimum
+from pixsim.studies.result import StudyResult, delta_e_against_pitch
+
+PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+STUDY = {
+    "name": "tiny",
+    "repeats": 2,
+    "iso_delta_e": 1.0,
+    "paper": True,
+    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
+    "pitch": {"values_um": PITCHES_UM},
+    "display": {"dots": 120, "samples_per_deg": 10.0},
+}
+OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+    return pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path_factory.mktemp("plates"), jobs=1)
+
+
+@pytest.fixture(scope="module")
+def evidence(result: StudyResult) -> Evidence:
+    return Evidence(result, {curve.technology: curve for curve in result.curves})
+
+
+def optimum(size_um: float, least: float, inside: bool = True) -> Optimum:
+    """A minimum that is known to 2 %, 5 % upwards."""
+    interval_um = 0.98 * size_um, 1.05 * size_um if inside else None
+    return Optimum(size_um, interval_um, least, (0.99 * least, 1.01 * least), inside, (6.6, 8.4), (6.1, None))
+
+
+def scaled(result: StudyResult) -> StudyResult:
+    """Four technologies with known optima, not in their order."""
+    curves = [
+        replace(
+            result.curves[0],
+            technology=f"{feature_um:g}um",
+            feature_size_um=feature_um,
+            fit=replace(result.curves[0].fit, optimum=optimum(size_um, 0.5)),
+        )
+        for feature_um, size_um in OPTIMA_UM.items()
+    ]
+    return replace(result, curves=tuple(curves[index] for index in (1, 3, 0, 2)))
+
+
+def paper_plates(evidence: Evidence) -> list[Plate]:
+    return [*scene_plates(evidence.result), *map_plates(evidence)]
+
+
+def every_plate(evidence: Evidence) -> dict[str, Plate]:
+    result, curve = evidence.result, evidence.result.curves[0]
+    scores = result.scores(curve.technology, 7.0)
+    plates = [
+        *paper_plates(evidence),
+        light_against_detail(result, evidence.curves["0.35um"]),
+        delta_e_against_pitch(result, [curve]),
+        delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
+        other_statistics(result, curve),
+        study_pictures(result, curve, scores[0], [score.delta_e for score in scores], "pictures_0.35um"),
+        optimum_against_technology(scaled(result)),
+    ]
+    return {plate.name: plate for plate in plates}
+
+
+@pytest.fixture(scope="module")
+def plates(evidence: Evidence) -> dict[str, Plate]:
+    return every_plate(evidence)
+
+
+@pytest.fixture(scope="module")
+def saved(plates: dict[str, Plate], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Name -> SVG."""
+    folder = tmp_path_factory.mktemp("svg")
+    for name, plate in plates.items():
+        save_svg(plate.figure, folder / f"{name}.svg")
+    return {name: (folder / f"{name}.svg").read_text(encoding="utf-8") for name in plates}
+
+
+def test_the_paper_s_figures_come_in_its_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
+    names = [plate.name for plate in paper_plates(evidence)]
+    numbered = [name.split("_")[1] for name in names if name.startswith("figure_")]
+    assert numbered == ["2a", "2b", "4", "5", "6"]
+    assert all(plates[name].caption.endswith(".") for name in names)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+UNITS = ("_um", "_db", "_mm", "_lx_s", "_lp_per_mm", "_delta_e", "_um2")
+# Ratios, names and counts; frequencies in a column's name are with their unit.
+WITHOUT_UNIT = re.compile(
+    r"technology|row|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|[a-z]+_mtf_6\.5um|"
+    r"(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm|illuminance_lx_row_\d+"
+)
+
+
+def test_every_table_is_whole_and_names_its_units(plates: dict[str, Plate]) -> None:
+    for name, plate in plates.items():
+        header, *rows = csv.reader(io.StringIO(plate.csv))
+        assert header == list(plate.table)
+        assert len(set(header)) == len(header)
+        assert rows, name
+        assert {len(row) for row in rows} == {len(header)}, name
+        for column, values in zip(header, zip(*rows, strict=True), strict=True):
+            assert column.endswith(UNITS) or WITHOUT_UNIT.fullmatch(column), f"{name}: {column} has no unit"
+            if column != "technology":
+                read = [float(value) for value in values]
+                assert read == list(plate.table[column]), f"{name}: {column} is not written to its last digit"
+                assert not np.isnan(read).any()
+
+
+def test_columns_of_unequal_length_are_not_written() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        _ = Plate("odd", "", new_figure(1, 1), {"a": [1.0, 2.0], "b": [1.0]}).csv
+
+
+def column(plate: Plate, name: str) -> np.ndarray:
+    return np.array(plate.table[name])
+
+
+def lines(plate: Plate, panel: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(x, y) of every line of an axes, the first if nothing else is asked for."""
+    return [(np.asarray(line.get_xdata()), np.asarray(line.get_ydata())) for line in plate.figure.axes[panel].lines]
+
+
+def is_drawn(plate: Plate, x: np.ndarray, y: np.ndarray, panel: int = 0) -> bool:
+    return any(len(a) == len(x) and np.array_equal(a, x) and np.array_equal(b, y) for a, b in lines(plate, panel))
+
+
+def test_figure_2a_is_equations_1_and_2(result: StudyResult) -> None:
+    plate = figure_2a(result)
+    pitch_um = column(plate, "pitch_um")
+    assert pitch_um[[0, -1]] == pytest.approx([5.3, 15.0])
+    for capacitance in ("paper", "mosis"):
+        for name, db in zip(("dr", "snr"), dr_and_snr_db(pitch_um, capacitance), strict=True):
+            np.testing.assert_array_equal(column(plate, f"{name}_{capacitance}_db"), db)
+            assert is_drawn(plate, pitch_um, db)
+    # With 5 to 73 % of fill factor, nearly p^1.2 by an estimate apart from pixsim.
+    assert growth_exponent(pitch_um, column(plate, "dr_paper_db")) == pytest.approx(1.2, abs=0.05)
+
+
+def test_figure_2b_is_the_system_mtf_up_to_83_lp_per_mm(result: StudyResult) -> None:
+    plate = figure_2b(result)
+    relative = column(plate, "frequency_over_6um_nyquist")
+    assert relative[[0, -1]] == pytest.approx([0, 1])
+    curves = []
+    for pitch_um in (6, 8, 10, 12):
+        physics = pixsim.derive(pixel_of(result.study, "0.35um", pitch_um))
+        mtf = column(plate, f"mtf_{pitch_um}um")
+        np.testing.assert_allclose(mtf, system_mtf(result, physics, relative * 1e3 / 12), rtol=1e-12)
+        assert is_drawn(plate, relative, mtf)
+        curves.append(mtf)
+    assert (np.diff(curves, axis=0)[:, 1:] < 0).all(), "a larger photodiode blurs more"
+
+
+TERMS = ("lens", "photodiode", "interpolation", "dot")
+
+
+def test_figure_2b_draws_every_term_and_their_product(result: StudyResult) -> None:
+    """At the Nyquist frequency of 6.5 µm pixels the linear interpolation leaves (2/π)²; a dot here is 2713.6/120 µm."""
+    plate = figure_2b(result)
+    frequency = column(plate, "frequency_lp_per_mm")
+    assert frequency[[0, -1]] == pytest.approx([0, 1e3 / 12])
+    terms = {name: column(plate, f"{name}_mtf_6.5um") for name in TERMS}
+    shown = column(plate, "shown_mtf_6.5um")
+    for values in (*terms.values(), shown):
+        assert is_drawn(plate, frequency, values, panel=1)
+    np.testing.assert_allclose(shown, np.prod(list(terms.values()), axis=0), rtol=1e-12)
+    physics = pixsim.derive(pixel_of(result.study, "0.35um", 6.5))
+    np.testing.assert_allclose(terms["lens"] * terms["photodiode"], system_mtf(result, physics, frequency), rtol=1e-12)
+    # Drawn lines between 101 points of a curve whose second derivative is at most 5e-4 mm²: 5e-5.
+    assert np.interp(1e3 / 13, frequency, terms["interpolation"]) == pytest.approx((2 / np.pi) ** 2, abs=1e-4)
+    np.testing.assert_allclose(terms["dot"], np.abs(np.sinc(frequency * 1e-3 * DIE_MM * 1e3 / 120)), atol=1e-9)
+
+
+def test_a_display_of_one_dot_a_pixel_blurs_nothing(result: StudyResult) -> None:
+    display = result.study.display.model_copy(update={"raster": "one_to_one"})
+    as_is = replace(result, study=result.study.model_copy(update={"display": display}))
+    assert not {name for name in figure_2b(as_is).table if name.startswith(("interpolation", "dot"))}
+    plate = light_against_detail(as_is, result.curves[0])
+    np.testing.assert_allclose(column(plate, "shown_mtf50_lp_per_mm"), column(plate, "mtf50_lp_per_mm"), rtol=1e-12)
+
+
+def test_the_scene_is_that_of_the_irradiance(plates: dict[str, Plate], result: StudyResult) -> None:
+    """96 samples in 64 cells: of one or two each, so that the cells' own sum is weighed by their sizes."""
+    plate = plates["figure_4_scene"]
+    cells = np.stack([column(plate, name) for name in plate.table if name != "row"], axis=1)
+    assert cells.shape == (64, 64)
+    sizes = np.array([each.size for each in np.array_split(np.arange(96), 64)])
+    weighed = (cells * sizes[:, None] * sizes).sum() / 96**2
+    assert weighed == pytest.approx(result.irradiance.illuminance_lx().mean(), rel=1e-12)
+
+
+def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evidence: Evidence) -> None:
+    plate = plates["figure_6_iso_delta_e"]
+    pitch_um, frequency, contrast = (column(plate, name) for name in ("pitch_um", "frequency_lp_per_mm", "contrast"))
+    assert set(pitch_um) <= {5.3, 6.0, 8.0, 15.0}
+    assert len(set(pitch_um)) >= 2
+    assert 0.99 <= frequency.min() < frequency.max() <= 33.4
+    assert 0.0095 <= contrast.min() < contrast.max() <= 0.952
+    cut = (120 - evidence.maps[8.0].shape[0]) / 2
+    assert cut == 1, "a border of 15 µm is one dot of 22.6 µm"
+    smooth = gaussian_filter(evidence.maps[8.0], ISO_SMOOTHING_DOTS, mode="nearest")
+    here = pitch_um == 8.0
+    x = np.log(frequency[here]) / np.log(1e3 / 30) * 120 - cut - 0.5
+    y = (1 - np.log(contrast[here] / (975 / 1025)) / np.log(0.01)) * 120 - cut - 0.5
+    level = map_coordinates(smooth, [y, x], order=1, mode="nearest")
+    # The contour is drawn by lines between samples: off by the curvature within one.
+    np.testing.assert_allclose(level, STUDY["iso_delta_e"], rtol=0.02)
+
+
+def test_figure_5_s_map_is_the_mean_of_the_sensors(plates: dict[str, Plate], evidence: Evidence) -> None:
+    plate = plates["figure_5_pictures_8um"]
+    cells = np.stack([column(plate, name) for name in plate.table if name != "row"], axis=1)
+    sizes = np.array([each.size for each in np.array_split(np.arange(118), 64)])
+    weighed = (cells * sizes[:, None] * sizes).sum() / 118**2
+    assert weighed == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
+
+
+def test_errors_by_cell_keep_the_mean_of_the_map(plates: dict[str, Plate], evidence: Evidence) -> None:
+    """118 dots in six columns and eight rows: cells of 19 and 20 by 14 and 15 dots."""
+    plate = plates["delta_e_by_frequency_and_contrast"]
+    cells = np.stack([column(plate, name) for name in plate.table if name != "contrast"])
+    assert cells.shape == (6, 8)
+    sizes = [[each.size for each in np.array_split(np.arange(118), parts)] for parts in (6, 8)]
+    assert (cells * np.outer(*sizes)).sum() / 118**2 == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
+
+
+def test_light_and_detail_are_bought_with_each_other(plates: dict[str, Plate], result: StudyResult) -> None:
+    plate = plates["light_against_detail"]
+    mtf50, mpe30 = column(plate, "mtf50_lp_per_mm"), column(plate, "mpe30_lx_s")
+    assert column(plate, "pitch_um").tolist() == PITCHES_UM
+    assert (np.diff(mtf50) < 0).all()
+    assert (np.diff(mpe30) < 0).all()
+    physics = pixsim.derive(pixel_of(result.study, "0.35um", 7.0))
+    assert mtf50[2] == pytest.approx(mtf50_cy_per_mm(result, physics), rel=1e-12)
+    shown50 = column(plate, "shown_mtf50_lp_per_mm")
+    # MTF50 is read off lines between frequencies 0.01 lp/mm apart: far less than 1e-6 off.
+    for at, mtf in ((mtf50[2], system_mtf), (shown50[2], shown_mtf)):
+        assert mtf(result, physics, np.array(at)) == pytest.approx(0.5, abs=1e-6)
+    assert (shown50 < mtf50).all()
+    for values in (mtf50, shown50):
+        assert is_drawn(plate, np.array(PITCHES_UM), values)
+    assert mpe30[2] == pytest.approx(mpe30_lx_s(result, physics), rel=1e-12)
+
+
+def test_light_against_detail_draws_what_each_term_leaves_at_the_chart_s_highest_frequency(
+    plates: dict[str, Plate], result: StudyResult
+) -> None:
+    plate = plates["light_against_detail"]
+    terms = [column(plate, f"{name}_mtf_at_33.3_lp_per_mm") for name in TERMS]
+    shown = column(plate, "shown_mtf_at_33.3_lp_per_mm")
+    np.testing.assert_allclose(shown, np.prod(terms, axis=0), rtol=1e-12)
+    for values in (*terms, shown):
+        assert is_drawn(plate, np.array(PITCHES_UM), values, panel=1)
+    np.testing.assert_allclose(terms[2], np.sinc(np.array(PITCHES_UM) / 30) ** 2, rtol=1e-12)  # f p at 1000/30 lp/mm
+    assert np.ptp(terms[0]) == np.ptp(terms[3]) == 0, "neither the lens nor the dots know the pixel"
+    light = result.irradiance
+    header = light.header | {"scene": "mine.xml"}
+    mine = SpectralImage(light.wavelength_nm, light.band_width_nm, light.pitch_um, factors=light.factors, header=header)
+    elsewhere = replace(result, irradiance=mine)
+    curve = result.curves[0]
+    nyquist = 1e3 / (2 * curve.optimum.pitch_um)
+    assert f"lens_mtf_at_{nyquist / 2:.3g}_lp_per_mm" in light_against_detail(elsewhere, curve).table
+
+
+def test_the_line_is_proportional_to_technology_through_the_largest(plates: dict[str, Plate]) -> None:
+    plate = plates["optimum_against_technology"]
+    feature_um = column(plate, "feature_size_um")
+    assert feature_um.tolist() == sorted(OPTIMA_UM)
+    assert column(plate, "optimum_um").tolist() == [OPTIMA_UM[each] for each in feature_um]
+    np.testing.assert_allclose(column(plate, "proportional_um"), feature_um * 8.8 / 0.5, rtol=1e-12)
+    np.testing.assert_allclose(column(plate, "optimum_features"), column(plate, "optimum_um") / feature_um, rtol=1e-12)
+    assert is_drawn(plate, feature_um, column(plate, "proportional_um"))
+    # From 2 % below to 5 % above.
+    reach = [np.ptp([y for _, y in bar]) for group in plate.figure.axes[0].collections for bar in group.get_segments()]
+    sizes = np.array([OPTIMA_UM[each] for each in feature_um])
+    np.testing.assert_allclose(sorted(reach), sorted(0.07 * sizes), rtol=1e-9)
+
+
+def test_the_table_of_a_curve_is_the_study_s(plates: dict[str, Plate], result: StudyResult) -> None:
+    curve = result.curves[0]
+    for plate in (plates["delta_e_against_pitch"], plates["other_statistics"]):
+        assert column(plate, "pitch_um").tolist() == PITCHES_UM
+        np.testing.assert_allclose(column(plate, "mean_delta_e"), curve.delta_e.mean(axis=1), rtol=1e-12)
+        np.testing.assert_allclose(column(plate, "p99_delta_e"), curve.statistics["p99_delta_e"].mean(axis=1), rtol=1e-12)
+        # Six pairs: variances of half their squared distances, pooled in proportion to the mean; t of 6 degrees is 2.446912.
+        mean, distance = curve.delta_e.mean(axis=1), np.ptp(curve.delta_e, axis=1)
+        relative = np.sqrt((distance**2 / 2).sum() / (mean**2).sum())
+        np.testing.assert_allclose(column(plate, "ci95_delta_e"), 2.446912 * relative * mean / np.sqrt(2), rtol=1e-6)
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def texts_of(plate: Plate) -> dict[str, tuple[float, float]]:
+    """Text -> its place in px, across and up."""
+    axes = plate.figure.axes[0]
+    plate.figure.draw_without_rendering()
+    boxes = {each.get_text(): each.get_window_extent() for each in axes.texts}
+    return {text: ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2) for text, box in boxes.items()}
+
+
+def curve_with(result: StudyResult, mean: Sequence[float], best: Optimum) -> StudyResult:
+    curve = result.curves[0]
+    own = curve.delta_e.mean(axis=1, keepdims=True)
+    statistics = {name: values / own * np.array(mean)[:, None] for name, values in curve.statistics.items()}
+    return replace(result, curves=(replace(curve, statistics=statistics, fit=replace(curve.fit, optimum=best)),))
+
+
+@pytest.mark.parametrize("least", [0.02, 0.6])
+def test_noise_is_on_the_side_of_small_pixels_and_the_best_over_the_axis(result: StudyResult, least: float) -> None:
+    found = curve_with(result, [1.0, 0.8, least, least, 0.7, 0.9], optimum(7.5, least))
+    plate = delta_e_against_pitch(found, found.curves)
+    places, axes = texts_of(plate), plate.figure.axes[0]
+    assert set(places) == {"← more noise", "more blur →", "best: 7.50 µm"}
+    assert places["← more noise"][0] < places["best: 7.50 µm"][0] < places["more blur →"][0]
+    low_px, high_px = (axes.transData.transform((7.5, at))[1] for at in axes.get_ylim())
+    (label,) = (each for each in axes.texts if each.get_text().startswith("best"))
+    words, foot = (each.get_window_extent() for each in (label, next(other for other in axes.texts if other is not label)))
+    assert low_px < words.y0 < words.y1 < high_px
+    assert words.y0 > foot.y1, "over the words at the foot"
+    assert [each.get_text() for each in axes.get_legend().get_texts()] == ["0.35um: 7.50 µm (95 %: 7.35 to 7.88 µm)"]
+
+
+def test_without_an_optimum_nothing_is_said_of_its_sides(result: StudyResult) -> None:
+    found = curve_with(result, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], optimum(15.0, 0.5, inside=False))
+    plate = delta_e_against_pitch(found, found.curves)
+    assert texts_of(plate) == {}
+    assert [each.get_text() for each in plate.figure.axes[0].get_legend().get_texts()] == ["0.35um"]
+
+
+@pytest.mark.parametrize(("fill_factor", "there"), [((0.05, 0.73), True), ((0.712, 0.788), False), ((1.0, 1.0), False)])
+def test_an_axis_of_fill_factors_has_marks(result: StudyResult, fill_factor: tuple[float, float], there: bool) -> None:
+    curve = replace(result.curves[0], fill_factor=np.linspace(*fill_factor, 6))
+    (axes,) = delta_e_against_pitch(result, [curve]).figure.axes
+    assert len(axes.child_axes) == there
+    assert all(each.get_xlabel() == "fill factor (%)" and len(each.get_xticks()) > 3 for each in axes.child_axes)
+
+
+def test_the_darkest_bars_are_told_of_the_chart_that_has_them(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "darkest bars" in other_statistics(result, result.curves[0]).caption
+    monkeypatch.setitem(result.irradiance.header, "scene", "still_life.xml")
+    assert "darkest bars" not in other_statistics(result, result.curves[0]).caption
+
+
+# --- axes -------------------------------------------------------------------------------------------------------------
+
+
+def axes_for(width: int, height: int, pitch_um: float, header: dict[str, object]) -> Axes:
+    irradiance = SpectralImage([550.0], [10.0], pitch_um, data=np.ones((height, width, 1)), header=header)
+    axes = new_figure(3, 3).subplots()
+    label_axes(axes, picture_axes(irradiance))
+    return axes
+
+
+@pytest.mark.parametrize("die_mm", [DIE_MM, 1.0, 5.0])
+def test_frequencies_stand_where_the_chart_has_them(die_mm: float) -> None:
+    """The chart runs from f0 = 1 to f1 = 33.3 lp/mm over its own 2.7136 mm: x/width = ln(f/f0)/ln(f1/f0)."""
+    axes = axes_for(64, 64, 1e3 * die_mm / 64, {"scene": "csf.xml"})
+    lowest, highest = DIE_MM / die_mm, DIE_MM / die_mm * 100 / 3
+    told = [label.get_text() for label in axes.get_xticklabels()]
+    assert told[0] == f"{lowest:.3g}"
+    assert told[-1] == f"{highest:.3g}"
+    assert len(told) >= 5
+    expected = np.log(np.array(told, float) / lowest) / np.log(highest / lowest) * die_mm
+    assert axes.get_xticks() == pytest.approx(expected, abs=1e-3 * die_mm)  # labels have three digits
+    assert "lp/mm" in axes.get_xlabel()
+
+
+def test_contrasts_stand_where_the_chart_has_them() -> None:
+    """A hundredth of the largest contrast on top, 0.951 below, at equal ratios."""
+    axes = axes_for(64, 64, 42.4, {"scene": "csf.xml"})
+    told = np.array([label.get_text() for label in axes.get_yticklabels()], float)
+    expected = (1 + np.log(told / (975 / 1025)) / np.log(100)) * 64 * 0.0424
+    assert axes.get_yticks() == pytest.approx(expected, abs=1e-3)
+    assert told[-1] == 0.951
+    assert axes.get_ylabel() == "contrast, (max − min) / (max + min)"
+
+
+@pytest.mark.parametrize("header", [{"scene": "flat.xml"}, {"scene": "csf.xml", "parameters": {"chart": "mine.exr"}}, {}])
+def test_other_pictures_are_labelled_by_position(header: dict[str, object]) -> None:
+    axes = axes_for(32, 16, 10.0, header)
+    assert "mm" in axes.get_xlabel()
+    assert "lp/mm" not in axes.get_xlabel()
+    assert "contrast" not in axes.get_ylabel()
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def test_figures_are_the_same_bytes_each_time(evidence: Evidence, saved: dict[str, str], tmp_path: Path) -> None:
+    for name, plate in every_plate(evidence).items():
+        save_svg(plate.figure, tmp_path / "again.svg")
+        assert (tmp_path / "again.svg").read_text(encoding="utf-8") == saved[name], name
+
+
+def test_every_reference_in_a_figure_has_its_target(saved: dict[str, str]) -> None:
+    for name, svg in saved.items():
+        targets = re.findall(r'\bid="([^"]+)"', svg)
+        assert len(set(targets)) == len(targets), f"{name}: an id stands twice"
+        references = set(re.findall(r'url\(#([^)]+)\)|href="#([^"]+)"', svg))
+        assert {one or other for one, other in references} <= set(targets), name
+        assert references, name
+        # Matplotlib's own ids end in ten digits of a hash of coordinates.
+        assert not re.search(r'id="[^"]*[0-9a-f]{10}"', svg), name
+
+
+def test_numbering_leaves_the_pictures_alone(saved: dict[str, str]) -> None:
+    seen = 0
+    for name, svg in saved.items():
+        for kind, data in re.findall(r'href="data:image/(\w+);base64,\s*([^"]+)"', svg):
+            picture = imread(io.BytesIO(base64.b64decode("".join(data.split()), validate=True)), format=kind)
+            assert min(picture.shape[:2]) > 1, name
+            seen += 1
+    assert seen >= 8  # the scene, three pictures of either kind, the cells
+
+
+def test_named_lines_of_every_figure_are_told_apart_in_grey(evidence: Evidence) -> None:
+    """All that a legend names; a figure of one line has nothing to tell apart."""
+    compared = 0
+    for name, plate in every_plate(evidence).items():
+        handles = [each for axes in plate.figure.axes if axes.get_legend() for each in axes.get_legend().get_lines()]
+        looks = [grey_look(each) for each in handles]
+        assert len(set(looks)) == len(looks), name
+        compared += len(looks)
+    assert compared > 15
+
+
+def test_every_axis_of_a_figure_is_labelled(evidence: Evidence) -> None:
+    for name, plate in every_plate(evidence).items():
+        for axes in plate.figure.axes:
+            label = axes.get_xlabel() + axes.get_ylabel()
+            assert label, name
+            assert any(unit in label for unit in ("µm", "mm", "dB", "ΔE", "lx", " over ", "(%)", "(max")), f"{name}: {label}"

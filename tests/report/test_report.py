@@ -1,0 +1,291 @@
+"""The report of a study: one file that opens offline, tells the optimum, and fits a telephone."""
+
+import html
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
+
+import pixsim
+from pixsim.report.settings import Light
+from pixsim.report.study import plates_of_curves, write_report
+from pixsim.studies.result import StudyResult
+
+TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"
+STUDY = {
+    "name": "tiny",
+    "title": TITLE,
+    "technologies": ["0.35um", "<b>&process.toml"],
+    "repeats": 2,
+    "iso_delta_e": 1.0,
+    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
+    "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
+    "display": {"dots": 96, "samples_per_deg": 10.0},
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult, Path]]:
+    folder = tmp_path_factory.mktemp("report")
+    process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        other = process.read_text(encoding="utf-8").replace('name = "0.35um"', 'name = "other"')
+        Path(STUDY["technologies"][1]).write_text(other, encoding="utf-8")
+        result = pixsim.study(pixsim.Study.model_validate(STUDY), folder / "out", jobs=1)
+        write_report(result, folder / "out", {"render": 1.25})
+        yield result, folder / "out"
+
+
+class Elements(HTMLParser):
+    """Tags, and the values of attributes that make a browser fetch something."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "poster"}]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def text_of(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_report_is_one_file_that_opens_offline(made: tuple[StudyResult, Path]) -> None:
+    page = text_of(made[1])
+    elements = Elements(page)
+    assert elements.links
+    assert all(link.startswith(("data:", "#")) for link in elements.links)
+    assert {link[1:] for link in elements.links if link.startswith("#")} <= set(re.findall(r' id="([^"]+)"', page))
+    assert not {"script", "link", "iframe", "object", "embed", "base"} & set(elements.tags)
+    assert not re.search(r"url\(|@import", re.sub(r'"data:[^"]*"', "", page))
+    assert str(made[1].parent) not in page, "a path of the machine it was made on"
+
+
+def test_words_from_files_stay_words(made: tuple[StudyResult, Path]) -> None:
+    """The title and a technology's name hold markup; a reader sees them letter by letter."""
+    words = "".join(Elements(text_of(made[1])).words)
+    assert words.count(TITLE) == 2  # <title> and <h1>
+    assert "<b>&process" in words
+
+
+def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]) -> None:
+    words = " ".join("".join(Elements(text_of(made[1])).words).split())
+    for curve in json.loads((made[1] / "summary.json").read_text(encoding="utf-8"))["curves"]:
+        best = curve["optimum"]
+        assert best["inside"]
+        (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
+        assert f"{best['pitch_um']:.2f} µm, 95 % interval {low:.2f} to {high:.2f} µm." in words
+        assert f"within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
+        assert f"Mean ΔE there: {best['mean_delta_e']:.3f}" in words
+        for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
+            assert f"{pitch_um:.3f}" in words
+            assert f"{delta_e:.4f}" in words
+
+
+def test_the_report_names_what_blurs_at_the_best_size_of_each_technology(made: tuple[StudyResult, Path]) -> None:
+    """96 dots on 2713.6 µm and lines between pixels, at 1000/30 lp/mm."""
+    words = " ".join("".join(Elements(text_of(made[1])).words).split())
+    for curve in made[0].curves:
+        best_um = curve.optimum.pitch_um
+        interpolation, dot = np.sinc(best_um / 30) ** 2, np.sinc(2713.6 / 96 / 30)
+        assert (
+            f"What blurs with {best_um:.2f} µm pixels, {curve.label}. At 33.3 lp/mm, the highest frequency of the chart, " in words
+        )
+        assert f"leaves {interpolation:.3f} of that, and the dots {dot:.3f}: " in words
+
+
+def test_a_minimum_at_the_end_is_not_sold_as_the_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result = made[0]
+    curve = result.curves[0]
+    at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False, pitch_um=15.0)))
+    write_report(replace(result, curves=(at_the_end,)), tmp_path, {})
+    words = " ".join("".join(Elements(text_of(tmp_path)).words).split())
+    assert "No best pixel size, 0.35um, between 5.30 and 15.00 µm" in words
+    assert "Best pixel size" not in words
+
+
+def figures(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (folder / "figures").glob("*.svg")}
+
+
+def test_figures_are_the_same_bytes_each_time_and_undated(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result, folder = made
+    write_report(result, tmp_path, {"render": 99.0})
+    assert figures(folder) == figures(tmp_path)
+    for svg in figures(folder).values():
+        assert b"dc:date" not in svg
+        assert not re.search(rb"\d{4}-\d\d-\d\dT\d\d", svg)
+
+
+def test_each_technology_has_its_own_pictures(made: tuple[StudyResult, Path]) -> None:
+    assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg", "pictures_<b>&process.svg"} <= figures(made[1]).keys()
+    assert len(set(figures(made[1]).values())) == len(figures(made[1]))
+    assert text_of(made[1]).count('src="data:image/svg+xml;') == len(figures(made[1]))
+
+
+def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
+    made: tuple[StudyResult, Path], tmp_path: Path
+) -> None:
+    process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+    paths = [tmp_path / folder / "mine.toml" for folder in ("first", "second")]
+    for path in paths:
+        path.parent.mkdir()
+        text = process.read_text(encoding="utf-8")
+        path.write_text(text.replace('name = "0.35um"', f'name = "{path.parent.name}"'), encoding="utf-8")
+    study = pixsim.Study.model_validate(STUDY | {"technologies": [str(path) for path in paths]})
+    result = pixsim.study(study, tmp_path / "out", jobs=1)
+    assert [curve.technology for curve in result.curves] == [str(path) for path in paths]
+    assert repr(result).count(str(tmp_path)) == 0
+    page = write_report(result, tmp_path / "out").read_text(encoding="utf-8")
+    names = {path.name for path in (tmp_path / "out/figures").iterdir()}
+    for label in ("mine", "mine-2"):
+        assert {f"contact_sheet_{label}.png", f"pictures_{label}.svg"} <= names
+        assert f"Best pixel size, {label}:" in " ".join(page.split())
+    assert str(tmp_path) not in page
+
+
+def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, Path]) -> None:
+    curve = made[0].curves[0]
+    best = curve.optimum
+    low, high = best.interval_um
+    assert f"0.35um: {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in repr(made[0])
+    sheet = replace(curve, technology="none", fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0)))
+    result = replace(made[0], curves=(sheet,))
+    assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
+    assert sheet.as_dict()["optimum_features"] is None
+    assert made[0].as_dict()["curves"][0]["optimum_features"] == pytest.approx(best.pitch_um / 0.35)
+    names = [plate.name for plate in plates_of_curves(replace(made[0], curves=(curve, sheet)), curve)]
+    assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
+
+
+def words_of(folder: Path) -> str:
+    return " ".join("".join(Elements(text_of(folder)).words).split())
+
+
+def test_the_page_tells_how_bright_the_scene_was(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result = made[0]
+    times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in result.curves])
+    assert (times_s == 0.1).all(), "so dim that all frames take the longest that is allowed"
+    assert "Light: display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(made[1])
+    table = text_of(made[1]).partition("<caption>scene</caption>")[2].partition("</table>")[0]
+    cells = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
+    told = {cell[0]: cell[1:] for cell in cells}
+    assert told["file"][0] == "csf.xml"
+    assert told["resolution"][0] == "96"
+    assert told["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
+    assert told["integration_s"][0] == "100 ms"
+    brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
+    write_report(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
+    assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)
+    assert "display.white_cd_per_m2</td>" in text_of(tmp_path)
+
+
+def test_light_is_told_from_the_shortest_to_the_longest_frame(made: tuple[StudyResult, Path]) -> None:
+    irradiance, display = made[0].irradiance, made[0].study.display
+    assert str(Light.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
+    assert str(Light.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
+
+
+@pytest.mark.parametrize(("fraction", "noisy"), [(0.19, False), (0.2, False), (0.31, True)])
+def test_a_render_noisier_than_asked_is_told(
+    made: tuple[StudyResult, Path], fraction: float, noisy: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = made[0]
+    monkeypatch.setitem(result.irradiance.header, "render_noise", {"fraction": fraction, "target": 0.2})
+    write_report(result, tmp_path)
+    told = f"The light itself is noisy: the render ended with {fraction:.2g} of the sensor's noise, where 0.2 was asked for."
+    assert (told in words_of(tmp_path)) == noisy
+
+
+def test_the_viewing_distance_is_that_of_a_screen_of_96_dots_per_inch(made: tuple[StudyResult, Path]) -> None:
+    """The study's display has 10 dots a degree: 10 × 25.4/96 mm are seen under one degree from their length over its tangent."""
+    distance_mm = 10 * 25.4 / 96 / np.tan(np.radians(1))
+    (told_mm,) = re.findall(r"\((\d+) mm away", text_of(made[1]))
+    assert float(told_mm) == pytest.approx(distance_mm, abs=0.6)
+
+
+def test_descriptions_are_written_for_readers(made: tuple[StudyResult, Path]) -> None:
+    page = re.sub(r'"data:[^"]*"', "", text_of(made[1]))
+    assert "`" not in page
+    assert "<code>dots</code>" in page
+    assert "None" not in page
+
+
+SHEET = {
+    "data_sheet_pitch_um": 2.0,
+    "full_well_e": 8000.0,
+    "read_noise_e": 5.0,
+    "dark_current_e_per_s": 10.0,
+    "quantum_efficiency": [[400.0, 0.3], [550.0, 0.6], [700.0, 0.4]],
+}
+
+
+def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> None:
+    more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
+    result = pixsim.study(pixsim.Study.model_validate(STUDY | more), tmp_path, jobs=1)
+    write_report(result, tmp_path)
+    page, words = text_of(tmp_path), words_of(tmp_path)
+    rows = re.findall(r"<tr><td>(\w+)</td>", page)
+    assert {"full_well_e", "bits", "white_cd_per_m2"} <= set(rows)
+    assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"} & set(rows)
+    assert "curve of 3 points, 400 to 700 nm" in words
+    assert "What the data sheet does not tell is taken as none." in words
+    assert "comes from the technology" not in words
+    assert "ill factor" not in words
+    assert "fill_factor_law" in text_of_a_process(tmp_path)
+
+
+def text_of_a_process(folder: Path) -> str:
+    """The same pages of a process, which uses those settings."""
+    study = pixsim.Study.model_validate(STUDY | {"name": "process", "technologies": ["0.35um"], "title": ""})
+    return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
+
+
+def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_turn_it(tmp_path: Path) -> None:
+    """0.0415 is the largest number of the response file, 0.37 that of the process's."""
+    own = {"name": "paper", "technologies": ["0.35um"], "title": "", "paper": True, "pixel": {"response": "literal"}}
+    result = pixsim.study(pixsim.Study.model_validate(STUDY | own), tmp_path, jobs=1)
+    write_report(result, tmp_path)
+    words = words_of(tmp_path)
+    assert "read literally, as a quantum efficiency: it peaks at 0.0415. The process 0.35um states 0.37 (A: measured" in words
+    assert "add --pixel.response scaled --out FOLDER to the command" in words
+    table = text_of(tmp_path).partition('<h2 id="paper">')[2].partition("</table>")[0]
+    found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
+    assert "what would turn it" in table
+    assert f'<td rowspan="{len(found)}"><code>pixsim study chen2000-sensitivity</code>' in table
+    assert "peaks at" not in text_of_a_process(tmp_path)
+
+
+@needs_browser
+def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    found = assert_fits(made[1] / "report.html", tmp_path)
+    assert_sliders_move(found, pictures=3)
+    for seen in found:
+        assert len(seen.tiles) == sum(1 + curve.pitch_um.size + 9 for curve in made[0].curves)
+        assert {tuple(tile) for tile in seen.tiles} == {(94, 94, 94, 94)}
+        assert seen.headings[0][1] == TITLE
+
+
+@needs_browser
+def test_it_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    best = made[0].curves[0].optimum
+    page = text_of(made[1])
+    headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
+    assert len(headings) > 8
+    told = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
+    assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings, [each for each in headings if ": " in each])

@@ -1,0 +1,326 @@
+"""Rendering until the render's own noise no longer matters: what it says about the noise is what the noise is."""
+
+from __future__ import annotations
+
+import json
+import math
+import tracemalloc
+from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.edits import load
+
+import pixsim
+from pixsim.scene import convergence
+from pixsim.scene.convergence import MOST_SPP, RENDER_NOISE, RenderNoise, render_until
+from pixsim.scene.plan import make_plan
+from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
+from pixsim.sensor.integration import ideal_rate, integrate_pixels
+from pixsim.sensor.pixel import derive
+
+PIXEL = pixsim.Pixel(pitch_um=42.4)  # 64 across
+LOOSE = 1e9  # the first pair is enough
+
+
+@cache
+def prepared(name: str = "csf", **parameters):
+    scene = load(name, **{"resolution": 32, "spp": 4, **parameters})
+    camera = scene.camera()
+    return scene, camera, make_plan(scene, camera, PIXEL)
+
+
+def until(target: float, seed: int = 0, name: str = "csf", exposure=None, **options) -> tuple[pixsim.SpectralImage, RenderNoise]:
+    scene, camera, plan = prepared(name)
+    pixels = options.pop("pixels", [PIXEL])
+    return render_until(scene, camera, plan, pixels, exposure or pixsim.Exposure(), seed, render_noise=target, **options)
+
+
+def electrons_per_s(image: pixsim.SpectralImage, pixel: pixsim.Pixel = PIXEL) -> np.ndarray:
+    p = derive(pixel)
+    return integrate_pixels(ideal_rate(image, p), image.pitch_um, p.pitch_um, p.photodiode_side_um)
+
+
+def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pixel: pixsim.Pixel = PIXEL) -> float:
+    """Standard deviation over independent pictures, over that of photons, dark charge, reset and rounding: RMS over pixels."""
+    p = derive(pixel)
+    signal_e = np.array([electrons_per_s(image, pixel) for image in images]) * exposure.integration_s
+    dark_e = p.dark_current_e_per_s * exposure.integration_s
+    mean_e = signal_e.mean(axis=0)
+    variance_e2 = mean_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2 + 1 / (12 * p.dn_per_e**2)
+    return float(np.sqrt((signal_e.var(axis=0, ddof=1) / variance_e2).mean()))
+
+
+# --- What it says is what is ---
+
+
+@pytest.mark.parametrize(("name", "integration_s"), [("csf", 2e-3), ("csf", 2e-5), ("macbeth", 2e-3)])
+def test_the_noise_told_is_that_of_many_independent_renders(name, integration_s):
+    exposure = pixsim.Exposure(integration_s=integration_s)
+    found = [until(LOOSE, seed, name, exposure) for seed in range(12)]
+    told = np.sqrt(np.mean([noise.fraction**2 for _, noise in found]))
+    true = true_noise([image for image, _ in found], exposure)
+    # 12 pictures of hundreds of noisy cells: each side scatters by 3 to 5 % from set to set.
+    assert told == pytest.approx(true, rel=0.2)
+    assert true > 0
+    relative = np.sqrt(np.mean([noise.relative**2 for _, noise in found]))
+    pictures = np.array([electrons_per_s(image) for image, _ in found])
+    expected = math.sqrt(pictures.var(axis=0, ddof=1).mean() / (pictures.mean(axis=0) ** 2).mean())
+    assert relative == pytest.approx(expected, rel=0.2)
+
+
+def test_it_holds_over_several_levels_of_samples():
+    exposure = pixsim.Exposure(integration_s=2e-3)
+    target = until(LOOSE, exposure=exposure)[1].fraction / 12
+    found = [until(target, seed, exposure=exposure) for seed in range(10)]
+    assert min(noise.runs for _, noise in found) >= 4
+    told = np.sqrt(np.mean([noise.fraction**2 for _, noise in found]))
+    assert told <= target
+    # It ends where its estimate is low: a few per cent to one side, of a noise that has itself 5 %.
+    assert true_noise([image for image, _ in found], exposure) == pytest.approx(told, rel=0.25)
+
+
+class Noisy:
+    """In the place of renders: a grey picture and noise whose variance goes with 1/samples, as told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, relative: float) -> None:
+        self.levels: list[int] = []
+        monkeypatch.setattr(Renderer, "run", self.run)
+        self.relative = relative
+
+    def run(self, index: int, progress: Callable[[float], None] | None = None, level: int = 0):
+        spp = 4 * LEVEL_FACTOR**level
+        self.levels.append(level)
+        rng = np.random.default_rng([index, level])
+        noise = rng.standard_normal((32, 32, 1)) * self.relative / np.sqrt(spp)
+        return [0.5 * (1 + noise)], spp
+
+
+def test_the_estimate_of_known_noise(monkeypatch):
+    """White noise over cells of the picture, one pixel each: its share is σ_e/√(N V), in closed form."""
+    renders = Noisy(monkeypatch, 0.1)
+    pixel = pixsim.Pixel(pitch_um=2713.6 / 32, fill_factor=1.0, full_well_e=1e6)
+    exposure = pixsim.Exposure(integration_s=1e-4)
+    for target in (LOOSE, 1e-2):
+        image, noise = until(target, pixels=[pixel], exposure=exposure)
+        p = derive(pixel)
+        mean_e = electrons_per_s(image, pixel) * 1e-4
+        variance_e2 = mean_e + p.dark_current_e_per_s * 1e-4 + p.reset_noise_e**2 + 1 / (12 * p.dn_per_e**2)
+        samples = image.header["spp"]
+        expected = 0.1 / math.sqrt(samples) * math.sqrt((mean_e**2 / variance_e2).mean())
+        # 1024 cells: 2.2 % of noise, 5σ.
+        assert noise.fraction == pytest.approx(expected, rel=0.11)
+        assert noise.relative == pytest.approx(0.1 / math.sqrt(samples), rel=0.11)
+    assert max(renders.levels) > 1
+
+
+# --- Until ---
+
+
+def test_more_is_rendered_for_less_noise_and_the_target_is_met(monkeypatch):
+    renders = Noisy(monkeypatch, 0.1)
+    first = until(LOOSE)[1].fraction
+    spent = []
+    for target in (first * 1.001, first / 3, first / 10, first / 40):
+        renders.levels.clear()
+        image, noise = until(target)
+        assert noise.fraction <= target == noise.target
+        assert noise.ended_by == "target"
+        assert noise.runs == len(renders.levels)
+        assert image.header["spp"] == sum(4 * LEVEL_FACTOR**level for level in renders.levels)
+        spent.append(image.header["spp"])
+        # Not much more than needed: noise² goes with 1/samples, and the last pair is at most four times those before.
+        assert image.header["spp"] < 8 * max(4, 2 * LEVEL_FACTOR) * (first / target) ** 2
+    assert spent == sorted(set(spent))
+
+
+def test_pairs_grow_only_where_much_is_missing(monkeypatch):
+    renders = Noisy(monkeypatch, 0.1)
+    first = until(LOOSE)[1].fraction
+    renders.levels.clear()
+    until(first / 1.2)
+    assert set(renders.levels) == {0}
+    renders.levels.clear()
+    until(first / 400)
+    assert renders.levels[::2] == renders.levels[1::2]  # in pairs
+    assert all(later - earlier in (0, 1) for earlier, later in pairwise(renders.levels))
+    assert 4 * LEVEL_FACTOR ** max(renders.levels) == MOST_SPP
+
+
+def test_memory_does_not_grow_with_the_samples(monkeypatch):
+    renders = Noisy(monkeypatch, 0.1)
+    first = until(LOOSE)[1].fraction
+
+    def peak(target: float) -> int:
+        renders.levels.clear()
+        tracemalloc.start()
+        until(target)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    peak(first / 2)  # what is loaded once
+    few, many = peak(first / 2), peak(first / 200)
+    assert len(renders.levels) > 16
+    assert many < 1.1 * few + 32 * 32 * 8
+
+
+def test_the_worst_pixel_counts():
+    exposure = pixsim.Exposure(integration_s=2e-3)
+    small, large = pixsim.Pixel(pitch_um=10.6), PIXEL
+    each = [until(LOOSE, pixels=[pixel], exposure=exposure)[1].fraction for pixel in (small, large)]
+    both = until(LOOSE, pixels=[small, large], exposure=exposure)[1].fraction
+    assert both == max(each)
+    assert max(each) > 1.05 * min(each)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -1e-6])
+def test_what_is_no_light_is_refused_at_once(monkeypatch, wrong):
+    import mitsuba
+
+    told: list[float] = []
+    monkeypatch.setattr(mitsuba, "render", lambda *_, sensor, **__: np.full((*sensor.film().crop_size(), 1), wrong))
+    with pytest.raises(pixsim.PixsimError, match="rendered picture: got NaN, infinite or negative"):
+        until(0.2, progress=lambda done, note: told.append(done))
+    assert not told
+
+
+def test_runs_end_it(monkeypatch):
+    Noisy(monkeypatch, 0.1)
+    monkeypatch.setattr(convergence, "MOST_RUNS", 6)
+    with pytest.warns(UserWarning, match=r"limit of 6 renders.*Raise --max-seconds"):
+        noise = until(1e-9)[1]
+    assert (noise.runs, noise.ended_by) == (6, "runs")
+
+
+def test_time_ends_it_and_says_what_to_do(monkeypatch):
+    Noisy(monkeypatch, 0.1)
+    now = iter(range(10**6))
+    monkeypatch.setattr(convergence.time, "perf_counter", lambda: float(next(now)))  # a second from each look to the next
+    with pytest.warns(UserWarning, match="ended the render") as told:
+        image, noise = until(1e-6, max_seconds=20)
+    assert noise.ended_by == "max_seconds"
+    assert image.header["render_noise"]["ended_by"] == "max_seconds"
+    assert next(now) <= 24  # one more pair at most
+    (warning,) = told
+    for text in (
+        "its limit of 20 s",
+        f"a noise of {noise.fraction:.2g} of the sensor's",
+        "asked for 1e-06",
+        "--max-seconds",
+        "--render-noise",
+    ):
+        assert text in str(warning.message)
+
+
+def test_a_pair_that_would_not_end_in_time_is_not_begun(monkeypatch):
+    """Each sample takes a second: a level is raised only where four times the last pair still fits."""
+    renders = Noisy(monkeypatch, 0.1)
+    clock = [0.0]
+    run = renders.run
+
+    def slow(job, index, progress=None, level=0):
+        clock[0] += 4 * LEVEL_FACTOR**level
+        return run(index, progress, level)
+
+    monkeypatch.setattr(Renderer, "run", slow)
+    monkeypatch.setattr(convergence.time, "perf_counter", lambda: clock[0])
+    with pytest.warns(UserWarning, match="Raise --max-seconds"):
+        until(1e-6, max_seconds=100)
+    assert clock[0] <= 100 + 2 * 4 * LEVEL_FACTOR
+    assert max(renders.levels) == 1
+
+
+# --- What is left behind ---
+
+
+def test_a_seed_gives_its_bits():
+    target = until(LOOSE)[1].fraction / 3
+    (first, noise), (again, same), (other, _) = (until(target, seed) for seed in (5, 5, 6))
+    assert np.array_equal(first.factors[1], again.factors[1])
+    assert noise == same
+    assert not np.array_equal(first.factors[1], other.factors[1])
+
+
+def test_the_picture_is_the_mean_of_its_renders():
+    """The two first renders, by themselves."""
+    scene, camera, plan = prepared()
+    job = Renderer(scene, camera, plan, 0)
+    both = [job.image(*job.run(index)).factors[1].astype(float) for index in (0, 1)]
+    np.testing.assert_allclose(until(LOOSE)[0].factors[1], (both[0] + both[1]) / 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_electrons_come_straight_from_the_pulses(full):
+    """As from the image's bands: factors of macbeth, or every band of it."""
+    scene, camera, _ = prepared("macbeth")
+    job = Renderer(scene, camera, make_plan(scene, camera, PIXEL, full=full), 0)
+    pictures, spp = job.run(0)
+    image = job.image(pictures, spp)
+    assert (image.factors is None) == full
+    rate = convergence._rate(job, pictures, convergence._electrons_of_pulses(job, pictures, derive(PIXEL)))
+    np.testing.assert_allclose(rate.columns(0, job.size[1]), ideal_rate(image, derive(PIXEL)), rtol=1e-6)
+
+
+def test_a_scene_without_noise():
+    image, noise = until(1e-3, name="flat")
+    assert 0 <= noise.fraction < 1e-4  # float32
+    assert 0 <= noise.relative < 1e-6
+    assert (noise.runs, noise.ended_by) == (2, "target")
+    assert image.header["render_noise"]["fraction"] < 1e-4
+
+
+def test_progress_rises_and_tells_the_noise():
+    target = until(LOOSE)[1].fraction / 6
+    told: list[tuple[float, str]] = []
+    noise = until(target, progress=lambda done, note: told.append((done, note)))[1]
+    pairs: list[list[tuple[float, str]]] = [[]]
+    for before, now in pairwise([(0.0, ""), *told]):
+        if now[0] < before[0]:
+            pairs.append([])
+        pairs[-1].append(now)
+    assert len(pairs) == noise.runs // 2 > 1
+    for pair in pairs:
+        assert pair[-1][0] == 1
+        assert [done for done, _ in pair] == sorted(done for done, _ in pair)
+        assert len({note for _, note in pair}) == 1
+    assert pairs[0][0][1] == ""  # nothing is known yet
+    errors = [float(pair[0][1].removeprefix(", noise ").removesuffix(" of the sensor's")) for pair in pairs[1:]]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] > target
+
+
+def test_header_and_score_tell_the_noise_and_the_plan(tmp_path):
+    code, out, err = command(
+        f"run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json --out {tmp_path}"
+    )
+    assert (code, err) == (0, "")
+    told = json.loads(out)
+    assert 0 < told["render_noise"]["fraction"] <= RENDER_NOISE == told["render_noise"]["target"] == 0.2
+    assert told["render_noise"]["ended_by"] == "target"
+    assert told["plan"]["decisions"][0]["subject"] == "wavelength bands"
+    header = pixsim.read_exr(tmp_path / "irradiance.exr").header
+    assert header["render_noise"].keys() == told["render_noise"].keys() == {"fraction", "relative", "target", "runs", "ended_by"}
+    for name, value in told["render_noise"].items():
+        assert header["render_noise"][name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-5))
+    assert len(header["plan"]) == len(told["plan"]["decisions"])
+    code, out, _ = command(
+        "run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json "
+        f"--render-noise {told['render_noise']['fraction'] / 1.5} --out {tmp_path}"
+    )
+    tighter = json.loads(out)
+    assert code == 0
+    assert tighter["render_noise"]["fraction"] <= told["render_noise"]["fraction"] / 1.5
+    assert tighter["irradiance"]["spp"] > told["irradiance"]["spp"]
+
+
+@pytest.mark.parametrize("option", ["--render-noise", "--max-seconds"])
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "much"])
+def test_targets_that_are_none_are_refused(option, value):
+    code, out, err = command(f"run csf {option} {value}")
+    assert (code, out) == (2, "")
+    assert option[2:].replace("-", "_") in err
+    assert value in err

@@ -1,0 +1,203 @@
+"""A kept render is the render: the same bytes from it as without it, found again for whatever makes the same light only."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.edits import edited
+
+import pixsim
+from pixsim.base import cache
+from pixsim.base.cache import LIMIT_VARIABLE
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.scene import convergence
+from pixsim.scene import renderer as kept_renders
+from pixsim.scene.convergence import render_until
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import KeptRenders, Renderer
+
+RUN = "run {scene} --variant scalar_spectral -D resolution=32 --display.dots 32 --config {out}.toml --out {out}"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
+    return tmp_path / "kept"
+
+
+@pytest.fixture
+def rendered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """A number for each real render."""
+    found: list[int] = []
+    real = Renderer._rendered
+
+    def counted(self, index, level, progress):
+        found.append(index)
+        return real(self, index, level, progress)
+
+    monkeypatch.setattr(Renderer, "_rendered", counted)
+    return found
+
+
+def run(out: Path, options: str = "", scene: str | Path = "csf") -> dict[str, bytes]:
+    """The bytes of all that a run leaves but its times."""
+    out.with_suffix(".toml").write_text("render_noise = 100\npixel.pitch_um = 84.8", encoding="utf-8")  # two renders are enough
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        code, _, err = command(f"{RUN.format(scene=scene, out=out)} {options}")
+    assert code == 0, err
+    return {path.name: path.read_bytes() for path in out.iterdir() if path.name != "provenance.json"}
+
+
+def test_the_same_bytes_with_an_empty_a_warm_and_no_cache(tmp_path, rendered, monkeypatch):
+    cold = run(tmp_path / "out")
+    assert len(rendered) == len(cache.entries("render")) == 2
+    monkeypatch.setattr(Renderer, "_loaded", property(lambda _: pytest.fail("a Mitsuba scene was built")))
+    assert run(tmp_path / "out") == cold
+    assert len(rendered) == 2
+    monkeypatch.undo()
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
+    monkeypatch.setenv(LIMIT_VARIABLE, "0")
+    assert run(tmp_path / "out") == cold
+    assert len(cold) == 8
+
+
+def test_the_same_bytes_after_damage(tmp_path, folder, rendered):
+    cold = run(tmp_path / "out")
+    path = sorted(folder.glob("render/*.npz"))[1]
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    path.write_bytes(whole)
+    assert run(tmp_path / "out") == cold
+    assert rendered == [0, 1, 1]
+    assert run(tmp_path / "out") == cold
+    assert rendered == [0, 1, 1]
+
+
+def test_several_lights_and_pulses_come_back(tmp_path, rendered):
+    first = run(tmp_path / "out", scene="macbeth")
+    count = len(rendered)
+    assert run(tmp_path / "out", scene="macbeth") == first
+    assert len(rendered) == count > 0
+
+
+@pytest.mark.parametrize(
+    ("option", "again"),
+    [
+        ("--pixel.pitch-um 60", False),
+        ("--pixel.well-limit swing --exposure.integration-s 0.01", False),
+        ("--display.gamma 1.8 --display.white-cd-per-m2 800", False),
+        ("--seed 1", True),
+        ("--camera.f-number 8", True),
+        ("-D spp=64", True),
+        ("-D emitter_scale=0.02", True),
+        ("--full", True),
+    ],
+)
+def test_what_does_not_change_the_light_finds_it(option, again, tmp_path, rendered):
+    run(tmp_path / "out")
+    del rendered[:]
+    run(tmp_path / "other", option)
+    assert bool(rendered) == again
+
+
+def test_a_noise_that_asks_for_more_takes_what_is_there(tmp_path, rendered):
+    run(tmp_path / "out", "-D spp=4")
+    run(tmp_path / "out", "-D spp=4 --render-noise 2")
+    assert rendered == list(range(len(rendered)))
+    assert len(rendered) > 2
+
+
+def test_an_edited_texture_is_rendered_again(tmp_path, rendered):
+    pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), 0.5, np.float32))
+    path = edited(tmp_path, "flat")
+    option = f"-D chart={tmp_path / 'mine.exr'}"
+    first = run(tmp_path / "out", option, path)
+    pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), np.nextafter(np.float32(0.5), 1), np.float32))
+    count = len(rendered)
+    assert run(tmp_path / "out", option, path) != first
+    assert len(rendered) == 2 * count
+    pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), 0.5, np.float32))
+    assert run(tmp_path / "out", option, path) == first
+    assert len(rendered) == 2 * count
+
+
+def test_an_edited_scene_is_rendered_again(tmp_path, rendered):
+    path = edited(tmp_path, "csf")
+    run(tmp_path / "out", scene=path)
+    count = len(rendered)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(re.sub('<rotate y="1" angle="180"/>', '<rotate y="1" angle="180.0001"/>', text), encoding="utf-8")
+    run(tmp_path / "out", scene=path)
+    assert len(rendered) == 2 * count
+
+
+@pytest.mark.parametrize("package", ["pixsim", "mitsuba", "drjit"])
+def test_another_version_renders_again(package, tmp_path, rendered, monkeypatch):
+    run(tmp_path / "out")
+    real = cache.made_by
+    monkeypatch.setattr(cache, "made_by", lambda *names: real(*names).replace(f"{package} ", f"{package} 99."))
+    run(tmp_path / "out")
+    assert rendered == [0, 1, 0, 1]
+
+
+def test_a_study_finds_the_render_of_the_study_before(tmp_path, rendered):
+    from pixsim.studies.study import load_study, render_for
+
+    plan = load_study("chen2000")
+    small = plan.model_copy(
+        update={"render_noise": 10.0, "scene": plan.scene.model_copy(update={"parameters": {"resolution": "32"}})}
+    )
+    first, _ = render_for(small, "scalar_spectral")
+    count = len(rendered)
+    again, _ = render_for(small.model_copy(update={"repeats": 3}), "scalar_spectral")
+    assert len(rendered) == count > 0
+    assert np.array_equal(first.factors[1], again.factors[1])
+    assert first.header == again.header
+
+
+def test_what_measures_renders_never_takes_a_kept_one(rendered, folder):
+    scene = pixsim.load_scene("flat", resolution=8, variant="scalar_spectral")
+    for _ in range(2):
+        pixsim.render(scene)
+    assert rendered == [0, 0]
+    assert not list(folder.rglob("*.npz"))
+
+
+def test_one_job_keeps_a_share_of_the_cache_only(monkeypatch):
+    """In a second run, what was found counts as much as what is new."""
+    monkeypatch.setenv(LIMIT_VARIABLE, str(16 / 1024))  # 16 MiB: 4 for one job
+    picture = np.zeros((512, 512, 1), np.float32)  # 1 MiB
+    for _ in range(2):
+        job = KeptRenders("job")
+        for index in range(6):
+            if job.find(index, 0) is None:
+                job.keep(index, 0, [picture], 16)
+        assert len(cache.entries(kept_renders.KIND)) == 4
+
+
+def test_the_clock_ends_a_kept_render_at_the_same_place(rendered, monkeypatch):
+    """Kept renders cost no time: counted anew, the same limit would let each repeat go further. A new one takes a second here."""
+    monkeypatch.setattr(convergence.time, "perf_counter", lambda: float(len(rendered)))
+    scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=32)
+    pixel = pixsim.Pixel(pitch_um=84.8)
+
+    def once(max_seconds: float) -> tuple[int, str]:
+        camera = scene.camera()
+        plan = make_render_plan(scene, camera)
+        how = {"render_noise": 1e-6, "max_seconds": max_seconds, "keep": True}
+        with pytest.warns(UserWarning, match="ended the render"):
+            image, noise = render_until(scene, camera, plan, [pixel], pixsim.Exposure(), **how)
+        return noise.runs, image.factors[1].tobytes()
+
+    first = once(4.0)
+    assert first[0] >= 2
+    made = len(rendered)
+    assert [once(4.0) for _ in range(3)] == [first] * 3
+    assert len(rendered) == made, "all of them were kept"
+    assert once(5.0)[0] > first[0]

@@ -1,0 +1,267 @@
+"""The plan: its lines, its bound, and that pruned renders are full ones within it."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.edits import decision, left_out, load
+from scipy.stats import t as student
+
+import pixsim
+from pixsim import optics
+from pixsim.scene.plan import UNIFORM_RESOLUTION, make_plan, make_render_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.scene import packaged_scenes
+from pixsim.sensor.integration import ideal_rate, integrate_pixels
+from pixsim.sensor.pixel import derive
+
+PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
+LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
+CASES = {name: (name, {}) for name in packaged_scenes() if name != "macbeth"}
+CASES |= {f"macbeth {lamp}": ("macbeth", {"lamp": f"spectra/{lamp}.spd"}) for lamp in LAMPS}
+REPEATS = ("macbeth a", "macbeth led_b3", "siemens_star")
+TOLERANCES = (1e-2, 1e-3, 1e-4)
+ONE_PERCENT = 0.01
+
+
+# --- Pruned is full, within the bound ---
+
+
+class Sampled(NamedTuple):
+    """Mean electrons of independent renders: (renders, places × pixels), and the plan's bound."""
+
+    mean_e: np.ndarray
+    bound_e: float
+
+
+class Effort(NamedTuple):
+    """What a comparison needs so that its noise is below 1 %: samples and renders of the pruned and of the full side."""
+
+    spp: tuple[int, int] = (16, 4)
+    renders: tuple[int, int] = (6, 5)
+    places: int = 4
+
+
+# Edges alias on a coarse film, and paths are noisy: there the whole picture is compared.
+EFFORT = {
+    "csf": Effort((64, 16), (6, 6), 2),
+    "siemens_star": Effort((256, 16), (6, 6), 1),
+    "slanted_edge": Effort((64, 4), places=1),
+    "line_lamp": Effort((64, 16), (6, 4), 1),
+    "still_life": Effort((16, 16), (8, 4), 1),
+}
+FILM = 24
+
+
+def patches(rate: np.ndarray) -> np.ndarray:
+    """Means of the middles of the 24 patches of macbeth."""
+    rows, columns = (
+        np.stack([(np.arange(n) + side) * FILM / n for side in (0.3, 0.7)], axis=1).round().astype(int) for n in (4, 6)
+    )
+    return np.array([rate[slice(*row), slice(*column)].mean() for row in rows for column in columns])
+
+
+def blocks(rate: np.ndarray, count: int) -> np.ndarray:
+    side = FILM // count
+    return rate.reshape(count, side, count, side).mean(axis=(1, 3)).ravel()
+
+
+@cache
+def sampled(case: str, full: bool) -> Sampled:
+    name, parameters = CASES[case]
+    effort = EFFORT.get(name, Effort())
+    scene = load(name, resolution=FILM, spp=effort.spp[full], **parameters)
+    plan = make_plan(scene, full=full)
+    job = Renderer(scene, scene.camera(), plan, seed=1)
+    renders = []
+    for index in range(effort.renders[full]):
+        image = job.image(*job.run(index))
+        rates = [ideal_rate(image, derive(pixel)) for pixel in PIXELS]
+        renders.append(np.concatenate([patches(rate) if name == "macbeth" else blocks(rate, effort.places) for rate in rates]))
+    return Sampled(np.array(renders), plan.bound_e)
+
+
+def gates(pruned: Sampled, full: Sampled) -> tuple[np.ndarray, np.ndarray]:
+    """(relative difference, what bound and noise allow) of each place; noise by Student's t, false alarm 1e-3 over all."""
+    n, m = len(pruned.mean_e), len(full.mean_e)
+    mean = full.mean_e.mean(axis=0)
+    ours, theirs = (side.mean_e.var(axis=0, ddof=1) for side in (pruned, full))
+    error = np.sqrt(ours / n + theirs / m) / mean
+    freedom = (ours / n + theirs / m) ** 2 / np.maximum((ours / n) ** 2 / (n - 1) + (theirs / m) ** 2 / (m - 1), 1e-300)
+    level = 1 - (1 - 1e-3) ** (1 / mean.size)
+    quantile = student.ppf(1 - level / 2, np.maximum(freedom, 1.0))
+    float32 = 1e-6
+    return pruned.mean_e.mean(axis=0) / mean - 1, pruned.bound_e + full.bound_e + float32 + quantile * error
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, marks=pytest.mark.slow) if case in REPEATS else case for case in CASES])
+def test_pruned_and_full_agree_within_the_bound(case):
+    pruned, full = sampled(case, False), sampled(case, True)
+    difference, allowed = gates(pruned, full)
+    assert np.all(np.abs(difference) <= allowed), (difference, allowed)
+    # And an error of 1 % would be noticed, at most of the places.
+    for wrong in (1 + ONE_PERCENT, 1 - ONE_PERCENT):
+        difference, allowed = gates(Sampled(pruned.mean_e * wrong, pruned.bound_e), full)
+        assert np.mean(np.abs(difference) > allowed) > 0.5, (difference, allowed)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_bound_keeps_to_the_tolerance(case):
+    name, parameters = CASES[case]
+    scene = load(name, resolution=64, **parameters)
+    plans = [make_plan(scene, tolerance_e=tolerance) for tolerance in TOLERANCES]
+    for plan, tolerance in zip(plans, TOLERANCES, strict=True):
+        assert 0 <= plan.bound_e <= tolerance
+        assert plan.bound_e == sum(each.bound_e for each in plan.decisions)
+        assert min(each.bound_e for each in plan.decisions) >= 0
+        assert not plan.warnings
+    passes, bands = [plan.passes for plan in plans], [plan.bands.width_nm.size for plan in plans]
+    assert passes == sorted(passes)
+    assert bands == sorted(bands)
+    if name in ("macbeth", "still_life") and "laser" not in case:
+        assert passes[-1] > passes[0]
+
+
+def test_a_line_takes_one_pulse_for_any_pixel():
+    plan = make_render_plan(load("macbeth", lamp="spectra/laser_532nm.spd"), tolerance_e=1e-4)
+    assert plan.bound_e <= 1e-4
+    assert plan.passes == 1 < plan.full_passes
+
+
+def test_a_tolerance_that_bands_cannot_keep_is_told():
+    plan = make_plan(load("still_life"), tolerance_e=1e-6)
+    assert plan.bound_e > 1e-6
+    (told,) = plan.warnings
+    assert f"{plan.bound_e:.1e}" in told
+    assert "1e-06" in told
+
+
+def test_a_coarse_film_tells_the_fall_off_of_a_flat_field():
+    """Mean electrons of every pixel from 64 samples across and from 1024, by the closed form of the fall-off."""
+    for camera in (pixsim.Camera(), pixsim.Camera(focal_length_mm=2.0)):
+        lens = camera.image_distance_mm, camera.f_number, camera.magnification
+        coarse, fine = (
+            integrate_pixels(optics.field_factor((n, n), 1e3 * camera.die_mm / n, *lens), 1e3 * camera.die_mm / n, 53.0, 40.0)
+            for n in (UNIFORM_RESOLUTION, 1024)
+        )
+        bound = decision(make_plan(load("flat"), camera), "oversampling").bound_e
+        assert 0.5 * bound < np.abs(coarse / fine - 1).max() < bound
+    # Where that is too much, the film stays as it is.
+    assert make_plan(load("flat"), tolerance_e=1e-5).resolution is None
+
+
+# --- Its lines ---
+
+SUBJECTS = [
+    "wavelength bands",
+    "spectral rank",
+    "spectrum tables",
+    "bounces",
+    "lens samples",
+    "texture samples",
+    "diffraction",
+    "oversampling",
+    "saturation",
+    "noise stages",
+    "repeated transforms",
+]
+
+
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize("name", CASES)
+def test_every_subject_has_a_line_with_its_reason(name, full):
+    scene, parameters = CASES[name]
+    plan = make_plan(load(scene, resolution=64, **parameters), full=full)
+    assert [each.subject for each in plan.decisions] == SUBJECTS
+    for each in plan.decisions:
+        assert each.reason
+        assert bool(each.saved) == (not each.kept), each
+    told = plan.as_dict()
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert len(told["wavelength_nm"]) == len(told["band_width_nm"]) == plan.bands.width_nm.size
+    assert sum(told["band_width_nm"]) == pytest.approx(470)
+    assert told["passes"] == sum(len(light.passes) for light in plan.lights) <= told["passes_full"]
+
+
+def test_noise_sources_that_are_zero_are_named():
+    quiet = pixsim.Pixel(prnu=0, dark_current_e_per_s=0, offset_fpn=0, read_noise_e=2.0)
+    line = decision(make_plan(load("flat"), pixel=quiet), "noise stages")
+    assert line.reason == "zero: PRNU, dark current, DSNU, offset FPN"
+    assert line.saved == "4 of 8 stages"
+    loud = pixsim.Pixel(read_noise_e=2.0)
+    assert "noise stages" not in left_out(make_plan(load("flat"), pixel=loud))
+
+
+def test_oversampling_tells_photodiode_and_lens():
+    pixel, camera = pixsim.Pixel(pitch_um=8.0, fill_factor=0.25), pixsim.Camera(f_number=8.0)
+    reason = decision(make_plan(load("csf", resolution=512), camera, pixel), "oversampling").reason
+    pitch_um = 2713.6 / 512
+    x = 1e3 / (2 * pitch_um) * 550e-6 * camera.effective_f_number
+    otf = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
+    for told in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} a photodiode side", f"{otf:.0%}"):
+        assert told in reason
+
+
+# --- The command ---
+
+
+def test_the_command_prints_the_table(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    code, out, err = command("plan csf --variant scalar_spectral -D resolution=64")
+    assert (code, err) == (0, "")
+    for subject, each in zip(SUBJECTS, make_plan(load("csf", resolution=64)).decisions, strict=True):
+        (line,) = (line for line in out.splitlines() if line.startswith(subject))
+        assert line[len(subject) :].split()[0] == ("kept" if each.kept else "left"), line
+        assert each.saved in line
+    assert "bound on e-" in out
+    assert "1 of 12 passes" in out
+    assert "asked for 0.001" in out
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_prints_json():
+    code, out, err = command("plan macbeth --variant scalar_spectral --json --tolerance-e 1e-4 -D resolution=64")
+    assert (code, err) == (0, "")
+    told = json.loads(out)
+    assert told == make_plan(load("macbeth", resolution=64), tolerance_e=1e-4).as_dict()
+    assert told["tolerance_e"] == 1e-4
+    full = json.loads(command("plan macbeth --variant scalar_spectral --json --full")[1])
+    assert all(each["kept"] for each in full["decisions"])
+    assert full["passes"] == full["passes_full"] > told["passes_full"] / 10
+
+
+def test_the_table_warns_where_the_tolerance_is_missed():
+    code, out, _ = command("plan still_life --variant scalar_spectral --tolerance-e 1e-6")
+    assert code == 0
+    assert "warning: mean electrons" in out
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("plan nowhere", ["nowhere", "csf, flat"]),
+        ("plan csf --tolerance-e 0", ["tolerance_e", "0", "greater than 0"]),
+        ("plan csf --tolerance-e -1e-3", ["tolerance_e", "-1e-3", "greater than 0"]),
+        ("plan csf --tolerance-e 1", ["tolerance_e", "1", "less than 1"]),
+        ("plan csf --tolerance-e nan", ["tolerance_e", "nan"]),
+        ("plan csf --tolerance-e little", ["tolerance_e", "little", "number"]),
+        ("plan csf --sensor third", ["third", "'camera'"]),
+        ("plan csf -D resolutoin=3", ["Did you mean 'resolution'?"]),
+        ("plan csf --pixel.pitch-um 1", ["pitch_um", "1"]),
+        ("plan", ["SCENE"]),
+    ],
+)  # fmt: skip
+def test_the_command_refuses_in_one_line(line, wanted):
+    assert_refused(*command(line), wanted)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-3, 1.0, float("nan"), float("inf")])
+def test_a_tolerance_that_is_none_is_refused(tolerance):
+    with pytest.raises(pixsim.PixsimError, match=r"tolerance_e: got .*allowed: above 0 and below 1"):
+        make_render_plan(load("flat"), tolerance_e=tolerance)

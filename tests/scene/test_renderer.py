@@ -1,0 +1,553 @@
+"""Renders against closed forms: exposure, charts, furnaces, orientation, seeds and threads, on both CPU variants."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tracemalloc
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.edits import END, edited
+from helpers.processes import HANG_S
+
+import pixsim
+from pixsim import optics
+from pixsim.base import arrays
+from pixsim.base.errors import PixsimError
+from pixsim.cli.commands import run
+from pixsim.light import spectral
+from pixsim.light.exr import write_channels
+from pixsim.scene import charts
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import Renderer
+from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.variant import find_llvm
+from pixsim.sensor import readout as sensor
+from pixsim.sensor.integration import pixel_count
+from pixsim.sensor.pixel import derive
+
+NEEDS_LLVM = pytest.mark.skipif(find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
+LLVM = pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM)
+VARIANTS = pytest.mark.parametrize("variant", [LLVM, "scalar_spectral"])
+D65_LUMINANCE = 72904.0  # cd/m² of Mitsuba's d65 at scale 1
+
+
+def on_axis_sr(f_number: float, magnification: float) -> float:
+    """E/L of a thin lens on its axis: π sin²α."""
+    return np.pi / (1 + 4 * f_number**2 * (1 + magnification) ** 2)
+
+
+def pupil_integral_sr(f_number: float, magnification: float, tan_field: float) -> float:
+    """E/L by quadrature: the lens is a disc of radiance 1 at distance 1, cosθ/d² from each point of it to the sensor."""
+    node, weight = np.polynomial.legendre.leggauss(30)
+    edge = 0.5 / (f_number * (1 + magnification))
+    r, ring = (node[:, None] + 1) / 2 * edge, weight[:, None] * edge / 2
+    angle = np.arange(64) * 2 * np.pi / 64
+    distance2 = 1 + (tan_field - r * np.cos(angle)) ** 2 + (r * np.sin(angle)) ** 2
+    return float((ring * r / distance2**2).sum() * 2 * np.pi / 64)
+
+
+def d65_radiance(wavelength_nm: np.ndarray, luminance_cd_per_m2: float) -> np.ndarray:
+    """D65 of a luminance, W m⁻² sr⁻¹ nm⁻¹."""
+    nm = np.arange(360.0, 831.0)
+    lumens = spectral.LUMINOUS_EFFICACY_LM_PER_W * (spectral.photopic_efficiency(nm) * spectral.d65(nm)).sum()
+    return spectral.d65(wavelength_nm) * luminance_cd_per_m2 / lumens
+
+
+def z_of_mean(values: np.ndarray) -> float:
+    """Mean of independent values in units of its standard error."""
+    return float(values.mean() / (values.std() / np.sqrt(values.size)))
+
+
+# --- Exposure: a flat field behind a lens ---
+
+
+@cache
+def flat(variant: str, f_number: float = 4.0) -> tuple[pixsim.SpectralImage, pixsim.Camera]:
+    """100 cd/m² of D65, f = 6 mm at 1.2 m, on a die whose corner is 35° off axis."""
+    lens = {"focal_length_mm": 6.0, "f_number": f_number, "object_distance_m": 1.2}
+    corner_mm = pixsim.Camera(**lens).image_distance_mm * np.tan(np.radians(35))
+    camera = pixsim.Camera(**lens, die_mm=2**0.5 * corner_mm)
+    scene = pixsim.load_scene("flat", variant=variant, resolution=65, spp=4, luminance_cd_per_m2=100)
+    return pixsim.render(scene, camera), camera
+
+
+# 10 nm bands cost 0.003 % of this lamp's luminance (0.03 % of others'), the lens nothing; N instead of N(1+m) is 1 % off.
+GATE = 5e-4
+
+
+@VARIANTS
+def test_on_axis_illuminance(variant):
+    image, camera = flat(variant)
+    centre_lx = image.illuminance_lx()[32, 32]
+    assert centre_lx == pytest.approx(4.7857, rel=GATE)
+    assert centre_lx == pytest.approx(100 * on_axis_sr(4, camera.magnification), rel=GATE)
+
+
+@VARIANTS
+def test_illuminance_falls_off_as_the_lens_does(variant):
+    image, camera = flat(variant)
+    x_mm = (np.arange(65) - 32) * image.pitch_um * 1e-3
+    tan_field = np.hypot(x_mm, x_mm[:, None]) / camera.image_distance_mm
+    assert np.degrees(np.arctan(tan_field.max())) == pytest.approx(35, abs=0.5)
+    expected = 100 * optics.irradiance_factor(4, tan_field, camera.magnification)
+    assert np.abs(image.illuminance_lx() / expected - 1).max() < GATE
+    assert 0.44 < expected.min() / expected.max() < 0.48  # cos⁴ 35° = .45
+
+
+@VARIANTS
+def test_illuminance_is_the_integral_over_the_lens(variant):
+    image, camera = flat(variant)
+    v_mm = camera.image_distance_mm
+    for row, column in ((32, 32), (32, 64), (0, 32), (10, 50), (64, 0), (0, 64)):
+        tan_field = np.hypot(row - 32, column - 32) * image.pitch_um * 1e-3 / v_mm
+        expected = 100 * pupil_integral_sr(4, camera.magnification, tan_field)
+        assert image.illuminance_lx()[row, column] == pytest.approx(expected, rel=GATE)
+
+
+@VARIANTS
+def test_half_the_aperture(variant):
+    (wide, camera), (narrow, _) = flat(variant), flat(variant, 8.0)
+    m = camera.magnification
+    ratio = wide.illuminance_lx()[32, 32] / narrow.illuminance_lx()[32, 32]
+    # 3.954 against 4 for 1/N²; the spectra cancel, so only the factor is left.
+    assert ratio == pytest.approx((1 + 16 * 16 * (1 + m) ** 2) / (1 + 4 * 16 * (1 + m) ** 2), rel=1e-5)
+
+
+def test_electrons_of_a_flat_field():
+    scene = pixsim.load_scene("flat", resolution=65, spp=4, luminance_cd_per_m2=200)
+    camera = pixsim.Camera(die_mm=0.325)  # 65 pixels of 5 µm: one on the axis, and hardly any fall-off
+    image = pixsim.render(scene, camera)
+    pixel = pixsim.Pixel(pitch_um=5, fill_factor=0.3, quantum_efficiency=0.5)
+    frame = pixsim.capture(
+        image,
+        camera,
+        pixsim.make_sensor(pixel, camera),
+        pixsim.Exposure(integration_s=0.02),
+        rng=np.random.default_rng(0),
+    )
+    h, c = 6.62607015e-34, 299792458.0
+    nm = np.arange(360.0, 830.5, 0.5)
+    irradiance = d65_radiance(nm, 200) * on_axis_sr(4, camera.magnification)
+    expected = np.trapezoid(irradiance * 0.5 * nm * 1e-9 / (h * c), nm) * 0.3 * 25e-12 * 0.02
+    # Band means and a 0.5 nm grid differ by 4e-6; the table has D65 rounded to 6 digits.
+    assert frame.mean_e[32, 32] == pytest.approx(expected, rel=1e-4)
+
+
+# --- Charts ---
+
+
+def csf_sample_means(n: int) -> np.ndarray:
+    """The CSF chart averaged over each of n × n samples: 4 Gauss points an axis, as it is separable but for its mean."""
+    node, weight = np.polynomial.legendre.leggauss(4)
+    at = (np.arange(n)[:, None] + 0.5 + node / 2) / n
+    mean = charts.csf_value(0.0, 0.0)
+    sine = (charts.csf_value(at, 1.0) - mean) @ weight / 2
+    contrast = charts.csf_contrast(at) @ weight / 2 / charts.csf_contrast(1.0)
+    return mean + contrast[:, None] * sine
+
+
+@pytest.mark.parametrize(
+    ("variant", "size"),
+    [pytest.param("llvm_ad_spectral", {}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})],
+)
+def test_the_csf_scene_is_the_chart(variant, size):
+    scene = pixsim.load_scene("csf", variant=variant, **size)
+    camera, image = scene.camera(), pixsim.render(scene)
+    n = image.shape[0]
+    assert n == size.get("resolution", 1024)
+    lens = camera.image_distance_mm, camera.f_number, camera.magnification
+    expected_lx = 1000 * csf_sample_means(n) * optics.field_factor(image.shape, image.pitch_um, *lens)
+    error = image.illuminance_lx() / expected_lx - 1
+    # 16 samples of multijitter leave 0.03 % at 1024 and 0.11 % at 256; the lowest half row of texels, whose contrast is
+    # 0.9 % short (and 12 % of the light in the darkest troughs), raises the whole to 0.11 and 0.13 %. A chart 0.2 % too
+    # large fails.
+    assert np.sqrt(np.mean(error**2)) < 2e-3
+    assert np.sqrt(np.mean(error[: n * 127 // 128] ** 2)) < 1.5e-3
+    assert abs(error.mean()) < 1e-4
+
+
+GRATING_ROWS = 16
+
+
+@cache
+def grating(camera: pixsim.Camera, frequency_lp_per_mm: float, folder: Path) -> pixsim.SpectralImage:
+    """16 of 1024 rows of the shipped scene, with a sinusoid (or at 0 lp/mm nothing) on it."""
+    x = (np.arange(16384) + 0.5) / 16384  # 100 texels a cycle: bilinear interpolation keeps 0.03 % of 60 lp/mm
+    contrast = 0.9 if frequency_lp_per_mm else 0.0
+    texels = charts.sine_value(x, frequency_lp_per_mm, contrast).astype(np.float32)
+    pixsim.write_chart(folder / "sine.exr", np.tile(texels, (2, 1)))
+    height = '<integer name="height" value="{}"/>'
+    text = packaged_scenes()["csf"].read_text()
+    (folder / "strip.xml").write_text(text.replace(height.format("$resolution"), height.format(GRATING_ROWS)))
+    scene = pixsim.load_scene(folder / "strip.xml", chart=str(folder / "sine.exr"), resolution=1024)
+    image = pixsim.render(scene, camera)
+    assert image.shape == (GRATING_ROWS, 1024)
+    return image
+
+
+@pytest.fixture(scope="module")
+def grating_folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("gratings")
+
+
+def mean_electrons(image, camera, pixel) -> np.ndarray:
+    """`Frame.mean_e` of one row of a strip."""
+    physics = derive(pixel)
+    count = tuple(pixel_count(n * image.pitch_um, pixel.pitch_um) for n in image.shape)
+    rng = np.random.default_rng(0)
+    frame = pixsim.capture(image, camera, sensor.draw_sensor(physics, count, rng), rng=rng)
+    return frame.mean_e.mean(axis=0) / frame.integration_s
+
+
+@pytest.mark.parametrize("pitch_um", [5.3, 8.0, 15.0])
+@pytest.mark.parametrize("frequency_lp_per_mm", [5.0, 20.0, 60.0])
+@pytest.mark.parametrize(("f_number", "distance_m"), [(2.8, 1.0), (8.0, 1.0), (4.0, 0.02)])  # the last at |m| = 0.24
+def test_contrast_is_diffraction_times_photodiode(f_number, distance_m, frequency_lp_per_mm, pitch_um, grating_folder):
+    camera = pixsim.Camera(f_number=f_number, object_distance_m=distance_m)
+    image, plain = (grating(camera, frequency, grating_folder) for frequency in (frequency_lp_per_mm, 0.0))
+    pixel = pixsim.Pixel(pitch_um=pitch_um)
+    signal = mean_electrons(image, camera, pixel) / mean_electrons(plain, camera, pixel)  # without the fall-off
+    # At 15 µm 60 lp/mm is beyond Nyquist: the true frequency at the pixel centres is the alias.
+    x_mm = charts.DIE_MM / 2 + (np.arange(signal.size) - (signal.size - 1) / 2) * pitch_um * 1e-3
+    inside = np.abs(x_mm / charts.DIE_MM - 0.5) < 0.45  # the picture's reflection at its borders is no sinusoid
+    phase = 2 * np.pi * frequency_lp_per_mm * x_mm
+    basis = np.stack([np.ones_like(phase), np.sin(phase), np.cos(phase)], axis=1)[inside]
+    mean, in_phase, quadrature = np.linalg.lstsq(basis, signal[inside], rcond=None)[0]
+
+    physics, nm = derive(pixel), image.wavelength_nm
+    electrons = physics.quantum_efficiency(nm) * nm * image.factors[0][0]
+    sin_alpha = np.sin(np.arctan(1 / (2 * f_number * (1 + 3.86 / (1e3 * distance_m - 3.86)))))
+    half_angle = np.arccos(np.minimum(frequency_lp_per_mm * nm * 1e-6 / (2 * sin_alpha), 1))
+    otf = (electrons * (2 * half_angle - np.sin(2 * half_angle)) / np.pi).sum() / electrons.sum()
+    aperture = np.sinc(frequency_lp_per_mm * physics.photodiode_side_um * 1e-3)
+    expected = 0.9 * otf * aperture
+    # Measured 0.07 % at 60 lp/mm (texture and spline), 0.01 % at the others. At 60 lp/mm the green OTF instead of the
+    # white one is .8 % off at f/2.8 and 2.8 % at f/8; the full pixel instead of its photodiode 15 to 60 %.
+    assert in_phase / mean == pytest.approx(expected, rel=2e-3)
+    # A tenth of a render sample to one side would turn 60 lp/mm by 0.1 radian.
+    assert abs(quadrature / mean) < 2e-3 * expected
+
+
+# --- What is left out, and what is left in ---
+
+
+@VARIANTS
+def test_one_pass_serves_every_band(variant):
+    scene = pixsim.load_scene("flat", variant=variant, resolution=16)
+    quick, full = pixsim.render(scene), pixsim.render(scene, full=True)
+    assert quick.factors is not None
+    assert full.factors is None
+    # No noise on a flat field whose bands have the lamp's shape: what is left is float32.
+    assert np.abs(full.data / quick.data - 1).max() < 1e-6
+
+
+def test_one_pass_serves_every_band_of_a_chart():
+    scene = pixsim.load_scene("csf", resolution=64, spp=64)
+    quick, full, other = pixsim.render(scene), pixsim.render(scene, full=True), pixsim.render(scene, full=True, seed=1)
+    ratio = full.data.mean(axis=(0, 1), dtype=float) / quick.data.mean(axis=(0, 1), dtype=float)
+    # A quarter of a million samples each; from 8 seeds the noise of a band's mean is 4e-6.
+    assert np.abs(ratio - 1).max() < 1e-4
+    # Passes have seeds of their own, or noise would not average out over bands. Two passes' correlation scatters by 0.05
+    # (most of the noise is in few samples), so 0.3 is 6σ: false alarm below 1e-6.
+    noise = (full.data - other.data).reshape(-1, full.data.shape[2]).astype(float)
+    first, second = make_render_plan(scene, full=True).lights[0].passes[4:6]
+    assert np.corrcoef(noise[:, first[0]], noise[:, first[1]])[0, 1] > 0.9  # of one pass: the same rays
+    assert abs(np.corrcoef(noise[:, first[0]], noise[:, second[0]])[0, 1]) < 0.3
+
+
+# --- Which way is up ---
+
+
+def test_top_left_stays_top_left_in_every_file(tmp_path):
+    import matplotlib.image
+    import OpenEXR
+
+    texels = np.full((8, 8), 0.05, np.float32)
+    texels[:2, :2], texels[:2, 6:], texels[6:, :2] = 1.0, 0.6, 0.3  # the fourth corner stays dark
+    pixsim.write_chart(tmp_path / "corners.exr", texels)
+    (tmp_path / "options.toml").write_text("pixel.pitch_um = 42.4\ndisplay.dots = 64")
+    out = tmp_path / "out"
+    define = [f"chart={tmp_path / 'corners.exr'}", "resolution=64"]
+    run("flat", define=define, config=[tmp_path / "options.toml"], out=out)
+
+    def stored(name: str, channel: str) -> np.ndarray:
+        with OpenEXR.File(str(out / name), separate_channels=True) as file:
+            return file.channels()[channel].pixels
+
+    scene = pixsim.load_scene("flat", chart=str(tmp_path / "corners.exr"), resolution=64)
+    camera, image = scene.camera(), pixsim.render(scene)
+    rng = np.random.default_rng(0)
+    frame = pixsim.capture(image, camera, pixsim.make_sensor(pixsim.Pixel(pitch_um=42.4), camera), rng=rng)
+    pictures = {
+        "irradiance": image.illuminance_lx(),
+        "frame": frame.dn,
+        "irradiance.exr": stored("irradiance.exr", "S0.550,000000nm"),
+        "raw.exr": stored("raw.exr", "DN"),
+        "ideal.png": matplotlib.image.imread(out / "ideal.png")[:, :, 0],
+        "image.png": matplotlib.image.imread(out / "image.png")[:, :, 0],
+    }
+    for name, picture in pictures.items():
+        assert picture.shape == ((62, 62) if name.endswith("png") else (64, 64)), name  # shown without a border of one dot
+        corners = [picture[rows, columns].mean() for rows in np.s_[2:12, 52:62] for columns in np.s_[2:12, 52:62]]
+        top_left, top_right, bottom_left, bottom_right = corners
+        assert top_left > 1.2 * top_right > 1.2**2 * bottom_left > 1.2**3 * bottom_right, name
+
+
+# --- Seeds and threads ---
+
+
+@VARIANTS
+def test_a_seed_gives_its_bits(variant):
+    scene = pixsim.load_scene("csf", variant=variant, resolution=128)
+    first, again, other = (pixsim.render(scene, seed=seed).data[:, :, 20].astype(float) for seed in (3, 3, 5))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+    relative = first / other - 1
+    assert 1e-4 < relative.std() < 5e-3  # measured .3 %: noise, not another picture
+    assert abs(z_of_mean((first - other).ravel())) < 4  # false alarm 6e-5
+
+
+THREADS = """
+import hashlib, os, sys
+variant, cores = sys.argv[1:]
+if cores == "one":
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+import pixsim
+scene = pixsim.load_scene("csf", variant=variant, resolution=96, spp=16)
+import drjit  # not before pixsim has chosen its LLVM
+for threads in (None,) if cores == "one" else (2, 3, 8):
+    if threads:
+        drjit.set_thread_count(threads)
+    print(hashlib.sha256(pixsim.render(scene, seed=1).factors[1].tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be chosen here")
+@VARIANTS
+def test_threads_change_no_bit(variant):
+    def hashes(cores: str) -> list[str]:
+        # Mitsuba 3.9.1 alone waits for ever for a texture where there is only one core, hence the limit.
+        done = subprocess.run(
+            [sys.executable, "-c", THREADS, variant, cores], capture_output=True, text=True, check=True, timeout=HANG_S
+        )
+        return done.stdout.split()
+
+    several = hashes("several")
+    assert len(several) == 3
+    assert len(set(several)) == 1
+    assert hashes("one") == several[:1]
+
+
+# --- A general scene: a white plane that reflects ---
+
+STEP_NM = 550.0
+DARK, BRIGHT = 0.2, 0.8
+REFLECTANCE = f'<spectrum name="reflectance" value="360:{DARK}, 549.999:{DARK}, 550.001:{BRIGHT}, 830:{BRIGHT}"/>'
+SKY = '<emitter type="constant"><texture type="d65" name="radiance"><float name="scale" value="0.01"/></texture></emitter>'
+# Sampling the lobe alone, each path brings the sky times the reflectance: no noise.
+EXACT = '<integrator type="direct"><integer name="emitter_samples" value="0"/><integer name="bsdf_samples" value="1"/></integrator>'
+
+
+def plane_scene(folder: Path, body: str, integrator: str = EXACT, spp: int = 64) -> Path:
+    """A Lambertian plane that fills the view of an f/2, 8 mm lens, 0.5 m away; die 2.7136 mm."""
+    camera = pixsim.Camera(focal_length_mm=8, f_number=2, object_distance_m=0.5)
+    path = folder / "plane.xml"
+    path.write_text(f"""<scene version="3.0.0">
+    {integrator}
+    <sensor type="thinlens">
+        <float name="fov" value="{camera.fov_deg!r}"/>
+        <float name="aperture_radius" value="{camera.aperture_radius_m!r}"/>
+        <float name="focus_distance" value="0.5"/>
+        <transform name="to_world"><lookat origin="0, 0, 0" target="0, 0, 1" up="0, 1, 0"/></transform>
+        <sampler type="multijitter"><integer name="sample_count" value="{spp}"/></sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="24"/><integer name="height" value="16"/><rfilter type="box"/>
+        </film>
+    </sensor>
+    <shape type="rectangle">
+        <transform name="to_world"><rotate y="1" angle="180"/><translate z="0.5"/></transform>
+        <bsdf type="diffuse">{REFLECTANCE}</bsdf>
+    </shape>
+    {body}
+</scene>""")
+    return path
+
+
+def spectrum_over_lens(image: pixsim.SpectralImage, camera: pixsim.Camera) -> np.ndarray:
+    """Radiance behind the irradiance, mean over the picture, (B,)."""
+    lens = optics.field_factor(image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    return (image.data / lens[:, :, None]).mean(axis=(0, 1))
+
+
+def reflectance_of_band(centre_nm: np.ndarray) -> np.ndarray:
+    return np.where(centre_nm < STEP_NM, DARK, np.where(centre_nm > STEP_NM, BRIGHT, (DARK + BRIGHT) / 2))
+
+
+@VARIANTS
+def test_a_plane_under_a_uniform_sky(variant, tmp_path):
+    scene = pixsim.load_scene(plane_scene(tmp_path, SKY), variant=variant)
+    image, camera = pixsim.render(scene), scene.camera()
+    assert image.factors is not None  # one surface under one lamp: four pulses tell all bands
+    assert camera.f_number == pytest.approx(2, rel=1e-5)
+    # In a furnace a convex body's radiance is its reflectance times the sky; band means of D65 on a fine grid.
+    centre_nm = image.wavelength_nm
+    fine_nm = centre_nm[:, None] + image.band_width_nm[:, None] * np.linspace(-0.5, 0.5, 1001)
+    sky = d65_radiance(fine_nm, 0.01 * D65_LUMINANCE).mean(axis=1)
+    ratio = spectrum_over_lens(image, camera) / (reflectance_of_band(centre_nm) * sky)
+    smooth = np.abs(centre_nm - STEP_NM) > 5
+    # Nothing is random but the wavelength: the pulse with the step counts how many of its 24 576 fall on either side, which
+    # moves the bands below it by 0.3 %; D65's 5 nm table has corners that a 0.01 nm grid sees and bands do not: 0.05 %.
+    assert np.abs(ratio - 1)[smooth].max() < 1e-2
+    assert np.abs(ratio - 1)[centre_nm > 600].max() < 2e-3
+    # Reflectances are tabulated at 1 nm: the step takes 2 nm of the 5 nm bands beside it, and they share its light.
+    assert np.abs(ratio - 1)[~smooth].max() < 0.2
+    assert ratio[~smooth] @ reflectance_of_band(centre_nm[~smooth]) == pytest.approx(
+        reflectance_of_band(centre_nm[~smooth]).sum(), rel=1e-2
+    )
+
+
+@VARIANTS
+def test_the_luminance_of_a_plane_under_a_uniform_sky(variant, tmp_path):
+    scene = pixsim.load_scene(plane_scene(tmp_path, SKY), variant=variant)
+    image = pixsim.render(scene)
+    nm = np.arange(360.0, 831.0)
+    light = reflectance_of_band(nm) * d65_radiance(nm, 0.01 * D65_LUMINANCE) * spectral.photopic_efficiency(nm)
+    luminance = spectrum_over_lens(image, scene.camera()) @ image.luminous_weight()
+    # The pulse with the step counts how many of its 24 576 wavelengths fall on either side: 0.16 %, of half of the light.
+    assert luminance == pytest.approx(spectral.LUMINOUS_EFFICACY_LM_PER_W * light.sum(), rel=5e-3)
+
+
+@pytest.mark.parametrize("full", [False, True])
+@VARIANTS
+def test_a_lamp_without_a_picture(variant, full, tmp_path):
+    lamp = '<emitter type="area"><spectrum name="radiance" value="360:0, 830:4.7"/></emitter>'
+    path = plane_scene(tmp_path, "")
+    path.write_text(path.read_text().replace("</bsdf>", f"</bsdf>{lamp}"))
+    scene = pixsim.load_scene(path, variant=variant)
+    image = pixsim.render(scene, full=full, seed=3)
+    assert (image.factors is None) == full
+    # A straight lamp: its band means are its values at the centres. Nothing is random: float32. But one wavelength in a
+    # million falls on the end of a pulse, where the film sees nothing: 4e-5 of a band, at a quarter of the seeds; not at this.
+    radiance = spectrum_over_lens(image, scene.camera())
+    np.testing.assert_allclose(radiance, 0.01 * (image.wavelength_nm - 360), rtol=1e-6)
+
+
+def test_a_second_lamp_of_another_spectrum(tmp_path):
+    sun = """<emitter type="directional">
+        <vector name="direction" value="0, 0.6, 0.8"/>
+        <spectrum name="irradiance" value="360:0, 830:4.7"/>
+    </emitter>"""
+    path = plane_scene(tmp_path, SKY + sun, '<integrator type="path"><integer name="max_depth" value="2"/></integrator>', 256)
+    scene = pixsim.load_scene(path)
+    assert len(make_render_plan(scene).lights) == 2
+    image = pixsim.render(scene)
+    nm, magnification = image.wavelength_nm, scene.camera().magnification
+    light = d65_radiance(nm, 0.01 * D65_LUMINANCE) + 0.01 * (nm - 360) * 0.8 / np.pi
+    lens = optics.field_factor(image.shape, image.pitch_um, scene.camera().image_distance_mm, 2, magnification)
+    relative = image.data / (reflectance_of_band(nm) * light * lens[:, :, None]) - 1
+    smooth = relative[:, :, np.abs(nm - STEP_NM) > 5]
+    noise = smooth.std(axis=(0, 1)) / np.sqrt(smooth[:, :, 0].size)
+    # Each lamp in bands of its own shape: D65's corners within a band .4 %, and 5 standard errors (false alarm 3e-5 over
+    # 45 bands).
+    assert np.all(np.abs(smooth.mean(axis=(0, 1))) < 4e-3 + 5 * noise)
+    assert noise.max() < 4e-3  # so that the gate means something
+
+
+def test_a_fitted_lamp_beside_one_whose_colours_vary(tmp_path):
+    """The weights of a fit have both signs: its bands alone may be a little below zero, its pictures never."""
+    rgb = np.random.default_rng(0).uniform(0, 1, (3, 4, 4))
+    write_channels(tmp_path / "sky.exr", dict(zip("RGB", rgb, strict=True)), {})
+    sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="1e-6"/></emitter>'
+    path = edited(tmp_path, "macbeth", (END, sky))
+    scene = pixsim.load_scene(path, lamp="spectra/fl11.spd", resolution=32, variant="scalar_spectral")
+    plan = make_render_plan(scene)
+    assert [bool(light.spectra.min() < 0) for light in plan.lights] == [True, False]
+    image = pixsim.render(scene, plan=plan)
+    assert image.data.min() < 0 <= image.factors[1].min()
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    np.testing.assert_array_equal(pixsim.read_irradiance(tmp_path / "image.exr").data, image.data)
+
+
+def test_a_black_picture_is_refused(tmp_path):
+    pixsim.write_chart(tmp_path / "black.exr", np.zeros((4, 4), np.float32))
+    scene = pixsim.load_scene("flat", chart=str(tmp_path / "black.exr"), resolution=8)
+    with pytest.raises(PixsimError, match=r"black everywhere.*turned away.*unlit"):
+        pixsim.render(scene)
+
+
+@pytest.mark.parametrize(("name", "value"), [("resolution", 0), ("resolution", 16385), ("spp", 0), ("spp", 2**20 + 1)])
+def test_sizes_out_of_range_are_refused(name, value):
+    with pytest.raises(PixsimError, match=rf"{name}: got {value}; allowed: 1 to"):
+        pixsim.render(pixsim.load_scene("flat", **{"resolution": 8, name: value}))
+
+
+# --- Memory ---
+
+TEXTURE_BYTES = 3 << 20  # whose hash goes into the header
+
+
+def traced(work):
+    """What comes of it, and the most memory that was taken for it beside what was there."""
+    tracemalloc.start()
+    result = work()
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return result, most
+
+
+@pytest.fixture
+def large(monkeypatch):
+    """A job of 1024 × 1024 whose renders are grey, and which works on a few rows at a time."""
+    import mitsuba
+
+    def grey(*_, sensor, spp, **__):
+        width, height = sensor.film().crop_size()
+        return np.full((height, width, 1), 0.5, np.float32)
+
+    scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=1024, spp=4)
+    job = Renderer(scene, scene.camera(), make_render_plan(scene), 0)
+    assert job._loaded
+    monkeypatch.setattr(arrays, "BLOCK_SAMPLES", 1 << 13)
+    monkeypatch.setattr(mitsuba, "render", grey)
+    return job
+
+
+def test_a_render_takes_the_memory_of_its_picture_whatever_its_samples(large):
+    (pictures, _), few = traced(lambda: large.run(0))
+    size = pictures[0].nbytes
+    assert size == 1024 * 1024 * 4
+    _, many = traced(lambda: large.run(0, level=6))
+    assert size < few < 1.5 * size
+    assert many < 1.05 * few
+
+
+def test_an_image_takes_the_memory_of_what_it_is(large):
+    pictures = [np.full((1024, 1024, 1), 0.5)]
+    image, most = traced(lambda: large.image(pictures, 4))
+    assert most < 1.2 * image.factors[1].nbytes + TEXTURE_BYTES
+    small = large.source.with_parameters(resolution=256)
+    full = Renderer(small, large.camera, make_render_plan(small, full=True), 0)
+    pulses = [np.full((256, 256, len(light.pulses)), 0.5, np.float32) for light in full.plan.lights]
+    image, most = traced(lambda: full.image(pulses, 4))
+    assert most < 1.1 * image.data.nbytes + TEXTURE_BYTES
+
+
+def test_the_fall_off_of_a_part_is_that_of_the_whole(large):
+    camera = large.camera
+    lens = camera.image_distance_mm, camera.f_number, camera.magnification
+    whole = optics.field_factor(large.size, large.pitch_um, *lens) * (camera.transmittance / large.on_axis)
+    assert np.array_equal(large.fall_off(), whole)
+    assert np.array_equal(large.fall_off(slice(100, 130), slice(7, 9)), whole[100:130, 7:9])
+    assert 0.6 < whole.min() < whole.max() == pytest.approx(1, abs=1e-5)
+
+
+def test_progress_rises_to_one():
+    told: list[float] = []
+    pixsim.render(pixsim.load_scene("flat", resolution=8, variant="scalar_spectral"), progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1

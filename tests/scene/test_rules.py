@@ -1,0 +1,434 @@
+"""What may be left out of which scene, and what may not: each case is a small edit of a shipped scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.edits import END, FOLDER, decision, edited, left_out, load, render_plan
+from scipy.special import j1
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.scene.charts import sine_value
+from pixsim.scene.contents import blur_um
+from pixsim.scene.plan import make_plan, make_render_plan
+from pixsim.scene.rules import BLUR_SHARE, BLURRED_EDGE, TOLERANCE_E
+
+RULES = {"spectral rank", "bounces", "lens samples", "texture samples", "diffraction"}
+HALF, AWAY = 'x="$chart_half_width" y="$chart_half_width"', '<translate z="$focus_distance"/>'
+PATH = '<integrator type="path"/>'
+DEPTH = '<integer name="max_depth" value="2"/>'
+RAW = '<boolean name="raw" value="true"/>'
+BSDF = '<bsdf type="diffuse">\n            <spectrum name="reflectance" filename="spectra/macbeth/24_black_2.spd"/>'
+NEUTRAL_LAMP = '<spectrum name="{}" value="360:1, 830:1"/>'
+
+
+def bigger(times: float) -> tuple[str, str]:
+    """The chart, larger than the film."""
+    return HALF, f'x="{0.350145791 * times}" y="{0.350145791 * times}"'
+
+
+def shape(kind: str, transform: str, inside: str = "") -> tuple[str, str]:
+    return END, f'<shape type="{kind}"><transform name="to_world">{transform}</transform>{inside}</shape>'
+
+
+def moved_chart(transform: str) -> tuple[str, str]:
+    return AWAY, transform
+
+
+# --- Each rule fires where it should ---
+
+
+def test_a_chart_that_shines_alone():
+    plan = render_plan("slanted_edge")
+    assert left_out(plan) == RULES - {"diffraction"}
+    assert plan.integrator == {"type": "path", "max_depth": 1}
+    assert (plan.lens, plan.passes, plan.full_passes) == ("perspective", 1, 12)
+    assert plan.spp < plan.full_spp == 16
+    assert plan.bands.width_nm.size == 48
+
+
+def test_a_uniform_chart_needs_no_diffraction_and_a_coarse_film():
+    plan = make_plan(load("flat"))
+    assert left_out(plan) >= RULES | {"oversampling"}
+    assert (plan.resolution, plan.spp, plan.diffraction) == (64, 4, False)
+
+
+def test_matt_boards_that_face_one_way():
+    for name in ("macbeth", "line_lamp"):
+        plan = render_plan(name)
+        assert left_out(plan) == {"spectral rank", "spectrum tables", "bounces", "lens samples"}
+        assert plan.integrator == {"type": "direct"}
+
+
+def test_a_disc_is_as_good_as_a_rectangle_for_the_bounces(tmp_path):
+    plan = render_plan(edited(tmp_path, "flat", ('type="rectangle"', 'type="disk"')))
+    assert left_out(plan) == {"spectral rank", "bounces", "lens samples"}  # but a disc does not fill the film
+    assert plan.chart is None
+
+
+def test_one_bounce_that_the_scene_says_is_direct_light(tmp_path):
+    ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', '<bsdf type="roughconductor"/>')
+    plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="path">{DEPTH}</integrator>'), ball))
+    assert plan.integrator == {"type": "direct"}
+    plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="path">{DEPTH.replace("2", "3")}</integrator>'), ball))
+    assert plan.integrator is None
+
+
+def test_lamps_of_one_spectrum_are_one_light(tmp_path):
+    second = (
+        END,
+        '<emitter type="point"><point name="position" x="0" y="1" z="0"/><spectrum name="intensity" filename="{}"/></emitter>',
+    )
+    for lamp, lights in (("$lamp", 1), ("spectra/a.spd", 2)):
+        plan = render_plan(edited(tmp_path, "macbeth", (second[0], second[1].format(lamp))))
+        assert len(plan.lights) == lights
+
+
+# --- What must stay ---
+
+ALONE = {"spectral rank", "bounces"}
+KEPT = {
+    # name: (scene, edits, the rules that must not fire)
+    "chart out of focus": ("slanted_edge", [moved_chart('<translate z="1.3"/>'), bigger(1.5)], RULES - ALONE),
+    "uniform chart out of focus": ("flat", [moved_chart('<translate z="0.9"/>')], RULES - ALONE),
+    "tilted chart": (
+        "flat",
+        [moved_chart('<rotate x="1" angle="20"/><translate z="$focus_distance"/>'), bigger(1.5)],
+        RULES - ALONE,
+    ),
+    "chart smaller than the film": ("flat", [bigger(0.9)], {"texture samples", "diffraction"}),
+    "chart beside the axis": (
+        "slanted_edge",
+        [bigger(2), moved_chart('<translate x="0.3"/><translate z="$focus_distance"/>')],
+        {"texture samples", "diffraction"},
+    ),
+    "chart turned on its side": (
+        "flat",
+        [bigger(2), moved_chart('<rotate z="1" angle="30"/><translate z="$focus_distance"/>')],
+        {"texture samples", "diffraction"},
+    ),
+    "repeated picture": ("slanted_edge", [('<scale y="-1"/>', '<scale x="8" y="-1"/>')], {"texture samples", "diffraction"}),
+    "shifted picture": ("slanted_edge", [('<translate y="1"/>', '<translate x="0.4" y="1"/>')], {"texture samples", "diffraction"}),
+    "a sphere": (
+        "macbeth",
+        [shape("sphere", '<scale value="0.05"/><translate z="0.8"/>', '<bsdf type="diffuse"/>')],
+        {"bounces", "lens samples"},
+    ),
+    **{
+        f"a patch of {bsdf}": ("macbeth", [(BSDF, f'<bsdf type="{bsdf}">')], {"bounces", "lens samples"})
+        for bsdf in ("conductor", "roughconductor", "plastic", "roughplastic", "dielectric")
+    },
+    "a patch of principled": ("macbeth", [(BSDF, '<bsdf type="principled">')], {"spectral rank", "bounces", "lens samples"}),
+    "an environment map": (
+        "macbeth",
+        [(END, '<emitter type="envmap"><string name="filename" value="coloured.exr"/></emitter>')],
+        {"lens samples"},
+    ),
+    "a sky": ("flat", [(END, '<emitter type="sunsky"/>')], {"lens samples", "texture samples", "diffraction"}),
+    "a directional area lamp": (
+        "macbeth",
+        [shape("rectangle", "", f'<emitter type="directionalarea">{NEUTRAL_LAMP.format("radiance")}</emitter>')],
+        {"bounces", "lens samples"},
+    ),
+    "an area lamp facing the board": (
+        "macbeth",
+        [shape("rectangle", '<translate z="-0.1"/>', f'<emitter type="area">{NEUTRAL_LAMP.format("radiance")}</emitter>')],
+        {"bounces"},
+    ),
+    "a board facing the board": ("macbeth", [shape("rectangle", '<translate z="-0.1"/>')], {"bounces"}),
+    "a mirrored board facing the board": ("macbeth", [shape("disk", '<scale x="-1"/><translate z="-0.1"/>')], {"bounces"}),
+    "a board facing the board from the back of its matrix": (
+        "macbeth",
+        [shape("rectangle", '<rotate y="1" angle="180"/><scale z="-1"/><translate z="-0.1"/>')],
+        {"bounces"},
+    ),
+    "a board that shows both sides": (
+        "macbeth",
+        [(BSDF, f'<bsdf type="twosided">{BSDF}'), ("</bsdf>\n    </shape>\n</scene>", "</bsdf></bsdf></shape></scene>")],
+        {"bounces"},
+    ),
+    "fog": (
+        "macbeth",
+        [
+            (PATH, '<integrator type="volpath"/>'),
+            shape(
+                "cube",
+                '<scale value="0.1"/><translate z="0.8"/>',
+                '<bsdf type="null"/><medium type="homogeneous" name="interior"><rgb name="albedo" value="0.9, 0.2, 0.1"/></medium>',
+            ),
+        ],
+        {"spectral rank", "bounces", "lens samples"},
+    ),
+    "a spot with a coloured slide": (
+        "macbeth",
+        [
+            (
+                END,
+                f'<emitter type="spot">{NEUTRAL_LAMP.format("intensity")}'
+                '<texture type="bitmap" name="texture"><string name="filename" value="coloured.exr"/></texture></emitter>',
+            )
+        ],
+        set(),
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With a picture whose left half is red and whose right half is blue."""
+    import OpenEXR
+
+    texels = np.zeros((8, 8, 3), np.float32)
+    texels[:, :4], texels[:, 4:] = (1, 0.05, 0.05), (0.05, 0.05, 1)
+    top = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(top, {"RGB": texels}) as file:
+        file.write(str(tmp_path / "coloured.exr"))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_a_rule_that_must_not_fire(name, folder):
+    scene, edits, kept = KEPT[name]
+    before, plan = render_plan(scene), render_plan(edited(folder, scene, *edits))
+    assert not left_out(plan) & kept
+    assert kept - {"texture samples"} <= left_out(before) | {"diffraction"}, "the edit makes no difference"
+    if "lens samples" in kept:
+        assert plan.lens == "thinlens"
+    if "bounces" in kept:
+        assert plan.integrator is None
+    if "diffraction" in kept:
+        assert plan.diffraction
+    if "spectral rank" in kept:
+        assert plan.passes == plan.full_passes
+    if "texture samples" in kept:
+        assert plan.spp * plan.passes >= plan.full_spp
+    if scene == "flat" and "diffraction" in kept:
+        assert make_plan(load(folder / "flat.xml")).resolution is None
+
+
+def test_colours_that_vary_over_a_lamp_stay_in_place(folder):
+    edits = [(RAW, ""), ('value="charts/csf.exr"', 'value="coloured.exr"')]
+    scene = load(edited(folder, "csf", *edits), resolution=16)
+    plan = make_render_plan(scene)
+    assert "spectral rank" not in left_out(plan)
+    assert plan.passes == plan.full_passes == 12
+    assert plan.lights[0].lamp.spectrum is None
+    image = pixsim.render(scene)
+    left, right = (image.data[4:12, where].mean(axis=(0, 1), dtype=float) for where in (slice(1, 6), slice(10, 15)))
+    nm = image.wavelength_nm
+    # sRGB's red over its blue, 1 to 0.05, is spread over wavelengths by Mitsuba: 8 and more at these.
+    assert (left / right)[(nm > 600) & (nm < 640)].min() > 5
+    assert (right / left)[(nm > 420) & (nm < 470)].min() > 5
+
+
+def test_a_slide_makes_a_light_of_its_own(folder):
+    name = "a spot with a coloured slide"
+    plan = render_plan(edited(folder, *KEPT[name][:1], *KEPT[name][1]))
+    assert [light.lamp.spectrum is None for light in plan.lights] == [False, True]
+    assert len(plan.lights[1].pulses) == plan.bands.width_nm.size
+
+
+@pytest.mark.parametrize("plugin", ["volpath", "direct", "volpathmis"])
+def test_another_integrator_stays(plugin, tmp_path):
+    plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="{plugin}"/>')))
+    assert "bounces" not in left_out(plan)
+    assert plan.integrator is None
+    assert f"'{plugin}'" in decision(plan, "bounces").reason
+
+
+@pytest.mark.parametrize(("depth", "integrator"), [(0, None), (1, None), (-1, {"type": "path", "max_depth": 1})])
+def test_depths_that_leave_nothing_to_leave_out_stay(depth, integrator, tmp_path):
+    assert render_plan(edited(tmp_path, "csf", (DEPTH, DEPTH.replace("2", str(depth))))).integrator == integrator
+
+
+def test_hidden_emitters_stay_hidden(tmp_path):
+    hidden = (DEPTH, f'{DEPTH}<boolean name="hide_emitters" value="true"/>')
+    path = edited(tmp_path, "csf", hidden)
+    assert render_plan(path).integrator == {"type": "path", "max_depth": 1, "hide_emitters": True}
+    with pytest.raises(PixsimError, match="hide_emitters"):
+        pixsim.render(load(path, resolution=8))
+
+
+def test_what_the_user_says_stays():
+    plan = render_plan("slanted_edge", spp=9)
+    assert (plan.spp, plan.full_spp) == (9, 9)
+    assert "texture samples" not in left_out(plan)
+    assert make_plan(load("flat", resolution=128)).resolution is None
+    assert "oversampling" not in left_out(make_plan(load("flat", resolution=128)))
+    assert make_plan(load("flat", spp=4)).resolution == 64
+
+
+@pytest.mark.parametrize("name", ["csf", "flat", "macbeth", "still_life"])
+def test_full_leaves_out_nothing(name):
+    plan = make_plan(load(name), full=True)
+    assert left_out(plan) == set()
+    assert (plan.lens, plan.integrator, plan.resolution, plan.diffraction) == ("thinlens", None, None, True)
+    assert (plan.spp, plan.passes) == (plan.full_spp, plan.full_passes)
+    assert not plan.factored
+
+
+def test_passes_share_samples_but_not_below_what_a_path_needs():
+    """multijitter of 4 correlates the dimensions of a path: the still life gets 0.8 % too dark, ten standard errors."""
+    plan = render_plan("still_life")
+    assert plan.passes > 4
+    assert (plan.spp, plan.full_spp) == (16, 64)
+    assert render_plan("still_life", spp=8).spp == 8
+    many = make_render_plan(load("still_life"), tolerance_e=1e-4)
+    assert many.passes > 16
+    assert many.spp == 16
+
+
+# --- Focus ---
+
+
+def test_the_blur_that_a_pinhole_may_leave_out_goes_by_the_photodiode(tmp_path):
+    pixel = pixsim.Pixel(pitch_um=6.5, fill_factor=0.25)  # a photodiode of 3.25 µm
+    camera = pixsim.Camera()
+    most_um = BLUR_SHARE * TOLERANCE_E / BLURRED_EDGE * 3.25
+    # 2a |d - 1|/d · v/u in µm, solved for the distance.
+    per_m = 2e3 * camera.aperture_radius_m * camera.image_distance_mm
+    for times, lens in ((0.95, "perspective"), (1.05, "thinlens")):
+        depth_m = 1 / (1 - times * most_um / per_m)
+        assert blur_um(camera, depth_m) == pytest.approx(times * most_um, rel=1e-9)
+        scene = load(edited(tmp_path, "csf", moved_chart(f'<translate z="{depth_m!r}"/>'), bigger(1.1)))
+        plan = make_render_plan(scene, pixel=pixel)
+        assert plan.lens == lens
+        bound = times * BLUR_SHARE * TOLERANCE_E if lens == "perspective" else 0.0
+        assert decision(plan, "lens samples").bound_e == pytest.approx(bound, rel=1e-6)
+
+
+def test_the_blurred_edge_carries_what_the_bound_says():
+    # Light beyond a straight edge across a disc of diameter 1: ∫ of the share of the disc beyond t, t from 0 to ½.
+    t = (np.arange(100000) + 0.5) / 200000
+    share = (np.arccos(2 * t) - 2 * t * np.sqrt(1 - 4 * t**2)) / np.pi
+    # An edge loses it on one side and has it on the other.
+    assert 2 * share.mean() / 2 == pytest.approx(BLURRED_EDGE, rel=1e-6)
+
+
+def test_a_chart_out_of_focus_is_blurred_by_the_disc(tmp_path):
+    """A sinusoid through a uniform disc of diameter c keeps 2 J₁(πfc)/(πfc) of its contrast."""
+    cycles = 8.0
+    at = (np.arange(2048) + 0.5) / 2048
+    pixsim.write_chart(tmp_path / "sine.exr", np.tile(sine_value(at, cycles, 0.8, 1.0).astype(np.float32), (2, 1)))
+    camera = pixsim.Camera(f_number=0.8, object_distance_m=0.1, die_mm=1.0)
+    half = camera.chart_half_width_m
+    tangent = half / 0.1
+    found = {}
+    for depth in (0.1, 0.2):
+        wide = (HALF, f'x="{tangent * depth!r}" y="{3 * tangent * depth!r}"')
+        path = edited(tmp_path, "csf", moved_chart(f'<translate z="{depth!r}"/>'), wide)
+        scene = load(path, chart=str(tmp_path / "sine.exr"), resolution=32, spp=64)
+        image = pixsim.render(scene, camera)
+        lens = pixsim.optics.field_factor(
+            image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
+        )
+        row = (image.illuminance_lx() / lens).mean(axis=0)[8:24]
+        assert (make_render_plan(scene, camera).lens == "thinlens") == (depth != 0.1)
+        x = 2 * np.pi * cycles * (np.arange(8, 24) + 0.5) / 32
+        mean, sine, cosine = np.linalg.lstsq(np.stack([np.ones(16), np.sin(x), np.cos(x)], axis=1), row, rcond=None)[0]
+        found[depth] = np.hypot(sine, cosine) / mean
+    c_mm = 1e-3 * blur_um(camera, 0.2)
+    u = np.pi * cycles * c_mm  # cycles a mm, for the die is 1 mm wide at any depth
+    expected = abs(2 * j1(u) / u)
+    assert found[0.1] == pytest.approx(0.8 * np.sinc(cycles / 32), rel=0.01)
+    # 32 × 16 cells of 64 samples: 2 % of noise in the contrast that is left.
+    assert 0.05 < expected < 0.9, "the case says nothing"
+    assert found[0.2] / found[0.1] == pytest.approx(expected, abs=0.03)
+
+
+# --- What is refused, and what is not taken for something else ---
+
+TEXTURED = '<texture type="{}" name="radiance">{}</texture>'
+
+
+@pytest.mark.parametrize("picture", ["checkerboard", "bitmap"])
+def test_a_coloured_picture_that_shines_is_no_uniform_chart(picture, tmp_path):
+    import matplotlib.image
+
+    matplotlib.image.imsave(tmp_path / "photo.png", np.random.default_rng(0).random((8, 8, 3)))
+    inside = "" if picture == "checkerboard" else '<string name="filename" value="photo.png"/>'
+    text = (FOLDER / "flat.xml").read_text(encoding="utf-8")
+    emitter = text[text.index('<texture type="d65"') : text.index("</emitter>")]
+    plan = make_plan(load(edited(tmp_path, "flat", (emitter, TEXTURED.format(picture, inside)))))
+    assert plan.chart is None
+    assert plan.diffraction
+    assert plan.resolution is None
+    assert plan.spp == 16
+
+
+def test_a_lamp_that_is_switched_off_leaves_the_others_on(tmp_path):
+    lamps = "".join(
+        f'<emitter type="point"><point name="position" x="{x}" y="0" z="0"/>'
+        f'<texture type="d65" name="intensity"><float name="scale" value="{scale}"/></texture></emitter>'
+        for x, scale in ((0.2, 1e-9), (-0.2, 1.0))
+    )
+    image = pixsim.render(load(edited(tmp_path, "macbeth", (END, lamps)), resolution=8))
+    bare = pixsim.render(load("macbeth", resolution=8))
+    assert image.illuminance_lx().mean() > 2 * bare.illuminance_lx().mean()
+
+
+def test_a_scene_without_light_is_refused(tmp_path):
+    text = (FOLDER / "macbeth.xml").read_text(encoding="utf-8")
+    lamp = text[text.index('<emitter type="directional"') : text.index("</emitter>") + len("</emitter>")]
+    scene = load(edited(tmp_path, "macbeth", (lamp, "")))
+    with pytest.raises(PixsimError, match="no emitter that shines"):
+        make_plan(scene)
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "message"),
+    [
+        ("macbeth", (PATH, '<integrator type="ptracer"/>'), "integrator: got 'ptracer'; allowed: path, direct"),
+        ("macbeth", (PATH, '<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>'), "got 'aov'"),
+        ("macbeth", (END, '<medium type="homogeneous" id="fog"/>'), "volpath"),
+        ("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>'), "a whole film"),
+        ("csf", ('<film type="hdrfilm">', '<medium type="homogeneous"/><film type="hdrfilm">'), "volpath|camera in a medium"),
+        ("still_life", ('<float name="int_ior" value="1.5"/>', '<spectrum name="int_ior" value="400:1.6,700:1.5"/>'), "dispersive"),
+    ],
+)
+def test_what_would_be_faked_is_refused(name, edit, message, tmp_path):
+    with pytest.raises(PixsimError, match=message):
+        load(edited(tmp_path, name, edit))
+
+
+def test_maps_that_only_steer_may_be_raw_pictures(tmp_path):
+    """A normal map is three channels of any numbers: neither light nor reflectance."""
+    import matplotlib.image
+
+    matplotlib.image.imsave(tmp_path / "normals.png", np.full((4, 4, 3), (0.5, 0.5, 1.0)))
+    bump = (
+        '<bsdf type="normalmap"><texture type="bitmap" name="normalmap"><boolean name="raw" value="true"/>'
+        '<string name="filename" value="normals.png"/></texture><bsdf type="diffuse"/></bsdf>'
+    )
+    ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', bump)
+    scene = load(edited(tmp_path, "macbeth", ball), resolution=8)
+    assert pixsim.render(scene).illuminance_lx().min() > 0
+
+
+def test_parameters_of_an_included_file_are_known(tmp_path):
+    (tmp_path / "more.xml").write_text(
+        '<scene version="3.0.0"><default name="depth" value="3"/>'
+        '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator></scene>',
+        encoding="utf-8",
+    )
+    path = edited(tmp_path, "macbeth", (PATH, '<include filename="more.xml"/>'))
+    assert load(path, depth=2).parameters == {"depth": "2"}
+    with pytest.raises(PixsimError, match="Did you mean 'depth'"):
+        load(path, dept=2)
+
+
+def test_what_is_not_known_is_said(tmp_path):
+    """Inside a band of 10 nm the spectrum of an unknown surface has no bound."""
+    ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', '<bsdf type="principled"/>')
+    assert not render_plan(edited(tmp_path, "macbeth", ball)).bounded
+    assert render_plan("macbeth").bounded
+
+
+def test_paths_get_samples_enough_for_the_sampler(tmp_path):
+    """Of 4 samples, Mitsuba's default, multijitter correlates the dimensions of a path: up to 1 % too dark."""
+    few = edited(tmp_path, "still_life", ('<default name="spp" value="64"/>', '<default name="spp" value="4"/>'))
+    assert render_plan(few).spp == 16
+    assert render_plan(few, spp=4).spp == 4  # asked for

@@ -1,0 +1,501 @@
+"""Scenes: what is read from a Mitsuba XML, checked by Mitsuba's own numbers and by lamps known in closed form."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.edits import END, edited
+
+import pixsim
+from pixsim import optics
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import CameraOptions
+from pixsim.light import spectral
+from pixsim.light.exr import write_channels
+from pixsim.light.spectral import grid_nm
+from pixsim.scene import charts
+from pixsim.scene.contents import Lamp, find_lamp, find_lamps
+from pixsim.scene.mitsuba import import_mitsuba
+from pixsim.scene.scene import packaged_scenes
+
+CHARTS = ["csf", "flat", "siemens_star", "slanted_edge"]
+SHIPPED = sorted([*CHARTS, "line_lamp", "macbeth", "still_life"])
+LENS = '<float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="0.8"/>'
+FOV = '<float name="fov" value="40"/>'
+RAW = '<boolean name="raw" value="true"/>'
+
+
+def sensor_xml(inside: str = FOV + LENS, plugin: str = "thinlens", name: str = "eye", width: int = 64, height: int = 64) -> str:
+    return f"""<sensor type="{plugin}" id="{name}">{inside}
+        <film type="hdrfilm"><integer name="width" value="{width}"/><integer name="height" value="{height}"/></film>
+    </sensor>"""
+
+
+def write_scene(folder: Path, *parts: str) -> Path:
+    path = folder / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{"".join(parts)}</scene>')
+    return path
+
+
+def load(path: Path | str, **options) -> pixsim.scene.Scene:
+    """Nothing here depends on the variant, and the scalar one is everywhere."""
+    return pixsim.load_scene(path, variant="scalar_spectral", **options)
+
+
+# --- Loading and parameters ---
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenes_load_by_name_and_by_path(name):
+    by_name, by_path = load(name), load(packaged_scenes()[name])
+    assert by_name.content_hash == by_path.content_hash
+    assert load(str(by_path.path)).path == by_name.path
+
+
+def test_shipped_charts_differ_in_their_chart_only():
+    assert sorted(packaged_scenes()) == SHIPPED
+    lines = {name: packaged_scenes()[name].read_text().splitlines() for name in CHARTS}
+    chart = [index for index, line in enumerate(lines["csf"]) if '<default name="chart"' in line]
+    assert len(chart) == 1
+    for name in CHARTS:
+        assert lines[name].pop(chart[0]).strip() == f'<default name="chart" value="charts/{name}.exr"/>'
+        assert lines[name] == lines["csf"]
+
+
+def test_parameters_reach_the_scene(tmp_path):
+    body = '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
+    path = write_scene(tmp_path, sensor_xml(), body)
+
+    def radius(**parameters: object) -> float:
+        nodes = load(path, **parameters).parse().nodes
+        return next(node.props["radius"] for node in nodes if "radius" in node.props)
+
+    assert radius() == 0.5
+    assert radius(r=0.25) == 0.25
+    assert radius(r="2e-3") == 0.002
+
+
+@pytest.mark.parametrize(
+    ("asked", "near"), [("resolutoin", "resolution"), ("chart_half_widht", "chart_half_width"), ("luminance", None)]
+)
+def test_an_unknown_parameter_names_the_nearest(asked, near):
+    with pytest.raises(PixsimError, match=rf"scene parameter: got '{asked}'; allowed: .*emitter_scale.*spp") as error:
+        load("csf", **{asked: 1})
+    if near:
+        assert f"Did you mean '{near}'?" in str(error.value)
+
+
+def test_a_parameter_in_a_comment_is_none(tmp_path):
+    path = write_scene(tmp_path, "<!-- $ghost -->", sensor_xml())
+    with pytest.raises(PixsimError, match="scene parameter: got 'ghost'"):
+        load(path, ghost=1)
+
+
+def test_a_parameter_without_default_must_be_given(tmp_path):
+    path = write_scene(tmp_path, sensor_xml('<float name="fov" value="$fov"/>' + LENS))
+    with pytest.raises(PixsimError, match="fov"):
+        load(path)
+    assert load(path, fov=30).camera().fov_deg == pytest.approx(30, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"<scene version='3.0.0'><sensor>", r"scene: got .*broken\.xml. .*allowed: a readable XML file"),
+        (b"", r"scene: got .*broken\.xml. .*allowed: a readable XML file"),
+        (b"<scene version='3.0.0'>\xff\xfe</scene>", "allowed: a readable XML file in UTF-8"),
+    ],
+)
+def test_a_broken_file_is_refused(tmp_path, content, message):
+    (tmp_path / "broken.xml").write_bytes(content)
+    with pytest.raises(PixsimError, match=message) as error:
+        load(tmp_path / "broken.xml")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("missing", ["csv", "no/such.xml", "."])
+def test_a_missing_file_is_refused_with_what_there_is(missing):
+    with pytest.raises(PixsimError, match=rf"scene: got '{missing}'; allowed: an XML file, or one of {', '.join(SHIPPED)}\."):
+        load(missing)
+
+
+# --- The camera ---
+
+
+@pytest.mark.parametrize("name", [*CHARTS, "line_lamp", "macbeth"])
+def test_shipped_scenes_hold_the_default_camera(name):
+    assert load(name).camera() == pixsim.Camera()
+
+
+FIELDS = {
+    "x": FOV,
+    "y": FOV + '<string name="fov_axis" value="y"/>',
+    "diagonal": FOV + '<string name="fov_axis" value="diagonal"/>',
+    "smaller": FOV + '<string name="fov_axis" value="smaller"/>',
+    "larger": FOV + '<string name="fov_axis" value="larger"/>',
+    "50mm": '<string name="focal_length" value="50mm"/>',
+    "35": '<string name="focal_length" value="35"/>',
+}
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 40), (40, 60), (50, 50)])
+@pytest.mark.parametrize("field", FIELDS)
+def test_the_field_of_view_is_mitsubas(tmp_path, field, width, height):
+    path = write_scene(tmp_path, sensor_xml(FIELDS[field] + LENS, width=width, height=height))
+    camera = load(path).camera()
+    mi = import_mitsuba("scalar_spectral")
+    expected_deg = mi.traverse(mi.load_file(str(path)).sensors()[0])["x_fov"]
+    # The focal length is rounded to six digits.
+    assert camera.fov_deg == pytest.approx(float(np.ravel(expected_deg)[0]), rel=1e-5)
+
+
+def test_a_lens_from_numbers(tmp_path):
+    camera = load(write_scene(tmp_path, sensor_xml())).camera()
+    assert camera.die_mm == pixsim.Camera().die_mm  # a Mitsuba scene has none
+    v_mm = camera.die_mm / 2 / np.tan(np.radians(20))
+    f_mm = 1 / (1 / v_mm + 1 / 800)
+    assert camera.object_distance_m == 0.8
+    assert camera.focal_length_mm == pytest.approx(f_mm, rel=1e-5)
+    assert camera.f_number == pytest.approx(f_mm / (2 * 0.5), rel=1e-5)
+
+
+def test_a_die_option_scales_a_lens_of_numbers(tmp_path):
+    scene = load(write_scene(tmp_path, sensor_xml()))
+    camera = scene.camera(CameraOptions(die_mm=10))
+    # The same picture on a larger die: the field of view stays, v grows with the die, and f with v by the lens equation.
+    assert camera.die_mm == 10
+    assert camera.fov_deg == pytest.approx(scene.camera().fov_deg, rel=1e-5)
+    assert camera.aperture_radius_m == pytest.approx(0.0005, rel=1e-5)
+
+
+def test_a_die_option_widens_the_view_of_a_lens_of_parameters():
+    camera = load("csf").camera(CameraOptions(die_mm=5))
+    assert camera == pixsim.Camera(die_mm=5)
+    assert camera.fov_deg > 60
+    # A lens that the user has fixed is one of numbers.
+    assert load("csf", fov=30).camera(CameraOptions(die_mm=5)).fov_deg == pytest.approx(30, rel=1e-5)
+
+
+def test_camera_options_replace_what_the_scene_says():
+    options = {"focal_length_mm": 6.0, "f_number": 2.8, "object_distance_m": 2.0, "transmittance": 0.9}
+    for name, value in options.items():
+        assert load("csf").camera(CameraOptions(**{name: value})) == pixsim.Camera(**{name: value})
+    assert load("csf").camera(CameraOptions(**options)) == pixsim.Camera(**options)
+
+
+def test_the_chart_fills_the_view_of_any_camera():
+    camera = pixsim.Camera(focal_length_mm=6, f_number=2, die_mm=5, object_distance_m=2.5)
+    state = load("csf").for_camera(camera)
+    sensor = next(node.props for node in state.nodes if node.props.plugin_name() == "thinlens")
+    assert sensor["fov"] == pytest.approx(camera.fov_deg, rel=1e-6)
+    assert sensor["aperture_radius"] == pytest.approx(0.0015)
+    assert sensor["focus_distance"] == pytest.approx(2.5)
+    plane = next(node.props for node in state.nodes if node.props.plugin_name() == "rectangle")
+    half_width_m = abs(np.array(plane["to_world"].matrix, float)[0, 0])
+    assert half_width_m == pytest.approx(2.5 * np.tan(np.radians(camera.fov_deg / 2)), rel=1e-6)
+
+
+def crossings_um(picture: np.ndarray, sample_um: float) -> np.ndarray:
+    """Where the lower rows of the CSF chart pass their mean."""
+    line = picture[picture.shape[0] * 7 // 8 :].mean(axis=0) - charts.csf_value(0, 0)
+    at = np.flatnonzero(line[:-1] * line[1:] < 0)
+    return (at + 0.5 + line[at] / (line[at] - line[at + 1])) * sample_um
+
+
+@pytest.mark.parametrize("lens", [{}, {"focal_length_mm": 6, "object_distance_m": 2.5}])
+def test_lp_per_mm_hold_on_the_sensor_for_any_lens(lens):
+    camera = pixsim.Camera(**lens)
+    image = pixsim.render(pixsim.load_scene("csf", resolution=512, spp=4), camera)
+    fall_off = optics.field_factor(
+        image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
+    ) / optics.irradiance_factor(camera.f_number, 0, camera.magnification)
+    found_um = crossings_um(image.factors[1][0] / fall_off, image.pitch_um)[:29]
+    # Half cycles of a frequency that rises from 1 to 33.3 lp/mm, up to 20 lp/mm; 512 samples are 5.3 µm each.
+    growth = np.log(1e3 / 30)
+    half_cycles = np.arange(1, 30) / 2
+    expected_um = 1e3 * charts.DIE_MM * np.log(1 + half_cycles * growth / charts.DIE_MM) / growth
+    # A fifth of a sample; a chart of the wrong size by 0.1 % misses the last by half of one.
+    assert np.abs(found_um - expected_um).max() < 1
+
+
+# --- Sensors that cannot be used ---
+
+
+@pytest.mark.parametrize(
+    ("sensors", "message"),
+    [
+        ([], r"got no sensor; allowed: one thinlens sensor\."),
+        (
+            [sensor_xml(name="left"), sensor_xml(name="right")],
+            r"got sensors 'left', 'right'; allowed: one thinlens sensor\. .*--sensor",
+        ),
+        ([sensor_xml(FOV, "perspective")], r"got 'perspective'; allowed: thinlens.*aperture_radius = f/\(2N\)"),
+        ([sensor_xml(FOV + '<float name="focus_distance" value="1"/>')], "a thinlens without aperture_radius"),
+        ([sensor_xml(FOV + '<float name="aperture_radius" value="1e-3"/>')], "a thinlens without focus_distance"),
+        ([sensor_xml(LENS)], "a thinlens without fov"),
+        ([sensor_xml(FOV + LENS.replace("0.0005", "0"))], "aperture_radius: got 0.0; allowed: a positive number"),
+        ([sensor_xml(FOV + LENS.replace("0.8", "-1"))], "focus_distance: got -1.0; allowed: a positive number"),
+    ],
+)
+def test_sensors_that_are_refused(tmp_path, sensors, message):
+    with pytest.raises(PixsimError, match=message):
+        load(write_scene(tmp_path, *sensors))
+
+
+def test_one_of_several_sensors_by_its_id(tmp_path):
+    narrow = sensor_xml('<float name="fov" value="20"/>' + LENS, name="narrow")
+    path = write_scene(tmp_path, sensor_xml(name="wide"), narrow)
+    assert load(path, sensor="wide").camera().fov_deg == pytest.approx(40, rel=1e-5)
+    assert load(path, sensor="narrow").camera().fov_deg == pytest.approx(20, rel=1e-5)
+    with pytest.raises(PixsimError, match="got sensors 'wide', 'narrow', none named 'tele'"):
+        load(path, sensor="tele")
+
+
+# --- Lamps ---
+
+D65_LUMINANCE = 72904.0  # cd/m² of Mitsuba's d65 at scale 1: 683.002 ∫ȳL of what the plugin returns, measured outside pixsim
+
+
+def area(radiance: str) -> str:
+    return f'<shape type="rectangle"><emitter type="area">{radiance}</emitter></shape>'
+
+
+def d65_xml(scale: float = 1.0, inside: str = "") -> str:
+    return f'<texture type="d65" name="radiance"><float name="scale" value="{scale}"/>{inside}</texture>'
+
+
+def bitmap(name: str, raw: str = RAW) -> str:
+    return f'<texture type="bitmap" name="{name}"><string name="filename" value="grey.exr"/>{raw}</texture>'
+
+
+def line(low: float, high: float) -> str:
+    return f'<spectrum name="radiance" value="360:{low}, 830:{high}"/>'
+
+
+BLACKBODY = '<spectrum type="blackbody" name="radiance"><float name="temperature" value="5000"/></spectrum>'
+REGULAR = """<spectrum type="regular" name="radiance">
+    <float name="wavelength_min" value="360"/><float name="wavelength_max" value="830"/>
+    <string name="values" value="0, 470"/>
+</spectrum>"""
+RGB = '<rgb name="radiance" value="1, 0.5, 0.2"/>'
+
+
+def planck(wavelength_nm: np.ndarray, temperature_k: float) -> np.ndarray:
+    """W m⁻² sr⁻¹ nm⁻¹, from the SI's constants."""
+    h, c, k = 6.62607015e-34, 299792458.0, 1.380649e-23
+    metre = wavelength_nm * 1e-9
+    return 1e-9 * 2 * h * c**2 / metre**5 / np.expm1(h * c / (metre * k * temperature_k))
+
+
+def d65_of_luminance(wavelength_nm: np.ndarray, luminance_cd_per_m2: float) -> np.ndarray:
+    """W m⁻² sr⁻¹ nm⁻¹ at every nm from 360 to 830, from CIE's tables."""
+    lumens = spectral.LUMINOUS_EFFICACY_LM_PER_W * (spectral.photopic_efficiency(wavelength_nm) * spectral.d65(wavelength_nm))
+    return spectral.d65(wavelength_nm) * luminance_cd_per_m2 / lumens.sum()
+
+
+def lamp_of(folder: Path, *emitters: str) -> Lamp | None:
+    pixsim.write_chart(folder / "grey.exr", np.full((2, 2), 0.5, np.float32))
+    scene = load(write_scene(folder, sensor_xml(), *emitters))
+    return find_lamp(scene.parse(), scene.choice.variant)
+
+
+@pytest.mark.parametrize(
+    ("emitters", "radiance"),
+    [
+        ([area(d65_xml())], lambda nm: d65_of_luminance(nm, D65_LUMINANCE)),
+        ([area(d65_xml(0.25, bitmap("texture")))], lambda nm: d65_of_luminance(nm, D65_LUMINANCE / 4)),
+        ([area(bitmap("radiance"))], np.ones_like),
+        ([area('<spectrum name="radiance" value="3"/>')], lambda nm: np.full_like(nm, 3.0)),
+        ([area(REGULAR)], lambda nm: nm - 360),
+        ([area(line(0, 470))], lambda nm: nm - 360),
+        ([area(BLACKBODY)], lambda nm: planck(nm, 5000)),
+        (['<emitter type="constant">' + line(0, 470) + "</emitter>"], lambda nm: nm - 360),
+    ],
+    ids=["d65", "d65 × texture", "raw bitmap", "number", "regular", "irregular", "blackbody", "constant"],
+)
+def test_one_lamp_is_known(tmp_path, emitters, radiance):
+    lamp = lamp_of(tmp_path, *emitters)
+    assert lamp is not None
+    # float32 spectra, and five digits of D65's scale.
+    np.testing.assert_allclose(lamp.spectrum.at(grid_nm()), radiance(grid_nm()), rtol=1e-4, atol=1e-4)
+
+
+def test_lamps_of_one_spectrum_are_one_lamp(tmp_path):
+    lamp = lamp_of(tmp_path, area(d65_xml(0.5)), area(d65_xml(1.5)))
+    assert lamp is not None
+    assert lamp.luminance_cd_per_m2 == pytest.approx(1.5 * D65_LUMINANCE, rel=1e-4)  # that of the brightest
+    assert [power for _, power in lamp.pictures.values()] == pytest.approx([1 / 3, 1])
+
+
+@pytest.mark.parametrize(
+    "emitters",
+    [
+        [],
+        [area(d65_xml()), area(REGULAR)],
+        [area(line(0, 1)), area(line(1, 0))],
+        [area(d65_xml(1, bitmap("texture", "")))],
+        [area(bitmap("radiance", ""))],
+        [area(d65_xml()), area(RGB)],
+        [area(d65_xml(1, bitmap("texture"))), area(d65_xml(2, bitmap("texture")))],
+        ['<emitter type="envmap"><string name="filename" value="grey.exr"/></emitter>'],
+    ],
+    ids=[
+        "none",
+        "two kinds",
+        "two lines",
+        "coloured texture on d65",
+        "coloured texture",
+        "d65 and rgb",
+        "two textures at two scales",
+        "environment",
+    ],
+)
+def test_other_lights_are_no_single_lamp(tmp_path, emitters):
+    assert lamp_of(tmp_path, *emitters) is None
+
+
+def test_a_textured_lamp_and_a_plain_one_of_the_same_spectrum(tmp_path):
+    lamp = lamp_of(tmp_path, area(d65_xml(3)), area(d65_xml(0.5, bitmap("texture"))))
+    assert lamp is not None
+    assert lamp.luminance_cd_per_m2 == pytest.approx(0.5 * D65_LUMINANCE, rel=1e-4)  # that of texel value 1
+    powers = [value for _, value in lamp.pictures.values() if isinstance(value, float)]
+    assert powers == pytest.approx([6])
+
+
+def test_lamps_by_spectrum(tmp_path):
+    pixsim.write_chart(tmp_path / "grey.exr", np.full((2, 2), 0.5, np.float32))
+    emitters = [area(d65_xml(2)), area(REGULAR), area(RGB), area(d65_xml(1)), area(bitmap("radiance", ""))]
+    scene = load(write_scene(tmp_path, sensor_xml(), *emitters))
+    lamps = find_lamps(scene.parse(), scene.choice.variant)
+    assert [len(lamp.pictures) for lamp in lamps] == [2, 1, 1, 1]
+    assert [lamp.spectrum is None for lamp in lamps] == [False, False, False, True]
+    # Mitsuba's srgb model of white is flat, and an emitter's colour is times d65.
+    white = lamp_of(tmp_path, area('<rgb name="radiance" value="2, 2, 2"/>'))
+    assert white.luminance_cd_per_m2 == pytest.approx(2 * D65_LUMINANCE, rel=1e-3)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 250.0])
+def test_the_luminance_of_d65(tmp_path, scale):
+    assert lamp_of(tmp_path, area(d65_xml(scale))).luminance_cd_per_m2 == pytest.approx(D65_LUMINANCE * scale, rel=1e-4)
+
+
+@pytest.mark.parametrize("luminance", [0.01, 100, 1e6])
+def test_luminance_sets_the_emitters_scale(luminance):
+    scene = load("flat", luminance_cd_per_m2=luminance)
+    assert float(scene.parameters["emitter_scale"]) == pytest.approx(luminance / D65_LUMINANCE, rel=1e-4)
+    assert find_lamp(scene.parse(), "scalar_spectral").luminance_cd_per_m2 == pytest.approx(luminance, rel=1e-6)
+
+
+def test_shipped_scenes_are_1000_cd_per_m2():
+    assert find_lamp(load("csf").parse(), "scalar_spectral").luminance_cd_per_m2 == pytest.approx(1000, rel=1e-4)
+
+
+@pytest.mark.parametrize("value", [0, -5, "bright", float("nan"), float("inf")])
+def test_luminance_must_be_positive(value):
+    with pytest.raises(PixsimError, match=r"luminance_cd_per_m2: got .*; allowed: a positive number"):
+        load("flat", luminance_cd_per_m2=value)
+
+
+def test_luminance_needs_a_scene_that_can_take_it(tmp_path):
+    path = write_scene(tmp_path, sensor_xml(), area(d65_xml()))
+    with pytest.raises(PixsimError, match=r"has no parameter emitter_scale; allowed: scenes whose emitter has"):
+        load(path, luminance_cd_per_m2=100)
+
+
+# --- Textures ---
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -0.25])
+def test_texels_that_mitsuba_would_spread_are_refused_with_their_place(tmp_path, bad):
+    texels = np.ones((6, 8), np.float32)
+    texels[2, 5] = bad
+    pixsim.write_chart(tmp_path / "chart.exr", texels)
+    with pytest.raises(PixsimError, match=rf"chart\.exr': got {bad} at row 2, column 5 of channel Y; allowed: finite texels"):
+        load("flat", chart=str(tmp_path / "chart.exr"))
+
+
+def test_maps_may_be_below_zero_wherever_they_lie(tmp_path, monkeypatch):
+    """Beside the scene, or where the command runs."""
+    bump = '<texture type="bitmap"><boolean name="raw" value="true"/><string name="filename" value="bump.exr"/></texture>'
+    ball = f'<shape type="sphere"><bsdf type="bumpmap">{bump}<bsdf type="diffuse"/></bsdf></shape>'
+    for here in (False, True):
+        folder = tmp_path / str(here)
+        folder.mkdir()
+        path = edited(folder, "macbeth", (END, ball))
+        monkeypatch.chdir(tmp_path)
+        write_channels((tmp_path if here else folder) / "bump.exr", {"Y": np.full((4, 4), -1.0)}, {})
+        pixsim.load_scene(path)
+
+
+def test_a_missing_or_damaged_texture_is_refused(tmp_path):
+    with pytest.raises(PixsimError, match=r"texture: got 'nowhere\.exr', which does not exist; allowed: a file, relative to"):
+        load("flat", chart="nowhere.exr")
+    whole = (packaged_scenes()["flat"].parent / "charts/slanted_edge.exr").read_bytes()
+    (tmp_path / "torn.exr").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(PixsimError, match=r"EXR file: got '.*torn\.exr'"):
+        load("flat", chart=str(tmp_path / "torn.exr"))
+
+
+# --- The content hash ---
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """The flat scene with its chart in a folder of its own."""
+    shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")
+    return tmp_path / "scenes" / "flat.xml"
+
+
+def test_the_hash_is_that_of_the_content(copy, tmp_path):
+    expected = load("flat").content_hash
+    assert load(copy).content_hash == expected  # another folder
+    copy.write_text(copy.read_text().replace("<scene", "<!-- a remark -->\n\n<scene"))
+    assert load(copy).content_hash == expected
+    moved = copy.rename(tmp_path / "scenes" / "other_name.xml")
+    assert load(moved).content_hash == expected
+    assert load("flat", resolution=1024).content_hash == expected  # the default, said aloud
+
+
+def test_the_hash_tells_textures_and_parameters(copy):
+    hashes = {load(copy).content_hash}
+    for parameters in ({"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}, {"aperture_radius": 1e-3}):
+        hashes.add(load(copy, **parameters).content_hash)
+    assert len(hashes) == 5
+    pixsim.write_chart(copy.parent / "charts/flat.exr", np.full((4, 4), 0.999, np.float32))
+    hashes.add(load(copy).content_hash)
+    assert len(hashes) == 6
+
+
+NEAR = '<transform name="to_world"><translate x="0.0000001"/></transform>'
+WIDE = '<point name="center" x="0" y="0" z="0.0000001"/>'
+
+
+def test_the_hash_tells_everything_that_is_seen(tmp_path):
+    first = '<bsdf type="diffuse" id="a"><spectrum name="reflectance" value="400:0.1, 700:0.9"/></bsdf>'
+    second = '<bsdf type="diffuse" id="b"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf>'
+    ball, disk = '<shape type="sphere"><ref id="{}"/></shape>', '<shape type="disk"><ref id="{}"/></shape>'
+    bodies = {
+        "as it is": first + second + ball.format("a") + disk.format("b"),
+        "another spectrum": first.replace("0.1", "0.2") + second + ball.format("a") + disk.format("b"),
+        "another colour": first + second.replace("0.3", "0.35") + ball.format("a") + disk.format("b"),
+        "the sixth digit": first + second.replace("0.3", "0.300001") + ball.format("a") + disk.format("b"),
+        "a ball moved by a hair": first + second + ball.format("a").replace("<ref", NEAR + "<ref") + disk.format("b"),
+        "a ball of another size": first + second + ball.format("a").replace("<ref", WIDE + "<ref") + disk.format("b"),
+        "materials exchanged": first + second + ball.format("b") + disk.format("a"),
+    }
+    hashes = {name: load(write_scene(tmp_path, sensor_xml(), body)).content_hash for name, body in bodies.items()}
+    again = load(write_scene(tmp_path, sensor_xml(), bodies["as it is"])).content_hash
+    assert again == hashes.pop("as it is")
+    assert [name for name, found in hashes.items() if found == again] == []
+
+
+def test_the_hash_tells_meshes(tmp_path):
+    path = write_scene(tmp_path, sensor_xml(), '<shape type="obj"><string name="filename" value="mesh.obj"/></shape>')
+    hashes = set()
+    for corner in (1, 2):
+        (tmp_path / "mesh.obj").write_text(f"v 0 0 1\nv 1 0 1\nv 0 1 {corner}\nf 1 2 3\n")
+        hashes.add(load(path).content_hash)
+    assert len(hashes) == 2

@@ -1,0 +1,447 @@
+"""The photodiode: charge against light from hours to picoseconds, its junctions, and what the sensor makes of it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.edits import decision
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.constants import e as electron
+from scipy.constants import k as boltzmann
+from scipy.integrate import quad
+
+import pixsim
+from pixsim.accuracy import stability
+from pixsim.accuracy.solvers import dn_against_light, response_plate, solve_ode, solvers
+from pixsim.accuracy.stability.photodiode import charge_to_e, closed_form_e
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Exposure, Pixel
+from pixsim.scene.plan import decide_saturation
+from pixsim.sensor import photodiode as saturation
+from pixsim.sensor import readout as sensors
+from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
+from pixsim.sensor.pixel import E_PER_FC, WELL_REFERENCE_S, Diode, derive, diode_full_v, junction_charge_fc, junction_ff
+
+PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
+SATURATED = (1e9, 0.03)  # e-/s, s: 30 million electrons into a well of 0.2
+QUIET = {"read_noise_e": 0, "reset_noise_factor": 0, "prnu": 0, "dsnu": 0, "offset_fpn": 0, "column_fpn": 0}
+SHAPE = (64, 64)
+
+
+def pixel(technology: str = "0.35um", **options) -> Pixel:
+    return Pixel(technology=technology, pitch_um=PITCHES_UM[technology], **options)
+
+
+# --- Junctions ---
+
+
+@pytest.mark.parametrize("built_in_v", [0.4, 0.851])
+@pytest.mark.parametrize("grading", [0.0, 0.1, 0.594])
+def test_charge_is_the_integral_of_the_capacitance(built_in_v, grading):
+    for high_v, low_v in ((2.2, 1.0), (2.2, -0.1), (2.2, -0.7), (-0.3, -0.9), (0.0, -5.0)):
+        knee = -0.5 * built_in_v
+        expected = quad(
+            lambda v: float(junction_ff(v, 3.0, built_in_v, grading)),
+            low_v,
+            high_v,
+            points=[knee] if low_v < knee < high_v else None,
+            epsrel=1e-12,
+        )[0]
+        assert junction_charge_fc(high_v, high_v - low_v, 3.0, built_in_v, grading) == pytest.approx(expected, rel=1e-11)
+
+
+def test_the_forward_continuation_is_spices_and_smooth_where_it_begins():
+    # SPICE: CJ/(1-FC)^(1+M) · (1 - FC(1+M) + M·V/PB) for forward voltages above FC·PB.
+    pb, m = 0.4, 0.1
+    for forward_v in (0.21, 0.4, 0.8):
+        expected = (1 - 0.5 * (1 + m) + m * forward_v / pb) / 0.5 ** (1 + m)
+        assert junction_ff(-forward_v, 1.0, pb, m) == pytest.approx(expected, rel=1e-13)
+    below, above = (junction_ff(-0.2 + np.array([0, 1e-6]) * side, 1.0, pb, m) for side in (-1, 1))
+    assert np.diff(below)[0] / np.diff(above)[0] == pytest.approx(-1, abs=1e-4)
+
+
+def test_without_the_continuation_the_smallest_process_has_no_number():
+    # The issue's NaN: 0.5 V forward at 1e12 e-/s is beyond the sidewall's 0.4 V.
+    diode = diode_of(pixel("0.18um"))
+    forward_v = -diode.open_circuit_v(1e12)
+    assert forward_v > diode.pbsw_v
+    with np.errstate(invalid="ignore"):
+        assert np.isnan((1 - np.float64(forward_v) / diode.pbsw_v) ** -diode.mjsw)
+    assert np.isfinite(collected_charge_e(1e12, 0.03, diode))
+
+
+@pytest.mark.parametrize("technology", PITCHES_UM)
+def test_the_diode_is_the_pixels_own(technology):
+    physics = derive(pixel(technology))
+    diode, junction = diode_of(physics), physics.technology.junction
+    assert diode.charge_e(junction.reset_voltage_v, junction.voltage_swing_v) == pytest.approx(physics.full_well_e, rel=1e-12)
+    assert diode.saturation_current_e_per_s == physics.dark_current_e_per_s
+    assert diode.thermal_v == pytest.approx(boltzmann * 300.15 / electron, rel=1e-12)
+    charge = physics.full_well_e * np.array([0.0, 1e-9, 0.3, 1.0, 2.5])
+    np.testing.assert_allclose(diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-13)
+
+
+def test_the_voltage_of_a_charge_is_found_in_deep_forward_bias_too():
+    diode = default_diode()
+    charge = np.logspace(-9, 20, 59)
+    np.testing.assert_allclose(diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "value"), [("pb_v", 0.0), ("temperature_k", -1.0), ("area_um2", math.nan), ("mj", 1.0)])
+def test_impossible_diodes_are_refused(name, value):
+    with pytest.raises(PixsimError, match="diode"):
+        replace(default_diode(), **{name: value})
+
+
+def test_a_diode_without_capacitance_is_refused():
+    with pytest.raises(PixsimError, match="some capacitance"):
+        replace(default_diode(), area_um2=0.0, perimeter_um=0.0, node_capacitance_ff=0.0)
+
+
+# --- Collected charge ---
+
+
+def test_public_face():
+    current = np.array([[0, 1], [1e6, 1e17]], dtype=np.float32)
+    charge = pixsim.photodiode.collected_charge_e(current, 0.03)
+    assert charge.shape == (2, 2)
+    assert charge.dtype == np.float64
+    dark_e = derive(Pixel()).dark_current_e_per_s * 0.03
+    assert charge[0, 0] == pytest.approx(dark_e, rel=1e-12)
+    assert charge[1, 0] == pytest.approx(30_000 + dark_e, rel=1e-12)
+    assert collected_charge_e(1e6, np.array([0.0, 0.01])).tolist() == pytest.approx([0.0, 10_000 + dark_e / 3], rel=1e-12)
+    assert collected_charge_e([], 1.0).shape == (0,)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, math.nan, math.inf])
+def test_impossible_arguments_are_refused(wrong):
+    with pytest.raises(PixsimError, match=r"photocurrent_e_per_s: got .*not below 0"):
+        collected_charge_e([1.0, wrong], 0.03)
+    with pytest.raises(PixsimError, match=r"integration_s: got .*not below 0"):
+        collected_charge_e(1.0, wrong)
+
+
+def test_the_closed_form_can_tell_a_wrong_capacitance():
+    diode = diode_of(Pixel(capacitance="paper"))
+    current = np.array([1e3, 1e7, 1e12])
+    total = current + diode.saturation_current_e_per_s
+    for factor, agrees in ((1.0, True), (1 + 1e-6, False)):
+        expected = closed_form_e(total, np.full(3, 0.03), factor * E_PER_FC * diode.node_capacitance_ff, diode)
+        assert np.allclose(collected_charge_e(current, 0.03, diode)[1:], expected[1:], rtol=1e-8, atol=0) is agrees
+
+
+def test_a_varying_capacitance_is_no_constant_one():
+    # The mean over the swing misses the saturated charge by more than 10 %: C grows in forward bias.
+    physics = derive(pixel())
+    flat = {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": physics.capacitance_ff}
+    constant = replace(diode_of(physics), **flat)
+    assert collected_charge_e(*SATURATED) / collected_charge_e(*SATURATED, constant) > 1.1
+
+
+@pytest.mark.parametrize("technology", PITCHES_UM)
+def test_saturation_ends_at_the_open_circuit_voltage(technology):
+    diode = diode_of(pixel(technology))
+    v_oc = -diode.thermal_v * math.log(1 + 1e9 / diode.saturation_current_e_per_s)
+    assert diode.open_circuit_v(1e9) == pytest.approx(v_oc, rel=1e-12)
+    assert collected_charge_e(1e9, 10.0, diode) == pytest.approx(charge_to_e(diode, v_oc), rel=1e-10)
+    # A forward voltage 1 mV off shows.
+    assert abs(charge_to_e(diode, v_oc - 1e-3) / charge_to_e(diode, v_oc) - 1) > 1e-4
+
+
+@pytest.mark.parametrize("reset_v", [1e-3, 0.02, 0.3])
+def test_shallow_resets_agree_with_the_implicit_solver(reset_v):
+    # Down to a 26th of V_T, where the diode takes its part from the first moment on.
+    diode = replace(default_diode(), reset_voltage_v=reset_v)
+    for current, time_s in ((0.0, 1.0), (1e4, 0.1), (1e7, 1e-3), (1e7, 1e-6)):
+        expected, _, failure = solve_ode(diode, current, time_s, "Radau")
+        assert not failure
+        assert collected_charge_e(current, time_s, diode) == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("temperature_k", [77.0, 400.0])
+def test_the_implicit_solver_agrees_and_the_explicit_one_fails(temperature_k):
+    diode = diode_of(pixel(temperature_k=temperature_k))
+    quadrature, implicit, explicit = solvers(diode, 1e13, 1.0, most=12_000)
+    assert quadrature.charge_e == collected_charge_e(1e13, 1.0, diode)
+    assert not implicit.failure
+    assert math.isnan(explicit.relative_error)
+    assert implicit.relative_error < 1e-9
+    assert "12000 evaluations" in explicit.failure
+    assert explicit.evaluations == 12_000
+
+
+def test_the_explicit_solver_does_well_where_nothing_is_stiff():
+    rows = solvers(default_diode(), 1e6, 0.03)
+    assert not any(row.failure for row in rows)
+    assert max(row.relative_error for row in rows) < 1e-8
+
+
+@pytest.mark.parametrize("saturation_e_per_s", [0.0, 5e-324, 1e-200])
+def test_without_a_diode_current_all_light_is_kept(saturation_e_per_s):
+    diode = replace(default_diode(), saturation_current_e_per_s=saturation_e_per_s)
+    # Within three wells: with 5e-324 e-/s the diode conducts at 19 V forward.
+    light = np.array([0, 1e-3, 1e6, 2e7])
+    np.testing.assert_allclose(collected_charge_e(light, 0.03, diode), 0.03 * light, rtol=1e-12, atol=1e-200)
+
+
+def test_the_open_circuit_voltage_of_extreme_currents():
+    diode = replace(default_diode(), saturation_current_e_per_s=5e-324)
+    # The ratio overflows, its logarithm does not.
+    assert diode.open_circuit_v(1e17) == pytest.approx(-diode.thermal_v * (math.log(1e17) - math.log(5e-324)), rel=1e-12)
+    assert diode.open_circuit_v(0.0) == 0.0
+    none = replace(diode, saturation_current_e_per_s=0.0)
+    assert (none.open_circuit_v(0.0), none.open_circuit_v(1.0)) == (0.0, -math.inf)
+    assert default_diode().open_circuit_v(1e-12) == pytest.approx(-default_diode().thermal_v * 1e-12 / 819.0475, rel=1e-6)
+
+
+def test_a_negative_photocurrent_only_slows_the_discharge():
+    # What a dark pixel's share below the mean is to the table; with less than I_s e^(-V_0/V_T) nothing is collected.
+    diode = replace(default_diode(), reset_voltage_v=0.1)
+    total = diode.saturation_current_e_per_s * np.array([0.0, 1e-3, 0.1, 1.0])
+    charge = charge_from_total_e(total, np.full(4, 1e5), diode)
+    assert (charge[:2].tolist(), charge[3]) == ([0.0, 0.0], pytest.approx(charge_to_e(diode, 0.0), rel=1e-9))
+    assert 0 < charge[2] < charge[3]
+
+
+LOG_CURRENT, LOG_TIME = st.floats(-3, 17), st.floats(-9, math.log10(36000))
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(st.sampled_from([*PITCHES_UM]), st.floats(77, 400), st.tuples(LOG_CURRENT, LOG_CURRENT), st.tuples(LOG_TIME, LOG_TIME))
+def test_charge_grows_with_light_and_time_and_is_conserved(technology, temperature_k, log_current, log_time):
+    diode = diode_of(pixel(technology, temperature_k=temperature_k))
+    current, time_s = (np.power(10.0, sorted(each)) for each in (log_current, log_time))
+    charge = collected_charge_e(current[:, None], time_s, diode)
+    rounding = 1e-12 * charge.max()
+    assert np.diff(charge, axis=0).min() >= -rounding
+    assert np.diff(charge, axis=1).min() >= -rounding
+    assert np.all(charge <= (current[:, None] + diode.saturation_current_e_per_s) * time_s * (1 + 1e-12))
+    most = [diode.charge_e(diode.reset_voltage_v, diode.reset_voltage_v - diode.open_circuit_v(each)) for each in current]
+    assert np.all(charge <= np.array(most)[:, None] * (1 + 1e-12))
+
+
+def test_the_stability_room_takes_seconds_and_can_fail(monkeypatch):
+    from pixsim.accuracy.stability import photodiode as room
+
+    def worst(cases) -> float:
+        return stability.worst_of(list(cases))
+
+    assert worst(room.constant_capacitance()) < 1
+    monkeypatch.setattr(room, "collected_charge_e", lambda i, t, d: (1 + 1e-7) * collected_charge_e(i, t, d))
+    assert worst(room.constant_capacitance()) > 1
+
+
+# --- Wells ---
+
+
+@pytest.mark.parametrize(("technology", "ratio"), [("0.5um", 2.69), ("0.35um", 2.27), ("0.25um", 2.59), ("0.18um", 2.88)])
+def test_the_diodes_well_is_two_to_three_swings(technology, ratio):
+    swing, diode = (derive(pixel(technology, well_limit=limit)) for limit in ("swing", "diode"))
+    assert diode.full_well_e / swing.full_well_e == pytest.approx(ratio, abs=0.005)
+    kind = diode_of(diode)
+    full_v = diode_full_v(kind)
+    # The light that discharges it to 0 V in the reference time is what it carries when full.
+    assert full_v == pytest.approx(kind.open_circuit_v(charge_to_e(kind, 0.0) / WELL_REFERENCE_S), rel=1e-9)
+    assert diode.full_well_e == pytest.approx(charge_to_e(kind, full_v), rel=1e-9)
+    assert diode.capacitance_ff == pytest.approx(diode.full_well_e * 1.602176634e-4 / (kind.reset_voltage_v - full_v), rel=1e-9)
+    # Reset noise is that of the same node, fixed patterns are fractions of the well.
+    assert diode.reset_noise_e == swing.reset_noise_e
+    assert diode.offset_fpn_e / diode.full_well_e == pytest.approx(swing.offset_fpn_e / swing.full_well_e, rel=1e-12)
+
+
+def test_a_given_well_is_a_larger_capacitance_with_the_same_voltages():
+    own, given_ = derive(pixel(well_limit="diode")), derive(pixel(well_limit="diode", full_well_e=500_000))
+    factor = 500_000 / own.full_well_e
+    assert diode_of(given_).capacitance_ff(1.3) == pytest.approx(factor * diode_of(own).capacitance_ff(1.3), rel=1e-12)
+    assert diode_of(given_).drop_v(500_000) == pytest.approx(float(diode_of(own).drop_v(own.full_well_e)), rel=1e-12)
+
+
+def test_a_diode_without_current_is_full_where_the_tangent_begins():
+    physics = derive(pixel(well_limit="diode", dark_current_e_per_s=0))
+    assert diode_full_v(diode_of(physics)) == -0.5 * physics.technology.junction.pb_v
+    assert saturation.linear_limit_e(diode_of(physics), physics.full_well_e, 0.1) == math.inf
+    for conversion in ("linear", "junction"):
+        physics = derive(pixel(well_limit="diode", dark_current_e_per_s=0, conversion=conversion))
+        level = saturation.kept_level_e(np.array([0.0, 1.0, 2.0, 1e6]) * physics.full_well_e, 0.1, physics)
+        assert np.all(np.diff(level) > 0)
+        assert level[1] == pytest.approx(physics.full_well_e, rel=1e-6)
+
+
+@pytest.mark.parametrize("options", [{"well_limit": "diode"}, {"conversion": "junction"}, {"capacitance": "paper"}])
+def test_a_pinned_photodiode_has_neither(options):
+    (name, value) = next(iter(options.items()))
+    with pytest.raises(PixsimError, match=rf"pixel\.{name}: got '{value}' for 4t-bsi; allowed: .*3T technology"):
+        derive(Pixel(technology="4t-bsi", pitch_um=2.8, **options))
+    with pytest.raises(PixsimError, match="photodiode: got the pinned one of 4t-bsi"):
+        diode_of(Pixel(technology="4t-bsi", pitch_um=2.8))
+
+
+# --- What the sensor makes of it ---
+
+
+def frame(physics, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3) -> np.ndarray:
+    sensor = sensors.draw_sensor(physics, shape, np.random.default_rng(1))
+    return sensors.expose(np.full(shape, mean_e), integration_s, sensor, np.random.default_rng(seed))
+
+
+def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.ndarray:
+    """Without tables."""
+    kept = np.minimum(generated_e, physics.full_well_e)
+    if physics.pixel.well_limit == "diode":
+        light = generated_e / integration_s - physics.dark_current_e_per_s
+        kept = collected_charge_e(light, integration_s, diode_of(physics))
+    if physics.pixel.conversion == "junction":
+        kept = saturation.converted_e(kept, physics.full_well_e, diode_of(physics))
+    return kept
+
+
+@pytest.mark.parametrize(("limit", "conversion"), [*itertools.product(("swing", "diode"), ("linear", "junction"))])
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.97, 1.03, 30.0])
+def test_digital_numbers_without_noise_are_the_kernels(monkeypatch, limit, conversion, share):
+    physics = derive(pixel(well_limit=limit, conversion=conversion, bits=16, **QUIET))
+    monkeypatch.setattr(sensors, "shot_noise", lambda mean_e, rng: mean_e.copy())
+    light_e = share * physics.full_well_e
+    level = exact_level_e(physics, np.array(light_e + 0.03 * physics.dark_current_e_per_s), 0.03)
+    expected = min(float(level) * physics.dn_per_e, 2**16 - 1)
+    # Rounding, and 1e-6 of the well: 0.07 DN.
+    assert np.abs(frame(physics, light_e) - expected).max() <= 0.57
+
+
+def test_shot_noise_goes_through_the_soft_corner():
+    physics = derive(pixel(well_limit="diode", bits=20, **QUIET))
+    light_e = 0.99 * physics.full_well_e
+    found = frame(physics, light_e, shape=(500, 500))
+    mean_e = light_e + 0.03 * physics.dark_current_e_per_s
+    x, weight = np.polynomial.hermite_e.hermegauss(21)
+    levels = exact_level_e(physics, mean_e + math.sqrt(mean_e) * x, 0.03) * physics.dn_per_e
+    mean = (weight * levels).sum() / weight.sum()
+    spread = math.sqrt((weight * (levels - mean) ** 2).sum() / weight.sum())
+    assert found.mean() == pytest.approx(mean, abs=5 * spread / 500)
+    assert found.std() == pytest.approx(spread, rel=5 / math.sqrt(2 * 250_000))
+    # Unlike the linear law's: the corner takes a third of the noise and 0.5 % of the signal.
+    assert spread < 0.8 * math.sqrt(mean_e) * physics.dn_per_e
+    assert mean < 0.999 * mean_e * physics.dn_per_e
+
+
+def test_before_saturation_both_limits_give_the_same_bits():
+    options = QUIET | {"full_well_e": 150_000, "prnu": 0.02, "read_noise_e": 20}
+    swing, diode = (frame(derive(pixel(well_limit=limit, **options)), 90_000) for limit in ("swing", "diode"))
+    np.testing.assert_array_equal(swing, diode)
+    swing, diode = (frame(derive(pixel(well_limit=limit, **options)), 148_000) for limit in ("swing", "diode"))
+    assert np.any(swing != diode)
+
+
+@pytest.mark.parametrize("options", [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}])
+def test_the_default_is_a_hard_clip_bit_for_bit(options):
+    physics = derive(Pixel(**options))
+    sensor = sensors.draw_sensor(physics, SHAPE, np.random.default_rng(1))
+    mean_e = np.random.default_rng(2).uniform(0, 1.4 * physics.full_well_e, SHAPE)
+    found = sensors.expose(mean_e, 0.05, sensor, np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    dark = 0.05 * physics.dark_current_e_per_s * (1 if sensor.dark_gain is None else sensor.dark_gain)
+    level = np.minimum(sensors.shot_noise(mean_e * sensor.gain + dark, rng), physics.full_well_e)
+    level += math.hypot(physics.reset_noise_e, physics.read_noise_e) * rng.standard_normal(SHAPE)
+    level = level + sensor.offset_e + sensor.column_offset_e
+    np.testing.assert_array_equal(found, sensors.quantise(level * physics.dn_per_e, 10))
+
+
+@pytest.mark.parametrize("technology", PITCHES_UM)
+def test_the_junction_bends_the_response_by_about_two_percent(technology):
+    physics = derive(pixel(technology, conversion="junction"))
+    charge = np.linspace(0, 1, 201) * physics.full_well_e
+    bend = saturation.kept_level_e(charge, 0.03, physics) / physics.full_well_e - charge / physics.full_well_e
+    # 1.61, 1.75, 1.93 and 0.99 %, half way up; both ends stay.
+    stated = {"0.5um": 0.0161, "0.35um": 0.0175, "0.25um": 0.0193, "0.18um": 0.0099}[technology]
+    assert bend.max() == pytest.approx(stated, abs=1e-4)
+    assert np.abs(bend[[0, -1]]).max() < 1e-6
+    # At every level: a tenth of the swing is already bent by a third of that.
+    assert bend[20] > 0.3 * bend.max()
+
+
+def test_a_constant_capacitance_converts_linearly():
+    physics = derive(pixel(capacitance="paper", conversion="junction"))
+    charge = np.linspace(0, 1.3, 50) * physics.full_well_e
+    np.testing.assert_array_equal(saturation.kept_level_e(charge, 0.03, physics), np.minimum(charge, physics.full_well_e))
+
+
+@pytest.mark.parametrize("integration_s", [1e-3, 0.1, 3600.0])
+def test_the_linear_limit_is_where_the_diode_takes_a_millionth(integration_s):
+    physics = derive(pixel(well_limit="diode"))
+    diode, well_e = diode_of(physics), physics.full_well_e
+    limit_e = saturation.linear_limit_e(diode, well_e, integration_s)
+    for share, beyond in ((1 - 1e-6, False), (1 + 1e-4, True)):
+        generated = np.array([share * limit_e])
+        assert (generated - saturation.kept_charge_e(generated, integration_s, diode) > 1e-6 * well_e).item() is beyond
+    # Below it no table is made.
+    saturation.level_table.cache_clear()
+    dim = np.array([0.0, 0.999 * limit_e])
+    assert saturation.kept_level_e(dim, integration_s, physics) is dim
+    assert saturation.level_table.cache_info().currsize == 0
+    saturation.kept_level_e(1.01 * dim, integration_s, physics)
+    saturation.kept_level_e(1.02 * dim, integration_s, physics)
+    assert saturation.level_table.cache_info() == (1, 1, 64, 1)
+
+
+def test_auto_exposure_aims_at_the_well_of_the_limit():
+    times = [
+        sensors.integration_time_s(Exposure(max_integration_s=10), derive(pixel(well_limit=limit)), 1e7)
+        for limit in ("swing", "diode")
+    ]
+    assert times[1] / times[0] == pytest.approx(2.267, abs=1e-3)
+
+
+# --- Plan and report ---
+
+
+def test_the_plan_says_which_law_holds():
+    hard = decide_saturation(derive(pixel()), 0.1)
+    assert (hard.kept, hard.bound_e) == (True, 0.0)
+    assert "hard clip" in hard.reason
+    soft = decide_saturation(derive(pixel(well_limit="diode")), 0.1)
+    assert not soft.kept
+    assert "1.78e+05 e- in 0.1 s (86% of the well)" in soft.reason
+    assert soft.bound_e == pytest.approx(1e-6 / 0.857, rel=1e-2)
+    for limit in ("swing", "diode"):
+        bent = decide_saturation(derive(pixel(well_limit=limit, conversion="junction")), 0.1)
+        assert bent.kept
+        assert "at every level" in bent.reason
+    paper = decide_saturation(derive(pixel(capacitance="paper", conversion="junction")), 0.1)
+    assert "at every level" not in paper.reason
+    assert "hard clip" in decide_saturation(derive(Pixel(technology="4t-bsi", pitch_um=2.8)), 0.1).reason
+
+
+def test_the_plan_takes_the_longest_exposure():
+    scene = pixsim.load_scene("flat")
+    reasons = [
+        decision(pixsim.make_plan(scene, pixel=pixel(well_limit="diode"), exposure=exposure), "saturation").reason
+        for exposure in (None, Exposure(max_integration_s=1.0), Exposure(integration_s=3600))
+    ]
+    for reason, told in zip(reasons, ("in 0.1 s (86%", "in 1 s (83%", "in 3.6e+03 s (73%"), strict=True):
+        assert told in reason
+
+
+def test_digital_numbers_against_light():
+    found = {(each.well_limit, each.conversion): each for each in dn_against_light(pixel())}
+    assert len(found) == 4
+    assert all(np.diff(each.dn).min() >= 0 and each.dn[-1] == 1023 for each in found.values())
+    worst = {key: np.abs(each.deviation_percent).max() for key, each in found.items()}
+    assert worst["swing", "linear"] < 1e-9
+    assert worst["swing", "junction"] == pytest.approx(1.75, abs=0.02)
+    assert 0.5 < worst["diode", "linear"] < 1.5
+    # Soft: short of the straight line at the corner, where the swing's clip is sharp.
+    soft = found["diode", "linear"]
+    assert soft.generated_e[soft.deviation_percent.argmin()] == pytest.approx(soft.full_well_e, rel=0.01)
+
+
+def test_the_figure_has_its_table():
+    plate = response_plate(pixel())
+    assert {len(column) for column in plate.table.values()} == {601}
+    assert len(plate.csv.splitlines()) == 602
+    assert "1.8 %" in plate.caption
+    assert all(axes.get_xlabel() and axes.get_ylabel() for axes in plate.figure.axes)
+    assert isinstance(default_diode(), Diode)

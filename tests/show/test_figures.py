@@ -1,0 +1,58 @@
+"""How lines are told apart: by colour for every kind of eye, and by dashes and markers where there is no colour."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.looks import grey_look
+from matplotlib.colors import same_color, to_rgb
+
+from pixsim.show.figures import COLOURS, LOOKS, new_figure
+
+TOGETHER = 4  # most lines that only colour and dashes tell apart
+EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
+
+
+def seen_lab(colours: tuple[str, ...], eye: str | None) -> np.ndarray:
+    """CIELAB of sRGB colours as a dichromat sees them (Machado, Oliveira and Fernandes 2009, severity 1), (n, 3)."""
+    import colour
+    from colour.blindness import matrix_cvd_Machado2009
+
+    light = colour.cctf_decoding(np.array([to_rgb(each) for each in colours]), function="sRGB")
+    if eye is not None:
+        light = light @ matrix_cvd_Machado2009(eye, 1.0).T
+    xyz = colour.RGB_to_XYZ(np.clip(light, 0, 1), "sRGB", apply_cctf_decoding=False)
+    return np.asarray(colour.XYZ_to_Lab(xyz, [0.3127, 0.3290]))
+
+
+def least_distance(lab: np.ndarray) -> float:
+    import colour
+
+    return min(float(colour.delta_E(one, other, "CIE 2000")) for one, other in combinations(lab, 2))
+
+
+@pytest.mark.filterwarnings("ignore:.*tritanomaly")  # its model is the least sure
+@pytest.mark.parametrize("eye", EYES)
+def test_lines_that_stand_together_differ_for_every_eye(eye: str | None) -> None:
+    """19 is ten times what two patches side by side need to be told apart; lines are thin."""
+    assert least_distance(seen_lab(COLOURS[:TOGETHER], eye)) > 19
+    # The judge can tell: red and green of one lightness merge for a deuteranope.
+    if eye == "Deuteranomaly":
+        assert least_distance(seen_lab(("#B05A00", "#6C7A00"), eye)) < 10 < least_distance(seen_lab(("#B05A00", "#6C7A00"), None))
+
+
+def test_two_looks_are_never_alike_in_grey() -> None:
+    assert len({look.dashes for look in LOOKS}) == len(LOOKS)
+    assert len({look.marker for look in LOOKS}) == len(LOOKS)
+    lightness = np.sort(seen_lab(COLOURS[:TOGETHER], None)[:, 0])
+    assert np.diff(lightness).min() > 7
+
+
+def test_the_judge_of_grey_lines_sees_two_that_differ_in_colour_only(tmp_path: Path) -> None:
+    axes = new_figure(2, 2).subplots()
+    one, other, dashed = axes.plot([0, 1], color=COLOURS[0]) + axes.plot([1, 0], color=COLOURS[1]) + axes.plot([1, 1], "--")
+    assert not same_color(one.get_color(), other.get_color())
+    assert grey_look(one) == grey_look(other) != grey_look(dashed)

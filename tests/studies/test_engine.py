@@ -1,0 +1,364 @@
+"""Workers come and go: what comes out does not depend on them, and nothing that is finished is lost or done twice."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.processes import HANG_S, signalled
+from helpers.tasks import die_always, die_once, double, fail, nothing, warn
+
+import pixsim
+from pixsim.base import cache
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.studies import engine, evaluations
+from pixsim.studies.engine import Workers, results_of, workers_for
+from pixsim.studies.study import load_study
+from pixsim.viewer.score import Bench
+
+COMMAND = Path(sys.executable).with_name("pixsim")
+TOML = """
+name = "tiny"
+repeats = 4
+scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
+pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
+display = { dots = 96, samples_per_deg = 10.0 }
+"""
+ROWS = 24
+
+
+@pytest.fixture(scope="module")
+def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("study") / "tiny.toml"
+    path.write_text(TOML, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """results.csv of one process, nothing kept."""
+    out = tmp_path_factory.mktemp("one")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(cache.LIMIT_VARIABLE, "0")
+        pixsim.study(toml, out, jobs=1)
+    return (out / "results.csv").read_bytes()
+
+
+# --- calls -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_call_comes_once(jobs: int) -> None:
+    made: list[str] = []
+
+    def first() -> dict[str, np.ndarray]:
+        made.append("first")
+        return {"values": np.ones(300_000)}
+
+    def second() -> dict[str, np.ndarray]:
+        made.append("second")
+        return {"values": np.full(3, 2.0)}
+
+    calls = [(task, first if task % 2 else second) for task in range(20)]
+    found = sorted(results_of(double, calls, Workers(jobs)))
+    assert jobs == 1 or sorted(made) == ["first", "second"], "what is shared is made once"
+    assert found == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
+
+
+def test_what_a_dead_worker_had_is_done_by_another(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="a worker died"):
+        found = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
+    assert found == list(range(12))
+
+
+def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
+    found: list[int] = []
+    results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        with pytest.raises(pixsim.PixsimError, match=r"2 processes.*ended its process, even alone: 3\..*--jobs 1"):
+            found.extend(results)
+    assert "a worker died; what is left" in str(told[0].message)
+    assert sorted(found) == [task for task in range(12) if task != 3]
+
+
+def test_what_workers_warn_of_is_told_once_and_here() -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert sorted(results_of(warn, [(task, nothing) for task in range(6)], Workers(2))) == list(range(6))
+    assert [str(note.message) for note in told] == ["the moon is out"]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_of_the_work_itself_is_not_retried(jobs: int) -> None:
+    with pytest.raises(ZeroDivisionError):
+        list(results_of(fail, [(task, nothing) for task in (2, 1, 0, 3)], Workers(jobs)))
+
+
+def library_threads(_: int, __: object) -> int:
+    """Threads that NumPy's and SciPy's libraries have started, after an evaluation of a picture large enough for them."""
+    from pixsim.viewer.score import make_bench
+
+    picture = np.random.default_rng(0).random((1, 768, 768)).astype(np.float32)
+    image = pixsim.SpectralImage(np.array([550.0]), 10.0, 2.65, factors=(np.ones((1, 1)), picture))
+    image.header["luminance_cd_per_m2"] = 1000.0
+    make_bench(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).score("threads")
+    all_threads = {int(task.name) for task in Path("/proc/self/task").iterdir()}
+    return len(all_threads - {thread.native_id for thread in threading.enumerate()})
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
+@pytest.mark.filterwarnings("ignore:.*brighter than display white")
+def test_a_worker_takes_one_core() -> None:
+    """The libraries keep the threads that they start: without any, a worker runs in its own thread alone."""
+    assert list(results_of(library_threads, [(task, nothing) for task in range(4)], Workers(2))) == [0] * 4
+
+
+@pytest.mark.parametrize(
+    ("jobs", "scheduler", "told"),
+    [
+        (0, None, "--jobs: got 0; allowed: 1 or more"),
+        (-1, None, "--jobs: got -1"),
+        (2, "tcp://127.0.0.1:1", "--jobs: got 2 with a scheduler"),
+        (None, "tcp://127.0.0.1:1", r"--scheduler: got 'tcp://127.0.0.1:1'.*allowed: the address of a running Dask scheduler"),
+        (None, "nowhere at all", "--scheduler: got 'nowhere at all'"),
+    ],
+)
+def test_workers_that_cannot_be_had(jobs: int | None, scheduler: str | None, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "CONNECT_SECONDS", 1.0)
+    with pytest.raises(pixsim.PixsimError, match=told), workers_for(jobs, scheduler):
+        pass
+
+
+def test_without_dask_the_message_says_how_to_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(pixsim.PixsimError, match=r"pip install 'pixsim\[cluster\]'"), workers_for(None, "tcp://127.0.0.1:1"):
+        pass
+
+
+# --- a study -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("keeping", [True, False])
+def test_two_workers_give_the_same_bytes(keeping: bool, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+    if not keeping:
+        monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    pixsim.study(toml, tmp_path, jobs=2)
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def die_once_at_7_um(task: evaluations.Task, light: evaluations.Light, mark: Path) -> list[evaluations.Row]:
+    """A task of a study, in the middle of which the first process that gets it is killed."""
+    if task.pitch_um == 7.0 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return evaluations.evaluate_task(task, light)
+
+
+def test_a_study_goes_on_when_a_worker_is_killed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
+    with pytest.warns(UserWarning, match="a worker died"):
+        pixsim.study(toml, tmp_path / "out", jobs=2)
+    assert (tmp_path / "killed").exists()
+    assert (tmp_path / "out/results.csv").read_bytes() == expected
+
+
+def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+    """Killed with two pitches done, in the third's second sensor."""
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
+    command = [sys.executable, "-c", signalled(signal.SIGKILL, 10), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
+    assert len(finished) == 8
+    assert set(finished) < set(expected.splitlines())
+    taken = []
+    view = Bench.view
+    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(1) or view(self, frame))
+    pixsim.study(toml, tmp_path / "out", jobs=1)
+    assert len(taken) == ROWS - len(finished)
+    assert (tmp_path / "out/results.csv").read_bytes() == expected
+
+
+def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(toml, expected, tmp_path: Path, monkeypatch) -> None:
+    """The limit of a file's size stands for the disk's: the write fails in the same place."""
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    room = len(expected) // 2
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
+    own = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python leaves cut bytecode behind, which no later process can import
+    how = {"preexec_fn": limit, "env": own, "capture_output": True, "text": True, "timeout": HANG_S}
+    ended = subprocess.run(command, **how, check=False)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "Traceback" not in ended.stderr
+    assert "results.csv' cannot be written (No space left on device). What is finished is kept" in ended.stderr
+    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
+    assert 0 < len(finished) < ROWS
+    assert set(finished) < set(expected.splitlines()), "half a row"
+    assert [path.name for path in (tmp_path / "out").rglob("*")] == ["results.csv"]
+    pixsim.study(toml, tmp_path / "out", jobs=2)
+    assert (tmp_path / "out/results.csv").read_bytes() == expected
+
+
+def test_two_studies_in_one_folder_are_one_too_many(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+    """The second comes while the first evaluates."""
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
+    second: list[subprocess.CompletedProcess[str]] = []
+    view = Bench.view
+
+    def view_after_the_second(self, frame):
+        if not second:
+            second.append(subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False))
+        return view(self, frame)
+
+    monkeypatch.setattr(Bench, "view", view_after_the_second)
+    pixsim.study(toml, tmp_path / "out", jobs=1)
+    assert second[0].returncode == 2
+    assert re.search(r"another process is at work.*one at a time.*--out", second[0].stderr)
+    assert (tmp_path / "out/results.csv").read_bytes() == expected
+
+
+# --- a cluster ---------------------------------------------------------------------------------------------------------
+
+
+def address_in(file: Path, scheduler: subprocess.Popen[bytes], log: Path) -> str:
+    """The scheduler's address, once its file is whole: it is there, and empty, before the scheduler has written it."""
+    deadline = time.monotonic() + HANG_S
+    while True:
+        with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
+            return json.loads(file.read_text(encoding="utf-8"))["address"]
+        assert scheduler.poll() is None, log.read_text(encoding="utf-8")
+        assert time.monotonic() < deadline, "no address"
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def running_cluster(folder: Path, count: int, python_path: Path = Path(__file__).parents[1]) -> Iterator[str]:
+    """Address of a Dask scheduler that answers and has its workers.
+
+    They are processes of their own, as on other machines, each worker with its own cache. All of them find the modules in
+    `python_path` first; by default these are the tests, since the scheduler reads the calls as well.
+    """
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
+    paths = os.pathsep.join([str(python_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    with (folder / "log").open("wb") as log, contextlib.ExitStack() as stack:
+
+        def start(kind: str, *more: str, **own: str) -> subprocess.Popen[bytes]:
+            command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *more, "--no-dashboard", "--host", "127.0.0.1"]
+            process = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | {"PYTHONPATH": paths} | own, cwd=folder)
+            stack.callback(process.wait, HANG_S)
+            stack.callback(process.kill)
+            return process
+
+        file = folder / "scheduler.json"
+        address = address_in(file, start("scheduler", "--port", "0", "--scheduler-file", str(file)), folder / "log")
+        for number in range(count):
+            own = str(folder / f"worker-{number}")
+            more = ["--nthreads", "1", "--no-nanny", "--local-directory", own]
+            start("worker", address, *more, **{FOLDER_VARIABLE: own + "-cache"})
+        with distributed.Client(address, timeout=HANG_S, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=HANG_S)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(engine, "CONNECT_SECONDS", HANG_S)
+            patch.setattr(engine, "WORKER_SECONDS", HANG_S)
+            yield address
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with running_cluster(tmp_path_factory.mktemp("cluster"), 2) as running:
+        yield running
+
+
+def test_a_cluster_gives_the_same_bytes(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    pixsim.study(toml, tmp_path, scheduler=cluster)
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+def test_one_worker_of_one_thread_computes_what_it_is_asked(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+    """joblib takes a cluster of one thread for none, and would compute here."""
+    monkeypatch.setattr(Bench, "view", lambda *_: pytest.fail("computed here"))
+    with running_cluster(tmp_path, 1) as address:
+        pixsim.study(toml, tmp_path / "out", scheduler=address)
+    assert (tmp_path / "out/results.csv").read_bytes() == expected
+
+
+def test_a_technology_is_sent_to_the_workers(cluster: str, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They need not have its file, and one that is edited counts at once."""
+    process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+    monkeypatch.chdir(tmp_path)
+    study = load_study(toml).model_copy(update={"technologies": ("mine.toml",)})
+    found = []
+    for noise in ("3.5", "35.5"):
+        text = process.read_text(encoding="utf-8")
+        Path("mine.toml").write_text(re.sub(r"(\[read_noise_e\]\nvalue = )[\d.]+", rf"\g<1>{noise}", text), encoding="utf-8")
+        pixsim.study(study, tmp_path / f"cluster{noise}", scheduler=cluster)
+        pixsim.study(study, tmp_path / f"here{noise}", jobs=1)
+        there, here = ((tmp_path / f"{where}{noise}/results.csv").read_bytes() for where in ("cluster", "here"))
+        assert there == here
+        found.append(here)
+    assert found[0] != found[1]
+
+
+def test_a_client_serves_and_stays_open(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    from distributed import Client
+
+    with Client(cluster) as client:
+        pixsim.study(toml, tmp_path, scheduler=client)
+        assert client.status == "running"
+        assert len(client.scheduler_info()["workers"]) == 2
+    assert (tmp_path / "results.csv").read_bytes() == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        ("changed", r"got pixsim .* at tcp.*as here, so that all rows are alike"),
+        ("none", r"got a worker that cannot tell which pixsim"),
+    ],
+)
+def test_workers_of_another_pixsim_are_refused(kind: str, told: str, tmp_path: Path) -> None:
+    other = tmp_path / "other/pixsim"
+    if kind == "changed":
+        shutil.copytree(Path(pixsim.__file__).parent, other, ignore=shutil.ignore_patterns("__pycache__"))
+        with (other / "units.py").open("a", encoding="utf-8") as file:
+            file.write("# a change\n")
+    else:
+        other.mkdir(parents=True)
+        (other / "__init__.py").touch()
+    with (
+        running_cluster(tmp_path, 1, other.parent) as address,
+        pytest.raises(pixsim.PixsimError, match="--scheduler: " + told),
+        workers_for(None, address),
+    ):
+        pass
+
+
+# Either Dask itself tries the lost task again, without a word, or pixsim does: who notices first.
+@pytest.mark.filterwarnings("ignore:a worker died")
+def test_a_study_goes_on_when_a_worker_of_the_cluster_is_killed(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
+    """The last test of the cluster: one of its two workers is gone afterwards."""
+    monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
+    pixsim.study(toml, tmp_path / "out", scheduler=cluster)
+    assert (tmp_path / "killed").exists()
+    assert (tmp_path / "out/results.csv").read_bytes() == expected

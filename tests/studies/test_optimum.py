@@ -1,0 +1,335 @@
+"""The minimum of a curve whose minimum is known, and whether its interval holds it as often as it says."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.dense_curves import covers, simulated
+from helpers.processes import HANG_S
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
+
+from pixsim.studies.optimum import (
+    DRAWS,
+    Design,
+    FittedCurve,
+    Posterior,
+    close_to_least,
+    drawn_curves,
+    fit_curve,
+    mean_and_ci95,
+    measured,
+    minima,
+    quadratic,
+    wiener_covariance,
+)
+
+PITCH = np.geomspace(5.3, 15, 16)
+BEST_UM = 8.3
+LEAST = 0.5
+
+
+def parabola(pitch_um: np.ndarray, bend: float = 1.0, best_um: float = BEST_UM) -> np.ndarray:
+    """Mean ΔE, a parabola in log pitch."""
+    return LEAST + bend * np.log(pitch_um / best_um) ** 2
+
+
+def sensors_of(mean: np.ndarray, repeats: int, noise: float = 0.0, seed: int = 0) -> np.ndarray:
+    """Mean ΔE (pitches, repeats) of sensors that scatter by a share of the mean."""
+    return mean[:, None] * (1 + noise * np.random.default_rng(seed).standard_normal((mean.size, repeats)))
+
+
+def fitted(mean: np.ndarray, repeats: int = 3, noise: float = 0.0, seed: int = 0, pitch_um: np.ndarray = PITCH) -> FittedCurve:
+    return fit_curve(pitch_um, sensors_of(mean, repeats, noise, seed))
+
+
+def length(fit: FittedCurve) -> float:
+    return 2 * fit.optimum.half_width_um
+
+
+# --- Curves that are known ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pitches", [5, 6, 16])
+@pytest.mark.parametrize("bend", [0.3, 3.0])
+def test_a_parabola_in_log_pitch_is_found(pitches: int, bend: float) -> None:
+    """The process around the quadratic has nothing to explain: without noise little is left open."""
+    pitch = np.geomspace(5.3, 15, pitches)
+    optimum = fitted(parabola(pitch, bend), pitch_um=pitch).optimum
+    assert optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
+    # Half a step of the fine grid (0.065 %) beside the minimum, ΔE is higher by 3 · 0.00065² of 0.5 at most.
+    assert optimum.mean_delta_e == pytest.approx(LEAST, rel=3e-6)
+    assert optimum.inside
+    low, high = optimum.interval_um
+    assert low < BEST_UM < high < 1.02 * low
+
+
+@pytest.mark.parametrize("bend", [0.3, 1.0, 3.0])
+def test_the_pitches_of_a_shallow_minimum(bend: float) -> None:
+    """0.5 + bend x² rises by 1 % at x = √(0.005/bend), by 2 % at √(0.01/bend); they are read on steps of 0.13 %, within."""
+    optimum = fitted(parabola(PITCH, bend)).optimum
+    for share, (low, high) in ((0.01, optimum.within_1_percent_um), (0.02, optimum.within_2_percent_um)):
+        reach = np.sqrt(LEAST * share / bend)
+        assert 0 <= np.log(low / BEST_UM) + reach < 1.4e-3
+        assert 0 <= reach - np.log(high / BEST_UM) < 1.4e-3
+
+
+def test_an_end_that_is_as_good_as_the_least_is_none() -> None:
+    pitch, curve = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.015, 1.005, 1.0, 1.009])
+    assert close_to_least(pitch, curve, 0.01) == (2.0, None)
+    assert close_to_least(pitch, curve, 0.02) == (None, None)
+    assert close_to_least(pitch, curve, 0.001) == (3.0, 3.0)
+
+
+@pytest.mark.parametrize("factor", [0.25, 3.0, 1e3])
+def test_a_factor_of_delta_e_changes_delta_e_alone(factor: float) -> None:
+    delta_e = sensors_of(parabola(PITCH), 3, 0.01)
+    one, other = fit_curve(PITCH, delta_e), fit_curve(PITCH, factor * delta_e)
+    np.testing.assert_allclose(other.delta_e, factor * one.delta_e, rtol=1e-9)
+    np.testing.assert_allclose(other.high - other.low, factor * (one.high - one.low), rtol=1e-6)
+    assert other.optimum.pitch_um == pytest.approx(one.optimum.pitch_um, rel=1e-9)
+    assert other.optimum.interval_um == pytest.approx(one.optimum.interval_um, rel=1e-9)
+    assert other.optimum.within_1_percent_um == pytest.approx(one.optimum.within_1_percent_um, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_mirrored_pitches_mirror_the_interval(seed: int) -> None:
+    """A Wiener process integrated twice, with a free quadratic, is the same from either end."""
+    delta_e = sensors_of(parabola(PITCH), 3, 0.01, seed)
+    one, other = fit_curve(PITCH, delta_e), fit_curve(100 / PITCH[::-1], delta_e[::-1])
+    np.testing.assert_allclose(other.delta_e[::-1], one.delta_e, rtol=1e-9)
+    assert 100 / other.optimum.pitch_um == pytest.approx(one.optimum.pitch_um, rel=1e-9)
+    # The drawn curves are others. An end of the middle 92 % of 2000 draws from a normal distribution, √(0.04 · 0.96/2000)
+    # over its density there, scatters by 3 % of half the interval, the difference of two by 4 %: five times that.
+    mirrored = np.log(100 / np.array(other.optimum.interval_um[::-1]))
+    np.testing.assert_allclose(mirrored, np.log(one.optimum.interval_um), atol=0.2 * np.ptp(mirrored) / 2)
+
+
+def test_places_are_logarithms_of_the_photodiode_s_width() -> None:
+    def width_um(pitch_um: np.ndarray) -> np.ndarray:
+        return np.sqrt(pitch_um**2 - 25.0)
+
+    fit = fit_curve(PITCH, sensors_of(parabola(PITCH), 3), width_um)
+    places = fit.places_of(PITCH)
+    np.testing.assert_allclose(places, np.log(width_um(PITCH) / width_um(PITCH[:1])), rtol=1e-12)
+    # Straight between 801 pitches, where the place bends most, at the smallest ones: 0.05 % of a pitch.
+    np.testing.assert_allclose(fit.pitches_at(places), PITCH, rtol=5e-4)
+    assert fitted(parabola(PITCH)).places_of(PITCH) == pytest.approx(np.log(PITCH / PITCH[0]), rel=1e-12)
+
+
+# --- Where there is no minimum -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("falling", [False, True])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_minimum_at_an_end_leaves_it_open(falling: bool, noise: float) -> None:
+    delta_e = sensors_of(1 + np.log(PITCH / 5), 3, noise)
+    optimum = fit_curve(PITCH, delta_e[::-1] if falling else delta_e).optimum
+    assert not optimum.inside
+    assert optimum.pitch_um == PITCH[-1 if falling else 0]
+    assert optimum.interval_um[1 if falling else 0] is None
+    assert optimum.half_width_um == np.inf
+    assert optimum.within_1_percent_um[1 if falling else 0] is None
+
+
+def test_a_flat_line_leaves_both_ends_open() -> None:
+    """Sensors that differ by chance alone: of 60 seeds at 3 sensors, both ends in 39 and one or both in 59."""
+    optima = [fitted(np.full(PITCH.size, 0.5), noise=0.01, seed=seed).optimum for seed in range(20)]
+    assert sum(optimum.interval_um == (None, None) for optimum in optima) >= 8
+    assert sum(optimum.half_width_um == np.inf for optimum in optima) >= 18
+    assert all(optimum.within_2_percent_um == (None, None) for optimum in optima)
+
+
+# --- What noise and data do --------------------------------------------------------------------------------------------
+
+
+def test_noise_widens_and_pitches_narrow() -> None:
+    """Twice the noise widens the interval twofold where the curve is known but for its quadratic, by √2 where it may be any.
+
+    The slope of a quintic smoothing spline has a standard error ~ √noise (it smooths less where it can), of a parabola
+    ~ noise. Four times the pitches are half the noise.
+    """
+    pitch = np.geomspace(5.3, 15, 64)
+    wider, narrower = [], []
+    for seed in range(12):
+        one = length(fitted(parabola(PITCH), noise=0.01, seed=seed))
+        wider.append(length(fitted(parabola(PITCH), noise=0.02, seed=seed)) / one)
+        narrower.append(length(fitted(parabola(pitch), noise=0.01, seed=seed, pitch_um=pitch)) / one)
+    assert 1.4 < np.median(wider) < 2.0
+    assert 1.4 < 1 / np.median(narrower) < 2.0
+
+
+def test_a_sensor_that_is_missing_is_none() -> None:
+    """Which of the columns are empty does not matter."""
+    few = sensors_of(parabola(PITCH), 8, 0.01)
+    few[5, 2:] = np.nan
+    fit = fit_curve(PITCH, few)
+    assert fit.design.sensors.tolist() == [8] * 5 + [2] + [8] * 10
+    for same in (few[:, ::-1], np.hstack([few, np.full((PITCH.size, 3), np.nan)])):
+        np.testing.assert_allclose(fit_curve(PITCH, same).delta_e, fit.delta_e, rtol=1e-12)
+
+
+def test_the_scatter_is_pooled_over_pitches() -> None:
+    """Two pitches by hand: squares about the means 2 and 4 are 2 · 1² and 2 · 1², of 1 · 2² + 1 · 4² expected at 100 %."""
+    mean, scale, design, degrees = measured(np.array([0.0, 1.0]), np.array([[1.0, 3.0, np.nan], [3.0, 5.0, np.nan]]))
+    np.testing.assert_allclose(mean, [2, 4])
+    assert (scale, degrees) == (2.0, 2)
+    np.testing.assert_allclose(design.noise, 4 / 20 * np.array([1.0, 4.0]))
+    # And of many sensors it is theirs: 5 standard errors of a standard deviation from 8000 values, 1/√16000.
+    _, _, many, _ = measured(np.log(PITCH), sensors_of(parabola(PITCH), 500, 0.01))
+    assert np.sqrt(many.noise[parabola(PITCH).argmin()]) == pytest.approx(0.01, rel=5 / np.sqrt(16000))
+
+
+# --- The regression ----------------------------------------------------------------------------------------------------
+
+U = np.array([0.0, 0.11, 0.3, 0.34, 0.62, 0.8, 1.1])
+DESIGN = Design(U, np.full(U.size, 4e-4) * (1 + U), np.array([2, 3, 2, 8, 2, 4, 2]))
+Y = 1 + (U - 0.5) ** 2 + 0.01 * np.random.default_rng(1).standard_normal(U.size)
+PLACES = np.linspace(0, 1.1, 12)
+WIDE = 1e4  # variance of a coefficient of the quadratic that leaves it open
+
+
+def test_the_covariance_of_the_process() -> None:
+    for a, b in ((0.0, 0.7), (0.3, 0.3), (0.2, 1.7), (2.0, 0.4)):
+        integral, _ = quad(lambda w, a=a, b=b: (a - w) ** 2 * (b - w) ** 2 / 4, 0, min(a, b))
+        assert wiener_covariance(np.array([a]), np.array([b]))[0, 0] == pytest.approx(integral, rel=1e-9, abs=1e-15)
+
+
+def test_the_likelihood_is_that_of_a_normal_distribution_with_a_free_quadratic() -> None:
+    """But for a constant, which a prior that is wide in every coefficient brings with it."""
+    own, outside = [], []
+    for stiffness in (0.1, 1.0, 3.0):
+        for residual in (0.0, 0.5):
+            for y in (Y, Y + U, np.sin(5 * U)):
+                covariance = DESIGN.covariance(stiffness, residual) + WIDE * quadratic(U) @ quadratic(U).T
+                outside.append(multivariate_normal(np.zeros(U.size), covariance).logpdf(y))
+                own.append(Posterior(DESIGN, stiffness, residual, y).log_likelihood)
+    # What that prior counts is half the square of the coefficients over its variance: 13²/2e4 for the sine.
+    assert np.ptp(np.subtract(own, outside)) < 0.02
+    assert np.ptp(outside) > 1000, "they differ"
+
+
+def test_the_posterior_is_that_of_a_normal_distribution_with_a_free_quadratic() -> None:
+    posterior = Posterior(DESIGN, 2.0, 0.25, Y)
+
+    def prior(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return 4.0 * wiener_covariance(one, other) + WIDE * quadratic(one) @ quadratic(other).T
+
+    gain = np.linalg.solve(DESIGN.covariance(2.0, 0.25) + WIDE * quadratic(U) @ quadratic(U).T, prior(U, PLACES)).T
+    np.testing.assert_allclose(posterior.mean(PLACES), gain @ Y, atol=1e-5)
+    covariance = prior(PLACES, PLACES) - gain @ prior(U, PLACES)
+    np.testing.assert_allclose(posterior.covariance(PLACES), covariance, atol=2e-2 * np.abs(covariance).max())
+
+
+def test_without_stiffness_it_is_a_parabola_and_without_noise_it_meets_the_data() -> None:
+    soft = Posterior(DESIGN, 1e-6, 0.0, Y)
+    weights = np.sqrt(DESIGN.sensors / DESIGN.noise)
+    np.testing.assert_allclose(soft.mean(PLACES), np.polyval(np.polyfit(U, Y, 2, w=weights), PLACES), rtol=1e-6)
+    exact = Posterior(replace(DESIGN, noise=np.zeros(U.size)), 1.0, 0.5, Y)
+    np.testing.assert_allclose(exact.mean(U), Y, rtol=1e-5)
+    assert np.sqrt(np.diag(exact.covariance(U))).max() < 1.1e-6, "ROUNDING"
+
+
+def test_a_pitch_weighs_by_its_sensors() -> None:
+    """What it has of its own mean, h, against what the others have, 1 - h, is as the number of its sensors."""
+
+    def own_share(count: int) -> float:
+        sensors = DESIGN.sensors.copy()
+        sensors[4] = count
+        return float(Posterior(replace(DESIGN, sensors=sensors), 1.0, 0.0, np.eye(U.size)[4]).mean(U)[4])
+
+    few, many = own_share(2), own_share(8)
+    assert few / (1 - few) == pytest.approx(many / (1 - many) / 4, rel=1e-6)
+
+
+def test_drawn_curves_are_of_the_posterior() -> None:
+    posteriors = [Posterior(DESIGN, stiffness, 0.0, Y) for stiffness in (0.5, 5.0)]
+    curves = drawn_curves(posteriors, [0.75, 0.25], PLACES)
+    for posterior, own in zip(posteriors, np.split(curves, [DRAWS * 3 // 4]), strict=True):
+        covariance = posterior.covariance(PLACES)
+        sd = np.sqrt(np.diag(covariance))
+        # 6 standard errors, of a mean and of a covariance.
+        assert np.abs((own.mean(axis=0) - posterior.mean(PLACES)) / sd).max() < 6 / np.sqrt(len(own))
+        error = (np.cov(own.T) - covariance) / np.sqrt(np.outer(sd, sd) ** 2 + covariance**2)
+        assert np.abs(error).max() < 6 / np.sqrt(len(own))
+
+
+def test_minima_of_parabolas_lie_between_the_places() -> None:
+    places = np.linspace(0, 1, 11)
+    vertices = np.array([0.123, 0.5, 0.931])
+    curves = (places - vertices[:, None]) ** 2
+    np.testing.assert_allclose(minima(places, curves), vertices, rtol=1e-12)
+    np.testing.assert_array_equal(minima(places, np.array([places, -places])), [0.0, 1.0])
+
+
+ONE_THREAD = """
+import json, sys
+import numpy as np
+from pixsim.studies.optimum import fit_curve
+pitch_um, delta_e = map(np.array, json.load(sys.stdin))
+fit = fit_curve(pitch_um, delta_e)
+print(json.dumps([fit.optimum.pitch_um, *fit.optimum.interval_um, *fit.delta_e, *fit.low, *fit.high]))
+"""
+
+
+def test_the_fit_is_the_same_on_one_thread_of_blas() -> None:
+    delta_e = sensors_of(parabola(PITCH), 3, 0.01)
+    environment = os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    data = json.dumps([PITCH.tolist(), delta_e.tolist()])
+    command = [sys.executable, "-c", ONE_THREAD]
+    done = subprocess.run(command, input=data, text=True, capture_output=True, check=True, env=environment, timeout=HANG_S)
+    fit = fit_curve(PITCH, delta_e)
+    here = [fit.optimum.pitch_um, *fit.optimum.interval_um, *fit.delta_e, *fit.low, *fit.high]
+    np.testing.assert_allclose(json.loads(done.stdout), here, rtol=1e-9)
+
+
+# --- Coverage ----------------------------------------------------------------------------------------------------------
+
+
+STUDIES = 200
+CELLS = [("chen2000_0.35um", 16, 2), ("evening", 16, 3), ("near_an_end", 16, 3)]
+
+
+@pytest.mark.parametrize(("curve", "pitches", "repeats"), CELLS)
+def test_the_interval_holds_the_minimum_of_a_known_curve(curve: str, pitches: int, repeats: int) -> None:
+    """In 90 to 99 % of the studies, whose numbers are drawn from fixed seeds.
+
+    Another 200 studies would fail by chance 2 times in 1000 where the interval covers 95 %, 3 times at 96 % and 16 times at
+    97 %; by tests/benchmarks/interval_coverage.py it covers 94 to 97 % in these cells.
+    """
+    held = 0
+    for number in range(STUDIES):
+        study, sensors = simulated(curve, number, pitches, repeats)
+        held += covers(study.fit(sensors).optimum, study.truth, np.array(list(sensors)))
+    assert 0.9 * STUDIES <= held <= 0.99 * STUDIES
+
+
+def test_mean_and_interval_by_hand() -> None:
+    # Pooled: a relative variance of 2/(4 + 25) with two degrees of freedom, for which Student's t is 4.302653.
+    mean, half_width = mean_and_ci95(np.array([[1.0, 3.0], [5.0, 5.0]]))
+    np.testing.assert_allclose(mean, [2.0, 5.0])
+    np.testing.assert_allclose(half_width, 4.302653 * np.sqrt(2 / 29 / 2) * mean, rtol=1e-6)
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-12, 0.5, 1e6])
+def test_a_level_curve_has_no_minimum(level: float) -> None:
+    """Not one that rounding decides either; nothing divides by it."""
+    optimum = fit_curve(PITCH, np.full((PITCH.size, 2), level)).optimum
+    assert (optimum.interval_um, optimum.inside) == ((None, None), False)
+    assert optimum.mean_delta_e == pytest.approx(level, rel=1e-6)
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_single_low_pitch_at_an_end_leaves_that_end_open(end: int) -> None:
+    delta_e = np.ones((PITCH.size, 2))
+    delta_e[end] = 0.0
+    optimum = fit_curve(PITCH, delta_e).optimum
+    assert optimum.pitch_um == PITCH[end]
+    assert optimum.interval_um[end] is None
+    assert PITCH[0] <= optimum.interval_um[-1 - end] <= PITCH[-1]

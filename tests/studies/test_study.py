@@ -1,0 +1,481 @@
+"""Studies: what is computed, what is kept, and that neither depends on workers, threads, order or interruptions."""
+
+import csv
+import io
+import json
+import shlex
+import signal
+import subprocess
+import sys
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.processes import HANG_S, signalled
+
+import pixsim
+from pixsim import cli
+from pixsim.base import cache
+from pixsim.base.arrays import stream
+from pixsim.base.config import packaged, read_toml
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.parameters import merge, pixel_of
+from pixsim.report.study import light_against_detail, write_report
+from pixsim.sensor.readout import Frame
+from pixsim.sensor.technology import technology_of
+from pixsim.studies.budget import Setup
+from pixsim.studies.result import StudyResult
+from pixsim.studies.study import load_study
+from pixsim.viewer.score import Bench
+
+PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
+# Dim, so that few and coarse dots show a minimum between noise and blur.
+TINY = {
+    "name": "tiny",
+    "repeats": 3,
+    "seed": 1,
+    "iso_delta_e": 1.0,
+    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
+    "pitch": {"values_um": PITCHES_UM},
+    "display": {"dots": 96, "samples_per_deg": 10.0},
+}
+TINY_TOML = """
+name = "tiny"
+repeats = 3
+seed = 1
+iso_delta_e = 1.0
+scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
+pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
+display = { dots = 96, samples_per_deg = 10.0 }
+"""
+
+
+def tiny(**over: object) -> pixsim.Study:
+    return pixsim.Study.model_validate(merge(TINY, over))
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def keys(folder: Path) -> list[str]:
+    return [row["key"] for row in rows(folder)]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
+    """The tiny study from Python, in this process."""
+    folder = tmp_path_factory.mktemp("done")
+    return pixsim.study(tiny(), folder, jobs=1), folder
+
+
+def test_a_row_for_every_pitch_and_sensor(done: tuple[StudyResult, Path]) -> None:
+    result, folder = done
+    table = rows(folder)
+    assert [(float(r["pitch_um"]), int(r["repeat"])) for r in table] == [(p, r) for p in PITCHES_UM for r in range(3)]
+    assert len(set(keys(folder))) == 18
+    curve = result.curves[0]
+    np.testing.assert_array_equal(curve.delta_e.ravel(), [float(r["mean_delta_e"]) for r in table])
+    assert len(np.unique(curve.delta_e)) == 18, "no two sensors are the same"
+    best = curve.optimum
+    assert best.inside
+    assert best.within_2_percent_um[0] <= best.within_1_percent_um[0] < best.pitch_um < best.within_1_percent_um[1]
+    # The fitted minimum can lie below the lowest point, not above its mean by more than the fit smooths.
+    assert best.mean_delta_e == pytest.approx(curve.delta_e.mean(axis=1).min(), rel=0.06)
+
+
+@pytest.fixture(scope="module")
+def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same study from a file, by the command, in this process."""
+    folder = tmp_path_factory.mktemp("command")
+    toml = folder / "tiny.toml"
+    toml.write_text(TINY_TOML, encoding="utf-8")
+    with redirect_stdout(io.StringIO()) as out:
+        words = ["study", str(toml), "--out", str(folder / "out"), "--jobs", "1"]
+        with pytest.raises(SystemExit, match="0"):
+            cli.main(words)
+    (folder / "stdout").write_text(out.getvalue(), encoding="utf-8")
+    return folder
+
+
+def test_the_command_writes_these_files_and_tells_the_optimum(by_command: Path, done: tuple[StudyResult, Path]) -> None:
+    out = by_command / "out"
+    assert {path.name for path in out.iterdir()} == {"results.csv", "summary.json", "report.html", "provenance.json", "figures"}
+    figures = {path.name for path in (out / "figures").iterdir()}
+    assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg"} <= figures
+    assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
+    assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+    best = done[0].curves[0].optimum
+    told = (by_command / "stdout").read_text(encoding="utf-8")
+    low, high = best.interval_um
+    assert f"{best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in told
+    assert told.rstrip().endswith("report.html")
+
+
+ONE_CORE = """
+import os
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+from pixsim.cli import main
+main()
+"""
+
+
+def test_two_workers_on_one_core_give_the_same_bytes(by_command: Path, tmp_path: Path) -> None:
+    line = f"study {by_command / 'tiny.toml'} --out {tmp_path} --jobs 2"
+    subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line)], check=True, timeout=HANG_S, capture_output=True)
+    recorded_times = {"provenance.json", "report.html"}
+    mine, theirs = (
+        {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        for folder in (tmp_path, by_command / "out")
+    )
+    assert mine.keys() == theirs.keys()
+    assert {name for name in mine if mine[name] != theirs[name]} <= recorded_times
+
+
+def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
+    _, folder = done
+    before = (folder / "results.csv").read_bytes()
+    again = pixsim.study(tiny(), folder, jobs=1)
+    assert evaluations == []
+    assert (folder / "results.csv").read_bytes() == before
+    assert again.as_dict() == done[0].as_dict()
+
+
+def test_sensors_that_a_target_asked_for_are_kept_too(tmp_path: Path, evaluations: list[Frame]) -> None:
+    study = tiny(repeats=2, target_ci_um=1e-6, max_repeats=4, pitch={"values_um": FIVE_UM})
+    first = pixsim.study(study, tmp_path, jobs=1)
+    evaluated = len(evaluations)
+    assert 10 < evaluated == first.curves[0].sensors.sum() <= 20
+    before = (tmp_path / "results.csv").read_bytes()
+    again = pixsim.study(study, tmp_path, jobs=1)
+    assert len(evaluations) == evaluated, "evaluated again"
+    assert (tmp_path / "results.csv").read_bytes() == before
+    assert again.as_dict() == first.as_dict()
+
+
+# 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
+@pytest.mark.parametrize("cut_bytes", [4, 60, 2000])
+def test_a_file_that_was_cut_off_is_completed(
+    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+) -> None:
+    whole = (done[1] / "results.csv").read_bytes()
+    (tmp_path / "results.csv").write_bytes(whole[:-cut_bytes])
+    lost = 18 - (whole[:-cut_bytes].count(b"\n") - 1)
+    pixsim.study(tiny(), tmp_path, jobs=1)
+    assert (tmp_path / "results.csv").read_bytes() == whole
+    assert len(evaluations) == lost
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_rows_of_another_content_are_not_taken_for_finished(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """Seed, display, exposure, sensor and scene are all in a row's key; the title and the iso level are not."""
+    own = set(keys(done[1]))
+    few = {"repeats": 2, "pitch": {"values_um": FIVE_UM}}
+    others = {
+        "seed": tiny(seed=2, **few),
+        "display": tiny(**merge(few, {"display": {"gamma": 1.8}})),
+        "exposure": tiny(**few, exposure={"well_target": 0.5}),
+        "pixel": tiny(**few, pixel={"prnu": 0.02}),
+        "camera": tiny(**few, camera={"f_number": 5.6}),
+        "scene": tiny(**merge(few, {"scene": {"parameters": {"luminance_cd_per_m2": 99.0}}})),
+    }
+    found = {name: set() for name in others}
+    for name, study in others.items():
+        pixsim.study(study, tmp_path / name, jobs=1)
+        found[name] = set(keys(tmp_path / name))
+    everything = [own, *found.values()]
+    assert len(set.union(*everything)) == sum(map(len, everything)), "two contents share a key"
+    pixsim.study(tiny(**few, title="another", iso_delta_e=2.0), tmp_path / "words", jobs=1)
+    assert set(keys(tmp_path / "words")) < own
+
+
+NUMBERS = {
+    "dark_current_na_per_cm2": 30.0,
+    "dsnu": 0.6,
+    "column_fpn": 0.003,
+    "peak_quantum_efficiency": 0.2,
+    "node_capacitance_ff": 2.5,
+    "voltage_swing_v": 0.9,
+    "fill_factor_limit": 0.8,
+    "feature_size_um": 0.34,
+}
+
+
+def test_numbers_of_a_study_are_those_of_a_file_that_has_them(tmp_path: Path) -> None:
+    """Bit for bit, from the pitches to the pictures of the report: a technology of the same name has the same random streams."""
+    table = read_toml(packaged("data/technologies")["0.35um"])
+    lines = ['name = "0.35um"']
+    for name, entry in table.items():
+        if isinstance(entry, dict):
+            lines += [
+                f"[{name}]",
+                f"value = {json.dumps(NUMBERS.get(name, entry['value']))}",
+                'confidence = "D"',
+                'source = "here"',
+            ]
+    (tmp_path / "own.toml").write_text("\n".join(lines), encoding="utf-8")
+    few = {"repeats": 2, "pitch": {"min_fill_factor": 0.1, "count": 5, "values_um": None}}
+    by_file = pixsim.study(tiny(**few, technologies=(str(tmp_path / "own.toml"),)), tmp_path / "file", jobs=1)
+    study = tiny(**few, process={"0.35um": NUMBERS})
+    by_study = pixsim.study(study, tmp_path / "study", jobs=1)
+    one, other = by_file.curves[0], by_study.curves[0]
+    np.testing.assert_array_equal(one.pitch_um, other.pitch_um)
+    np.testing.assert_array_equal(one.fill_factor, other.fill_factor)
+    assert one.feature_size_um == other.feature_size_um == 0.34
+    for name, values in one.statistics.items():
+        np.testing.assert_array_equal(values, other.statistics[name])
+    pitch_um = float(one.pitch_um[2])
+    mine, theirs = (r.scores(c.technology, pitch_um, 1)[0] for r, c in ((by_study, other), (by_file, one)))
+    np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
+    assert light_against_detail(by_study, other).csv == light_against_detail(by_file, one).csv
+    setup = Setup(by_study.camera, pixel_of(study, "0.35um", pitch_um), study.exposure, study.display,
+                  process=technology_of(study, "0.35um"))  # fmt: skip
+    assert setup.physics().full_well_e == mine.physics.full_well_e == theirs.physics.full_well_e
+    # And it is another study than the one without them.
+    pixsim.study(tiny(**few), tmp_path / "plain", jobs=1)
+    assert not set(keys(tmp_path / "plain")) & set(keys(tmp_path / "study"))
+    page = write_report(by_study, tmp_path / "study").read_text(encoding="utf-8")
+    assert "set by the study; the file has 0.3 (D: assumed" in page
+    assert "<td>voltage_swing_v</td><td>0.9</td><td>0.9 to 1.5</td>" in page
+
+
+def test_numbers_of_one_technology_leave_the_others_rows_alone(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """Neither keys nor random streams of 0.35 µm depend on what 0.25 µm has."""
+    study = tiny(technologies=("0.35um", "0.25um"), process={"0.25um": {"dsnu": 0.6}})
+    pixsim.study(study, tmp_path, jobs=1)
+    assert [row for row in rows(tmp_path) if row["technology"] == "0.35um"] == rows(done[1])
+    assert tiny(process={}).content_hash == tiny().content_hash
+
+
+@pytest.mark.parametrize(
+    ("process", "told"),
+    [
+        ({"0.25um": {"dsnu": 0.1}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
+        ({"0.35um": {"dsn": 0.1}}, r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'"),
+        ({"0.35um": {"dsnu": -0.1}}, r"process\.0\.35um: dsnu: got -0\.1; allowed: greater"),
+        ({"0.35um": {"voltage_swing_v": 9.0}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
+        ({"0.35um": {"fill_factor_zero_pitch_features": 16.0}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
+        ({"0.35um": {"dsnu": float("nan")}}, r"(?s)process.*dsnu.*finite"),
+    ],
+)
+def test_numbers_that_a_technology_cannot_have_are_refused_before_the_render(
+    process: dict[str, dict[str, float]], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    with pytest.raises(ValueError, match=told):
+        pixsim.study(tiny(process=process), tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_data_sheet_has_no_numbers_of_a_process() -> None:
+    sheet = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1, "quantum_efficiency": 0.5, "data_sheet_pitch_um": 3}
+    study = tiny(technologies=("none",), pixel=sheet, process={"none": {"dsnu": 0.1}})
+    with pytest.raises(pixsim.PixsimError, match=r"process\.none: got dsnu; .*Put them into \[pixel\]"):
+        pixsim.study(study, "out")
+
+
+def test_a_study_s_file_names_technologies_beside_it(tmp_path: Path) -> None:
+    """And `[quick]`, which leaves one out, leaves its numbers out too."""
+    (tmp_path / "mine.toml").write_bytes(packaged("data/technologies")["0.35um"].read_bytes())
+    text = (
+        'name = "own"\ntechnologies = ["mine.toml", "0.25um"]\nprocess."mine.toml".dsnu = 0.1\n[quick]\ntechnologies = ["0.25um"]\n'
+    )
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    study = load_study(tmp_path / "study.toml")
+    assert technology_of(study, str(tmp_path / "mine.toml")).dsnu == 0.1
+    assert technology_of(study, "0.25um").dsnu == 0.3
+    assert (study.quickened.technologies, study.quickened.process) == (("0.25um",), {})
+
+
+# --- Fields of the pixel as options ------------------------------------------------------------------------------------
+
+
+def test_pixel_options_are_the_file_s_own_table_bit_for_bit(tmp_path: Path) -> None:
+    (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
+    (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
+    told = "--pixel.response scaled --pixel.prnu 0.01"
+    for line in (f"plain.toml {told} --out option", "scaled.toml --out file", "plain.toml --out plain"):
+        name, *words = line.split()
+        out = tmp_path / words.pop()
+        with redirect_stdout(io.StringIO()), pytest.raises(SystemExit, match="0"):
+            cli.main(["study", str(tmp_path / name), *words, str(out), "--jobs", "1"])
+    pixsim.study(tmp_path / "plain.toml", tmp_path / "python", pixel={"response": "scaled", "prnu": 0.01}, jobs=1)
+    results = {name: (tmp_path / name / "results.csv").read_bytes() for name in ("option", "file", "plain", "python")}
+    assert results["option"] == results["file"] == results["python"]
+    assert results["plain"] != results["file"]
+    for name in ("summary.json", "figures/delta_e_against_pitch.svg"):
+        assert (tmp_path / "option" / name).read_bytes() == (tmp_path / "file" / name).read_bytes()
+
+
+def test_pixel_options_go_over_files_and_over_quick_and_are_no_longer_the_study_s(tmp_path: Path) -> None:
+    table = '[sources]\n"pixel.bits" = "assumed"\n"pixel.prnu" = "stated"\n[quick]\npixel = { bits = 9 }\n'
+    text = f'name = "own"\n[pixel]\nbits = 8\n{table}'
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "sensor.toml").write_text("[pixel]\nbits = 11\nprnu = 0.02\n", encoding="utf-8")
+    study = load_study(tmp_path / "own.toml", tmp_path / "sensor.toml", pixel={"bits": "12"}).quickened
+    assert (study.pixel.bits, study.pixel.prnu, study.sources) == (12, 0.02, {})
+
+
+def test_an_option_completes_a_data_sheet(tmp_path: Path) -> None:
+    """As with `pixsim run`."""
+    text = "[pixel]\npitch_um = 4\nfull_well_e = 12000\ndark_current_e_per_s = 1\nquantum_efficiency = 0.6\n"
+    (tmp_path / "sensor.toml").write_text(text, encoding="utf-8")
+    study = load_study("pixel-size", tmp_path / "sensor.toml", pixel={"read_noise_e": 2.0})
+    assert (study.technologies, study.pixel.read_noise_e, study.pixel.data_sheet_pitch_um) == (("none",), 2.0, 4.0)
+    with pytest.raises(pixsim.PixsimError, match="read_noise_e"):
+        load_study("pixel-size", tmp_path / "sensor.toml")
+
+
+@pytest.mark.parametrize(
+    ("pixel", "told"),
+    [
+        ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: .*pitch\.values_um"),
+        ({"technology": "0.25um"}, r"pixel\.technology: got '0\.25um' for a study; allowed: .* technologies"),
+        ({"response": "scald"}, r"pixel\.response: got 'scald'; allowed: 'scaled' or 'literal'"),
+        ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
+    ],
+)
+def test_pixel_options_that_a_study_cannot_take(pixel: dict[str, object], told: str) -> None:
+    with pytest.raises(pixsim.PixsimError, match=told):
+        load_study("chen2000", pixel=pixel)
+    with pytest.raises(pixsim.PixsimError, match="config, parameters, pixel: got with a Study"):
+        pixsim.study(tiny(), "out", pixel=pixel)
+
+
+def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, evaluations: list[Frame]) -> None:
+    chart = tmp_path / "chart.exr"
+    scene = {"parameters": {"chart": str(chart)}}
+    study = tiny(repeats=2, pitch={"values_um": FIVE_UM}, scene=scene)
+    counts = []
+    for dark in (0.1, 0.1, 0.2):
+        pixsim.write_chart(chart, np.kron([[dark, 1.0]], np.ones((16, 8))).astype(np.float32))
+        pixsim.study(study, tmp_path / "out", jobs=1)
+        counts.append(len(evaluations))
+        evaluations.clear()
+    assert counts == [10, 0, 10]
+    assert len(rows(tmp_path / "out")) == 10, "rows of the old texture are gone"
+
+
+def test_more_of_the_same_computes_the_difference_only(
+    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+) -> None:
+    (tmp_path / "results.csv").write_bytes((done[1] / "results.csv").read_bytes())
+    pixsim.study(tiny(repeats=4, technologies=("0.35um", "0.25um")), tmp_path, jobs=1)
+    assert len(evaluations) == 6 * 1 + 6 * 4  # one more sensor of the old process, four of the new
+    assert set(keys(done[1])) < set(keys(tmp_path))
+
+
+def test_frames_from_the_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Overexposed, so that a part of the pixels is saturated: their fraction is kept with the frame, whose DN do not show it."""
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
+    taken: list[int] = []
+    capture = Bench.capture
+    monkeypatch.setattr(Bench, "capture", lambda self, *key: taken.append(1) or capture(self, *key))
+    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0})
+    results = tmp_path / "out/results.csv"
+
+    def evaluated() -> tuple[bytes, int]:
+        taken.clear()
+        results.unlink(missing_ok=True)
+        pixsim.study(study, results.parent, jobs=1)
+        return results.read_bytes(), len(taken)
+
+    cold, captures = evaluated()
+    assert captures == 10
+    assert all(0.5 < float(row["saturated_fraction"]) < 0.97 for row in rows(results.parent))
+    assert evaluated() == (cold, 0)
+    for path in (tmp_path / "cache/frames").iterdir():  # without the fractions, as if they had never been kept
+        kept = cache.arrays("frames", path.stem)
+        cache.keep_arrays("frames", path.stem, {name: each for name, each in kept.items() if each.ndim == 2})
+    assert evaluated() == (cold, 10)
+
+
+def test_a_row_depends_on_its_own_pitch_only(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """Some of the pitches, others among them, backwards, up to the same largest one: a shared pitch gives the same row."""
+    pixsim.study(tiny(pitch={"values_um": [PITCHES_UM[-1], 11.0, 9.9, 8.5, 7.7, 6.0]}), tmp_path, jobs=1)
+    shared = {"6.0", "8.5", "11.0", str(PITCHES_UM[-1])}
+    mine, theirs = ([row for row in rows(folder) if row["pitch_um"] in shared] for folder in (tmp_path, done[1]))
+    assert mine == theirs
+    assert len(mine) == 12
+
+
+def test_a_stream_depends_on_its_key_and_on_nothing_else() -> None:
+    count = 100_000
+    first = stream("study", 1, "0.35um", 6.5, 0, "frame").normal(size=count)
+    np.random.default_rng().normal(size=7)
+    np.testing.assert_array_equal(first, stream("study", 1, "0.35um", 6.5, 0, "frame").normal(size=count))
+    others = [
+        ("study", 1, "0.35um", 6.5, 1, "frame"),
+        ("study", 1, "0.35um", 6.5, 0, "sensor"),
+        ("study", 1, "0.35um", 6.5000001, 0, "frame"),
+        ("study", 10, ".35um", 6.5, 0, "frame"),
+        ("study", "1", "0.35um", 6.5, 0, "frame"),
+    ]
+    for key in others:  # the correlation of independent streams has a standard deviation of 1/√n
+        assert abs(np.corrcoef(first, stream(*key).normal(size=count))[0, 1]) < 5 / np.sqrt(count), key
+
+
+def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """Quick rows are rows of the study itself: the table changes how much is done, not what."""
+    study = tiny(quick={"repeats": 2, "pitch": {"values_um": FIVE_UM}})
+    (curve,) = pixsim.study(study, tmp_path, quick=True, jobs=1).curves
+    np.testing.assert_array_equal(curve.delta_e, done[0].curves[0].delta_e[[0, 1, 2, 3, 5], :2])
+    assert set(keys(tmp_path)) < set(keys(done[1]))
+
+
+@pytest.mark.parametrize(
+    ("over", "told"),
+    [
+        ({"pitch": {"values_um": [5.0, 6, 7, 8, 9]}}, r"5\b.*5\.135 µm"),
+        ({"pitch": {"values_um": [6, 7, 8, 9, 2714]}}, r"2714.*2713\.6 µm"),
+        ({"technologies": ("0.35um", "0.3um")}, r"0\.3um"),
+        ({"technologies": ("0.35um", "0.35um")}, r"0\.35um"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_before_the_render(
+    over: dict[str, object], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+    with pytest.raises(ValueError, match=told):
+        pixsim.study(tiny(**over), tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_minimum_at_the_end_of_the_range_is_no_optimum(tmp_path: Path) -> None:
+    """In bright light small pixels are not yet short of photons; in the dark only the largest will do."""
+    for luminance, end_um, values in ((1e4, 8.0, [8, 9, 10, 11, 12]), (1.0, 7.0, [5.2, 5.5, 6, 6.5, 7])):
+        study = tiny(repeats=2, scene={"parameters": {"luminance_cd_per_m2": luminance}}, pitch={"values_um": values})
+        best = pixsim.study(study, tmp_path / str(end_um), jobs=1).curves[0].optimum
+        assert (best.inside, best.pitch_um) == (False, pytest.approx(end_um))
+
+
+def test_ctrl_c_keeps_what_is_finished(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
+    """Interrupted in the second of three sensors of the second pitch."""
+    toml, out = tmp_path / "tiny.toml", tmp_path / "out"
+    toml.write_text(TINY_TOML, encoding="utf-8")
+    words = [sys.executable, "-c", signalled(signal.SIGINT, 5), "study", toml, "--out", out, "--jobs", "1"]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
+    assert (ended.returncode, ended.stdout) == (130, ""), ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert ended.stderr.splitlines()[-1].startswith("pixsim: interrupted")
+    assert [path.name for path in out.rglob("*")] == ["results.csv"]
+    assert len(rows(out)) == 3, "a pitch is written when all of its sensors are done"
+    pixsim.study(toml, out, jobs=1)
+    assert len(evaluations) == 18 - 3
+    assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+
+
+def test_chen2000_finds_the_pixel_size_of_the_paper(tmp_path: Path) -> None:
+    """Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and display: ± 0.6 µm."""
+    curves = {curve.technology: curve for curve in pixsim.study("chen2000", tmp_path, quick=True).curves}
+    curve = curves["0.35um"]
+    best = curve.optimum
+    assert best.inside
+    assert best.pitch_um == pytest.approx(6.5, abs=0.6)
+    assert best.half_width_um <= 0.1, "what the study asks for"
+    mean = curve.mean()
+    assert mean[0] > 1.3 * best.mean_delta_e, "noise: 5 % fill factor"
+    assert mean[-1] > 1.3 * best.mean_delta_e, "blur: 15 µm"

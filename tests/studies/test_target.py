@@ -1,0 +1,356 @@
+"""Where a study puts more work until its interval is short enough, and that it finds the same however it is run."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import tomllib
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.dense_curves import simulated
+
+import pixsim
+from pixsim import cli
+from pixsim.report.wording import target_notes
+from pixsim.sensor.readout import Frame
+from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
+from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
+from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.study import next_round
+from pixsim.viewer.score import Bench, Score
+
+Sensors = dict[float, int]
+PITCH = np.geomspace(5.3, 15, 9).round(4)
+START: Sensors = dict.fromkeys(PITCH.tolist(), 2)
+
+
+def fit_of(sensors: Sensors, noise: float = 0.01, best_um: float = 8.0, seed: int = 0) -> FittedCurve:
+    """Of a parabola in log pitch, with its minimum inside; beyond the smallest pitch where that is larger."""
+    pitch_um = np.array(list(sensors))
+    mean = 0.5 + np.log(pitch_um / best_um) ** 2
+    delta_e = mean[:, None] * (1 + noise * np.random.default_rng(seed).standard_normal((mean.size, max(sensors.values()))))
+    delta_e[np.arange(max(sensors.values())) >= np.array(list(sensors.values()))[:, None]] = np.nan
+    return fit_curve(pitch_um, delta_e)
+
+
+@pytest.fixture(scope="module")
+def fit() -> FittedCurve:
+    return fit_of(START)
+
+
+# --- A round of additions ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_round_is_of_a_fixed_size_and_near_the_minimum(seed: int) -> None:
+    """Each addition is two sensors, of a pitch within the interval or the next two beyond either end."""
+    fit = fit_of(START, seed=seed)
+    more = next_sensors(fit, START, 32)
+    assert sum(more.values()) - sum(START.values()) == ROUND * SENSORS_AN_ADDITION
+    assert list(more) == sorted(more)
+    assert START.keys() <= more.keys()
+    low, high = fit.optimum.interval_um
+    lowest, highest = (
+        sorted(each for each in START if each < low)[-BEYOND],
+        sorted(each for each in START if each > high)[BEYOND - 1],
+    )
+    changed = [pitch_um for pitch_um, count in more.items() if count != START.get(pitch_um)]
+    assert changed
+    assert all(lowest <= pitch_um <= highest for pitch_um in changed)
+
+
+@pytest.mark.parametrize("max_sensors", [2, 3, 5])
+def test_no_pitch_has_more_sensors_than_allowed_and_no_two_are_one(max_sensors: int) -> None:
+    """Until nothing more is possible: then each pitch near the minimum is full, and lies as close to the next as may be."""
+    fit, sensors = fit_of(START), START
+    for _ in range(1000):
+        more = next_sensors(fit, sensors, max_sensors)
+        pitches_um = np.array(list(more))
+        assert (pitches_um[1:] >= MIN_RATIO * pitches_um[:-1]).all()
+        assert max(more.values()) <= max_sensors
+        if more == sensors:
+            break
+        sensors = more
+    assert more == sensors
+    low, high = fit.optimum.interval_um
+    inner = pitches_um[(low <= pitches_um) & (pitches_um <= high)]
+    assert inner.size > 3
+    assert all(sensors[pitch_um] == max_sensors for pitch_um in inner.tolist())
+    assert (inner[1:] < 1.001 * MIN_RATIO**2 * inner[:-1]).all(), "a half of any larger step is still a step"
+
+
+def test_a_new_pitch_lies_halfway_in_the_width_of_the_photodiode(fit: FittedCurve) -> None:
+    new = sorted(additions(fit, START, 32).keys() - START.keys())
+    assert new
+    for pitch_um in new:
+        left, right = max(each for each in START if each < pitch_um), min(each for each in START if each > pitch_um)
+        assert pitch_um == pytest.approx(np.sqrt(left * right), abs=1e-4)
+
+
+def test_each_addition_is_the_best_of_all(fit: FittedCurve) -> None:
+    """None that was possible would have left the rise to both ends of the interval known better."""
+    before, now = dict(START), START
+    for pitch_um in chosen_in_order(fit, START, 32):
+        options = additions(fit, before, 32)
+        now = before | {pitch_um: options[pitch_um]}
+        variance = rise_variance(fit, now)
+        assert all(variance <= rise_variance(fit, before | {each: count}) for each, count in options.items())
+        before = now
+    assert dict(sorted(now.items())) == next_sensors(fit, START, 32)
+
+
+def chosen_in_order(fit: FittedCurve, sensors: Sensors, max_sensors: int) -> Iterator[float]:
+    """The pitches of a round, one after another: a round of one addition, so often."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pixsim.studies.allocation.ROUND", 1)
+        for _ in range(ROUND):
+            more = next_sensors(fit, sensors, max_sensors)
+            (changed,) = [pitch_um for pitch_um in more if more[pitch_um] != sensors.get(pitch_um)]
+            yield changed
+            sensors = more
+
+
+def test_any_addition_lowers_the_variance_of_the_rise(fit: FittedCurve) -> None:
+    now = rise_variance(fit, START)
+    for pitch_um, count in additions(fit, START, 32).items():
+        assert 0 < rise_variance(fit, START | {pitch_um: count}) < now
+
+
+def test_the_variance_of_the_rise_is_that_of_drawn_curves(fit: FittedCurve) -> None:
+    """Of the differences between three places, from the covariance of the curve there."""
+    variance = rise_variance(fit, START)
+    low, high = fit.optimum.interval_um
+    places = fit.places_of(np.array([low, fit.optimum.pitch_um, high]))
+    mean = np.interp(fit.places_of(PITCH), fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
+    posterior = Posterior(replace(fit.design, noise=fit.noise * mean**2), fit.stiffness, fit.residual, PITCH)
+    covariance = posterior.covariance(places)
+    rises = sum(covariance[end, end] + covariance[1, 1] - 2 * covariance[end, 1] for end in (0, 2))
+    assert variance == pytest.approx(rises, rel=1e-6)
+
+
+# --- Rounds of a study -------------------------------------------------------------------------------------------------
+
+
+def study_with(**over: object) -> pixsim.Study:
+    table = {"name": "target", "repeats": 2, "target_ci_um": 1e-3, "pitch": {"values_um": PITCH.tolist()}}
+    return pixsim.Study.model_validate(table | over)
+
+
+def curve_with(fit: FittedCurve, technology: str = "0.35um", half_width_um: float | None = None) -> Curve:
+    """A curve with that fit; its interval has another half width, where one is given."""
+    if half_width_um is not None:
+        ends = (8 - half_width_um, 8 + half_width_um) if np.isfinite(half_width_um) else (None, 8.5)
+        fit = replace(fit, optimum=replace(fit.optimum, interval_um=ends))
+    statistics = {"mean_delta_e": np.full((PITCH.size, 2), 0.5)}
+    return Curve(technology, 0.35, PITCH, np.full(PITCH.size, 0.3), statistics, fit)
+
+
+def added(before: dict[str, Sensors], after: dict[str, Sensors]) -> int:
+    return sum(sum(sensors.values()) for sensors in after.values()) - sum(sum(sensors.values()) for sensors in before.values())
+
+
+@pytest.mark.parametrize(("half_width_um", "met"), [(0.05, True), (0.1, True), (0.1001, False), (3.0, False), (np.inf, False)])
+def test_a_target_is_half_of_the_interval(fit: FittedCurve, half_width_um: float, met: bool) -> None:
+    """An interval with an open end is longer than any target."""
+    sampling = {"0.35um": START}
+    curves = [curve_with(fit, half_width_um=half_width_um)]
+    for target_um, same in ((0.1, met), (None, True), (1e6, half_width_um < np.inf)):
+        assert (next_round(study_with(target_ci_um=target_um), curves, sampling) == sampling) == same
+
+
+def test_no_more_evaluations_than_allowed(fit: FittedCurve) -> None:
+    """A round is whole, or it is not made."""
+    sampling, curves, begins = {"0.35um": START}, [curve_with(fit)], 2 * PITCH.size
+    for allowed, more in ((begins, 0), (begins + 7, 0), (begins + 8, 8), (10**6, 8)):
+        assert added(sampling, next_round(study_with(max_evaluations=allowed), curves, sampling)) == more
+    # None: as many for each technology as max_repeats at each of the first pitches.
+    for repeats, is_room in ((2, False), (3, True), (32, True)):
+        later = next_round(study_with(max_repeats=repeats), curves, sampling)
+        assert (added(sampling, later) > 0) == is_room
+        assert max(later["0.35um"].values()) <= repeats
+
+
+def test_technologies_do_not_wait_for_each_other(fit: FittedCurve) -> None:
+    """What one is given depends on no other, but where the evaluations of all together are at their limit."""
+    names = ("0.35um", "0.25um")
+    other = fit_of(START, noise=0.02, best_um=9.0)
+    both = dict.fromkeys(names, START)
+    curves = [curve_with(fit), curve_with(other, names[1])]
+    study = study_with(technologies=names)
+    together = next_round(study, curves, both)
+    for name, curve in zip(names, curves, strict=True):
+        alone = next_round(study_with(technologies=(name,)), [curve], {name: START})
+        assert alone[name] == together[name] != START
+    assert together[names[0]] != together[names[1]]
+    # The first meets its target: the second goes on as before.
+    met = next_round(study, [curve_with(fit, half_width_um=1e-4), curves[1]], both)
+    assert met == {names[0]: START, names[1]: together[names[1]]}
+    # There is room for one round.
+    limited = next_round(study_with(technologies=names, max_evaluations=4 * PITCH.size + 8), curves, both)
+    assert limited == {names[0]: together[names[0]], names[1]: START}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rounds_narrow_the_interval(seed: int) -> None:
+    """Of a known curve: more than equally many sensors of the pitches that the study began with would.
+
+    Half the evaluations do (benchmarks/interval_against_evaluations.py); here the gate is the same length at equal numbers.
+    """
+    study, sensors = simulated("chen2000_0.35um", seed, 9, 2)
+    lengths = []
+    for more, fit in study.rounds(sensors, 32):
+        lengths.append(fit.optimum.half_width_um)
+        if sum(more.values()) >= 9 * 8:
+            break
+    assert lengths[-1] < 0.7 * lengths[0]
+    assert lengths[-1] < study.fit(dict.fromkeys(sensors, 8)).optimum.half_width_um
+
+
+# --- Studies with pictures ---------------------------------------------------------------------------------------------
+
+TOML = """
+name = "tiny"
+repeats = 2
+seed = 1
+target_ci_um = 0.01
+max_evaluations = 30
+scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
+pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
+display = { dots = 96, samples_per_deg = 10.0 }
+"""
+EVALUATIONS = 28  # 12 to begin with and two rounds of 8; a third would be more than allowed
+
+
+@pytest.fixture
+def toml(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.toml"
+    path.write_text(TOML, encoding="utf-8")
+    return path
+
+
+def tiny(**over: object) -> pixsim.Study:
+    return pixsim.Study.model_validate(tomllib.loads(TOML) | over)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
+    folder = tmp_path_factory.mktemp("done")
+    return pixsim.study(tiny(), folder, jobs=1), folder
+
+
+def keys(folder: Path) -> list[str]:
+    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
+        return [row["key"] for row in csv.DictReader(file)]
+
+
+def summary(result: StudyResult) -> str:
+    return json.dumps(result.as_dict())
+
+
+def test_a_study_adds_rounds_up_to_its_limit(done: tuple[StudyResult, Path]) -> None:
+    result, folder = done
+    (curve,) = result.curves
+    assert len(set(keys(folder))) == len(keys(folder)) == EVALUATIONS == curve.sensors.sum()
+    assert set(tiny().pitch.values_um) <= set(curve.pitch_um.tolist())
+    assert [path.name for path in folder.iterdir()] == ["results.csv"]
+
+
+def test_two_workers_take_the_same_rounds(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result = pixsim.study(tiny(), tmp_path, jobs=2)
+    assert (tmp_path / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+    assert summary(result) == summary(done[0])
+
+
+# 5: among the first pitches; 15: in the first round; 26: in the second.
+@pytest.mark.parametrize("count", [5, 15, 26])
+def test_a_study_that_is_interrupted_goes_on_in_its_round(
+    count: int, done: tuple[StudyResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
+) -> None:
+    counted = Bench.view
+
+    def interrupted(self: Bench, frame: Frame) -> Score:
+        if len(evaluations) + 1 == count:
+            raise KeyboardInterrupt
+        return counted(self, frame)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Bench, "view", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            pixsim.study(tiny(), tmp_path, jobs=1)
+    kept = keys(tmp_path)
+    assert 0 < count - len(kept) <= 8, "what was finished is there, but for the pitch at work"
+    assert set(kept) < set(keys(done[1]))
+    evaluations.clear()
+    result = pixsim.study(tiny(), tmp_path, jobs=1)
+    assert len(evaluations) == EVALUATIONS - len(kept), "nothing is evaluated twice"
+    assert (tmp_path / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+    assert summary(result) == summary(done[0])
+    assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
+
+
+def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
+    before = (done[1] / "results.csv").read_bytes()
+    assert summary(pixsim.study(tiny(), done[1], jobs=1)) == summary(done[0])
+    assert evaluations == []
+    assert (done[1] / "results.csv").read_bytes() == before
+
+
+def test_a_higher_limit_goes_on_where_the_lower_one_ended(
+    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+) -> None:
+    shutil.copy(done[1] / "results.csv", tmp_path)
+    pixsim.study(tiny(max_evaluations=36), tmp_path, jobs=1)
+    assert len(evaluations) == 8
+    assert keys(tmp_path) != keys(done[1])
+    assert set(keys(done[1])) < set(keys(tmp_path))
+
+
+def test_without_its_target_a_study_keeps_the_other_rows_aside(
+    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+) -> None:
+    shutil.copy(done[1] / "results.csv", tmp_path)
+    result = pixsim.study(tiny(target_ci_um=None, max_evaluations=None), tmp_path, jobs=1)
+    assert evaluations == []
+    assert result.curves[0].delta_e.shape == (6, 2)
+    assert len(keys(tmp_path)) == 12
+    assert (tmp_path / "results.csv.old").read_bytes() == (done[1] / "results.csv").read_bytes()
+
+
+def test_the_command_says_which_limit_ended_it(done: tuple[StudyResult, Path], toml: Path, tmp_path: Path) -> None:
+    shutil.copytree(done[1], tmp_path / "out")
+    with redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit, match="0"):
+        cli.main(["study", str(toml), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    (note,) = target_notes(done[0])
+    half_um = done[0].curves[0].optimum.half_width_um
+    where = f"± {half_um:.2g} µm" if half_um < np.inf else "open at an end"
+    assert note in out.getvalue()
+    done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations in all (max_evaluations)"
+    assert note == f"note: 0.35um: the interval is {where} after {done_of}, not ± 0.01 µm (target_ci_um)"
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert note.removeprefix("note: ") in page
+
+
+def test_notes_are_of_optima_that_miss_the_target(fit: FittedCurve) -> None:
+    curves = [curve_with(fit, half_width_um=each) for each in (0.05, 0.25, np.inf)]
+    result = SimpleNamespace(study=study_with(target_ci_um=0.1), curves=curves)
+    wide, open_end = target_notes(result)
+    assert "the interval is ± 0.25 µm after 18 evaluations, with at most 32 at a size (max_repeats), not ± 0.1 µm" in wide
+    assert "the interval is open at an end after 18 evaluations" in open_end
+    bounded = SimpleNamespace(study=study_with(target_ci_um=0.1, max_evaluations=60), curves=curves)
+    assert all("after 54 of at most 60 evaluations in all (max_evaluations)" in each for each in target_notes(bounded))
+    assert target_notes(SimpleNamespace(study=study_with(target_ci_um=None), curves=curves)) == []
+
+
+def test_a_limit_below_the_beginning_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.studies.study.render_for", lambda *_, **__: pytest.fail("rendered"))
+    with pytest.raises(pixsim.PixsimError, match=r"max_evaluations: got 11; allowed: at least 12, .*Raise it, or lower repeats"):
+        pixsim.study(tiny(max_evaluations=11), tmp_path / "out", jobs=1)
+    assert not (tmp_path / "out").exists()
