@@ -33,7 +33,7 @@ from pixsim.base import cache
 from pixsim.base.errors import PixsimError, refuse
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import as_quantum_efficiency
-from pixsim.cli.options import settings_of
+from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import read_channels
 from pixsim.measure import datasheet
 from pixsim.measure.sfr import read_edge_picture
@@ -177,7 +177,7 @@ TOMLS = {
 @pytest.mark.parametrize("content", TOMLS.values(), ids=TOMLS.keys())
 def test_a_hostile_toml(tmp_path, content):
     (path := tmp_path / "a.toml").write_bytes(content)
-    for read in (lambda: settings_of([path], {}, None, {}), lambda: load_study(path), lambda: load_technology(str(path))):
+    for read in (lambda: SceneOptions([path]).settings(), lambda: load_study(path), lambda: load_technology(str(path))):
         with refused("a.toml"):
             read()
 

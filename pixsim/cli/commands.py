@@ -8,7 +8,7 @@ import shutil
 import sys
 import textwrap
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -21,28 +21,25 @@ from pixsim.base.files import output_folder
 from pixsim.cli.options import (
     DEFAULT_OUT,
     FILE_WIDTH,
-    NO_CAMERA,
-    NO_DISPLAY,
-    NO_EXPOSURE,
-    NO_PIXEL,
-    CameraTable,
+    NO_EFFORT,
+    NO_OPTIONS,
     Config,
     Define,
     DisplayTable,
+    Effort,
     ExposureTable,
     Full,
     Json,
     Out,
     PixelTable,
+    SceneOptions,
     Seed,
     SensorId,
     Tolerance,
     Variant,
     app,
     definitions,
-    described,
     given,
-    settings_of,
     show,
     stages,
 )
@@ -56,17 +53,11 @@ if TYPE_CHECKING:
 def run(
     scene: str,
     *,
-    config: Config = None,
-    define: Define | None = None,
-    camera: CameraTable = NO_CAMERA,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
-    display: DisplayTable = NO_DISPLAY,
+    options: SceneOptions = NO_OPTIONS,
+    display: DisplayTable = None,
     seed: Seed = None,
     tolerance_e: Tolerance = None,
-    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
-    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
-    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    effort: Effort = NO_EFFORT,
     full: Full = False,
     sensor: SensorId = None,
     variant: Variant = None,
@@ -97,15 +88,7 @@ def run(
     from pixsim.report.run import run_and_write
     from pixsim.report.wording import budget_lines, dark_note, score_line
 
-    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
-    values = {
-        "seed": seed,
-        "tolerance_e": tolerance_e,
-        "tolerance_delta_e": tolerance_delta_e,
-        "render_noise": render_noise,
-        "max_seconds": max_seconds,
-    }
-    chosen = settings_of(config, tables, define, values)
+    chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
     with stages() as stage:
         result = run_and_write(
@@ -135,11 +118,7 @@ def run(
 def plan(
     scene: str,
     *,
-    config: Config = None,
-    define: Define | None = None,
-    camera: CameraTable = NO_CAMERA,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
+    options: SceneOptions = NO_OPTIONS,
     tolerance_e: Tolerance = None,
     full: Full = False,
     sensor: SensorId = None,
@@ -158,8 +137,7 @@ def plan(
     from pixsim.scene.plan import make_plan
     from pixsim.scene.scene import load_scene
 
-    tables = {"camera": camera, "pixel": pixel, "exposure": exposure}
-    chosen = settings_of(config, tables, define, {"tolerance_e": tolerance_e})
+    chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
     how: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
     made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **how)
@@ -198,16 +176,14 @@ def study(
     study: str,
     *,
     config: Config = None,
-    define: Define | None = None,
-    pixel: PixelTable = NO_PIXEL,
+    define: Define = None,
+    pixel: PixelTable = None,
     quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
     jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
     scheduler: Annotated[
         str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786), whose workers take the place of --jobs.")
     ] = None,
-    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
-    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
-    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    effort: Effort = NO_EFFORT,
     variant: Variant = None,
     out: Out = None,
     json: Json = False,
@@ -230,13 +206,10 @@ def study(
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
-    effort = {"tolerance_delta_e": tolerance_delta_e, "render_noise": render_noise, "max_seconds": max_seconds}
-    options: dict[str, Any] = {name: value for name, value in effort.items() if value is not None}
-    if define:
-        options["scene"] = {"parameters": definitions(define)}
-    if own := given(pixel):
-        options["pixel"] = own
-    if "vary" in table.table and (config or define or own):
+    options = given({**vars(effort), "pixel": pixel})
+    if parameters := definitions(define):
+        options["scene"] = {"parameters": parameters}
+    if "vary" in table.table and (config or define or pixel):
         mend = "Copy the study that it varies, set them there, and name the copy as its base."
         raise refuse("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", mend)
     layers = study_layers(table, config or [], options)
@@ -280,12 +253,8 @@ def accuracy(
     scene: str,
     *,
     quick: Annotated[bool, Parameter(help="Fewer rungs, a minute in all.")] = False,
-    config: Config = None,
-    define: Define | None = None,
-    camera: CameraTable = NO_CAMERA,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
-    display: DisplayTable = NO_DISPLAY,
+    options: SceneOptions = NO_OPTIONS,
+    display: DisplayTable = None,
     seed: Seed = None,
     sensor: SensorId = None,
     variant: Variant = None,
@@ -306,8 +275,7 @@ def accuracy(
     from pixsim.accuracy.report import accuracy_lines, write_accuracy
     from pixsim.accuracy.survey import survey
 
-    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
-    settings = settings_of(config, tables, define, {"seed": seed})
+    settings = options.settings(display=display, seed=seed)
     with stages() as stage, output_folder(out) if out else nullcontext():  # told before a minute of work
         found = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
@@ -321,8 +289,8 @@ def datasheet(
     pixel_file: Annotated[str | None, Parameter(name="PIXEL")] = None,
     *,
     config: Config = None,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
+    pixel: PixelTable = None,
+    exposure: ExposureTable = None,
     wavelength_nm: Annotated[float | None, Parameter(help="Of the light [default: where the response peaks].")] = None,
     seed: Annotated[str | None, Parameter(help="Of the individual sensor and its noise [default: 0].")] = None,
     out: Out = None,
@@ -350,26 +318,20 @@ def datasheet(
     from pixsim.measure.datasheet import sheet_summary as summary
     from pixsim.measure.datasheet_report import datasheet_lines, sheet_name, write_datasheet
 
-    files, table = pixel_of_argument(pixel_file, config, pixel)
-    settings = settings_of(files, {"pixel": table, "exposure": exposure}, None, {"seed": seed})
+    files, own = list(config or []), given({"pixel": pixel}).get("pixel", {})
+    if pixel_file is not None and pixel_file.endswith(".toml") and "pixel" in read_toml(Path(pixel_file)):
+        files.insert(0, Path(pixel_file))
+    elif pixel_file is not None:
+        if "technology" in own:
+            raise PixsimError(f"PIXEL: got '{pixel_file}' beside --pixel.technology {own['technology']}; give one of them.")
+        own["technology"] = pixel_file
+    settings = SceneOptions(files, exposure=exposure).settings(pixel=own or None, seed=seed)
     how: dict[str, Any] = {"wavelength_nm": wavelength_nm, "seed": settings.seed}
     with output_folder(out) if out else nullcontext(), stages() as stage:  # refused before the measurement, not after it
         sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, **how)
         stage("report")
         report = write_datasheet(sheet, out or DEFAULT_OUT / sheet_name(sheet))
     show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
-
-
-def pixel_of_argument(name: str | None, config: list[Path] | None, table: Any) -> tuple[list[Path], Any]:
-    """What PIXEL means: a file of settings, below the others, or the technology option."""
-    files = list(config or [])
-    if name is None:
-        return files, table
-    if name.endswith(".toml") and "pixel" in read_toml(Path(name)):
-        return [Path(name), *files], table
-    if table.technology is not None:
-        raise PixsimError(f"PIXEL: got '{name}' beside --pixel.technology {table.technology}; give one of them.")
-    return files, replace(table, technology=name)
 
 
 @app.command

@@ -85,7 +85,7 @@ def test_a_data_sheet_is_enough(sheet: Path, tmp_path: Path, capsys: pytest.Capt
 
 
 def test_its_curve_is_straight_between_points_and_nothing_beyond(sheet: Path) -> None:
-    settings = options.settings_of([sheet], {}, None, {})
+    settings = options.SceneOptions([sheet]).settings()
     physics = pixsim.derive(settings.pixel)
     nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
     np.testing.assert_allclose(physics.quantum_efficiency(nm), [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
@@ -102,7 +102,7 @@ def test_what_a_data_sheet_lacks_is_named(lost: str, sheet: Path, capsys: pytest
 
 def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> None:
     sheet.write_text('[pixel]\ntechnology = "0.35um"\npitch_um = 8.0\nread_noise_e = 5.0\n', encoding="utf-8")
-    physics = pixsim.derive(options.settings_of([sheet], {}, None, {}).pixel)
+    physics = pixsim.derive(options.SceneOptions([sheet]).settings().pixel)
     derived = pixsim.derive(pixsim.Pixel(technology="0.35um", pitch_um=8.0))
     assert physics.read_noise_e == 5.0 != derived.read_noise_e
     assert (physics.full_well_e, physics.dark_current_e_per_s) == (derived.full_well_e, derived.dark_current_e_per_s)
@@ -137,7 +137,7 @@ def test_a_curve_that_is_none(text: str, told: str, sheet: Path, capsys: pytest.
 @pytest.mark.parametrize("text", ["400;0,3\n500;0,4\n", "400\t0.3\n500\t0.4\n", "nm;QE\n400,0;0,3\n500;0.4\n"])
 def test_other_separators_and_decimal_commas(text: str, sheet: Path) -> None:
     (sheet.parent / "qe.csv").write_text(text, encoding="utf-8")
-    assert options.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.3), (500.0, 0.4))
+    assert options.SceneOptions([sheet]).settings().pixel.quantum_efficiency == ((400.0, 0.3), (500.0, 0.4))
 
 
 def test_a_misspelt_key_of_a_data_sheet_is_named(sheet: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -152,13 +152,13 @@ def test_a_misspelt_key_of_a_data_sheet_is_named(sheet: Path, capsys: pytest.Cap
 def test_a_byte_order_mark_is_no_part_of_a_curve(sheet: Path) -> None:
     """A spreadsheet's "CSV UTF-8" begins with one."""
     (sheet.parent / "qe.csv").write_text("\ufeff400,0.5\n500,0.6\n", encoding="utf-8")
-    assert options.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency == ((400.0, 0.5), (500.0, 0.6))
+    assert options.SceneOptions([sheet]).settings().pixel.quantum_efficiency == ((400.0, 0.5), (500.0, 0.6))
 
 
 def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("qe.csv").write_text("400,0.1\n500,0.1\n", encoding="utf-8")
-    assert options.settings_of([sheet], {}, None, {}).pixel.quantum_efficiency[0] == (400.0, 0.3)
+    assert options.SceneOptions([sheet]).settings().pixel.quantum_efficiency[0] == (400.0, 0.3)
     study = sheet.parent / "s.toml"
     study.write_text('name = "s"\n[quick.pixel]\nquantum_efficiency = "qe.csv"\n', encoding="utf-8")
     assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
@@ -166,7 +166,7 @@ def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, 
 
 def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:
     pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
-    from_file = options.settings_of([sheet], {}, None, {}).pixel
+    from_file = options.SceneOptions([sheet]).settings().pixel
     assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
 
 

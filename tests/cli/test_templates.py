@@ -90,7 +90,7 @@ def test_defaults_in_a_template_are_the_records_own() -> None:
 def test_a_sensor_of_the_template_is_known_by_its_data_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "my_sensor.toml"
     run_cli(f"template sensor -o {path}")
-    settings = options.settings_of([path], {}, None, {})
+    settings = options.SceneOptions([path]).settings()
     assert settings.pixel.technology == "none"
     assert all(getattr(settings.pixel, name) is not None for name in DATA_SHEET)
     physics = pixsim.derive(settings.pixel)

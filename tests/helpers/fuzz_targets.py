@@ -12,7 +12,7 @@ from PIL import Image
 
 import pixsim
 from pixsim.base.parameters import CameraOptions, read_curve
-from pixsim.cli.options import settings_of
+from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import read_edge_picture
@@ -111,7 +111,7 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     Image.fromarray(np.ones((8, 8), np.uint16)).save(folder / "edge.png")
     rows(folder / "results.csv")
     readers: dict[str, Reader] = {
-        "config.toml": lambda path: settings_of([path], {}, None, {}),
+        "config.toml": lambda path: SceneOptions([path]).settings(),
         "study.toml": load_study,
         "technology.toml": lambda path: load_technology(str(path)),
         "curve.csv": read_curve,
