@@ -95,12 +95,12 @@ DAMAGE += (TypeError, OverflowError, IndexError, AttributeError)
 DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
 
 
-def read_arrays(path: Path, what: str, allowed: str, most_arrays: int = MOST_ARRAYS) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, what: str, allowed: str) -> dict[str, NDArray[Any]]:
     """Name -> array of an `.npz`, whole and with its CRC compared; nothing pickled is loaded. PixsimError for what is none."""
     with opened(path, what, allowed) as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                refuse_zip_bomb(path, archive, most_arrays)
+                refuse_zip_bomb(path, archive, MOST_ARRAYS)
                 return {each.filename.removesuffix(".npy"): _member(archive, each) for each in archive.infolist()}
         except PixsimError:
             raise

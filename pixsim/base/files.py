@@ -24,11 +24,9 @@ FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
 def cache_folder() -> Path:
     """$PIXSIM_CACHE_DIR, else pixsim in the user's cache folder (XDG base directories)."""
-    named = os.environ.get(FOLDER_VARIABLE)
-    if named:
+    if named := os.environ.get(FOLDER_VARIABLE):
         return Path(named)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "pixsim"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pixsim"
 
 
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
@@ -168,9 +166,7 @@ def read_bytes(path: Path, what: str, allowed: str, most_bytes: int) -> bytes:
 def read_text(path: Path, what: str, allowed: str, most_bytes: int) -> str:
     """`read_bytes` in UTF-8, with the line ends of any system; PixsimError where it is something else."""
     try:
-        text = read_bytes(path, what, allowed, most_bytes).decode(
-            "utf-8-sig"
-        )  # a byte order mark, as spreadsheets write it, is no text
+        text = read_bytes(path, what, allowed, most_bytes).decode("utf-8-sig")  # a spreadsheet's byte order mark is no text
     except UnicodeDecodeError as error:
         raise refuse(what, f"'{path}' ({error})", f"{allowed} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")

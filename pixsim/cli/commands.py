@@ -49,9 +49,15 @@ if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
 
 
+SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
+
+
 @app.command
 def run(
-    scene: str,
+    scene: Annotated[
+        str,
+        Parameter(help=f"{SCENE_HELP} Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry."),
+    ],
     *,
     options: SceneOptions = NO_OPTIONS,
     display: DisplayTable = None,
@@ -78,12 +84,6 @@ def run(
 
     Writes irradiance.exr, raw.exr (for --raw in other formats too), ideal.png, image.png, delta_e.exr, delta_e.png,
     score.json, and report.html, which shows them.
-
-    Parameters
-    ----------
-    scene
-        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
-        Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry.
     """
     from pixsim.report.run import run_and_write
     from pixsim.report.wording import budget_lines, dark_note, score_line
@@ -116,7 +116,7 @@ def run(
 
 @app.command
 def plan(
-    scene: str,
+    scene: Annotated[str, Parameter(help=SCENE_HELP)],
     *,
     options: SceneOptions = NO_OPTIONS,
     tolerance_e: Tolerance = None,
@@ -128,11 +128,6 @@ def plan(
     """What a scene needs, what is left out, why, and what leaving it out can cost at most; nothing is rendered.
 
     Example: pixsim plan macbeth --tolerance-e 1e-4
-
-    Parameters
-    ----------
-    scene
-        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
     """
     from pixsim.scene.plan import make_plan
     from pixsim.scene.scene import load_scene
@@ -173,7 +168,10 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
 
 @app.command
 def study(
-    study: str,
+    study: Annotated[
+        str,
+        Parameter(help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern."),
+    ],
     *,
     config: Config = None,
     define: Define = None,
@@ -196,11 +194,6 @@ def study(
 
     Writes results.csv, summary.json, figures (with a contact sheet), provenance.json, report.html; an interrupted
     study goes on where it stopped when the same command is given again.
-
-    Parameters
-    ----------
-    study
-        A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.
     """
     from pixsim.report.wording import budget_lines, found_line, sensitivity_lines, study_dark_notes, target_notes
     from pixsim.studies import study as sweep
@@ -250,7 +243,7 @@ def study_folder(out: Path | None, name: str, quick: bool) -> Path:
 
 @app.command
 def accuracy(
-    scene: str,
+    scene: Annotated[str, Parameter(help=SCENE_HELP)],
     *,
     quick: Annotated[bool, Parameter(help="Fewer rungs, a minute in all.")] = False,
     options: SceneOptions = NO_OPTIONS,
@@ -266,11 +259,6 @@ def accuracy(
     Example: pixsim accuracy csf --quick
 
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json, report.html.
-
-    Parameters
-    ----------
-    scene
-        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
     """
     from pixsim.accuracy.report import accuracy_lines, write_accuracy
     from pixsim.accuracy.survey import survey
@@ -286,7 +274,14 @@ def accuracy(
 
 @app.command
 def datasheet(
-    pixel_file: Annotated[str | None, Parameter(name="PIXEL")] = None,
+    pixel_file: Annotated[
+        str | None,
+        Parameter(
+            name="PIXEL",
+            help="A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a "
+            "table [pixel]; without one, the pixel of the options.",
+        ),
+    ] = None,
     *,
     config: Config = None,
     pixel: PixelTable = None,
@@ -307,12 +302,6 @@ def datasheet(
     A photon-transfer experiment with one individual sensor of 200 × 200 pixels: 50 pairs of frames from dark to beyond
     saturation, stacks for the spatial terms, dark series over time and temperature. A black level of less than 6 σ of the
     dark is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv, report.html.
-
-    Parameters
-    ----------
-    pixel_file
-        A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a
-        table [pixel]; without one, the pixel of the options.
     """
     from pixsim.measure.datasheet import make_datasheet
     from pixsim.measure.datasheet import sheet_summary as summary
@@ -336,7 +325,13 @@ def datasheet(
 
 @app.command
 def sfr(
-    image: Path,
+    image: Annotated[
+        Path,
+        Parameter(
+            help="A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png or .tiff of "
+            "16 bits."
+        ),
+    ],
     *,
     pitch_um: Annotated[float | None, Parameter(help="Of the pixels, where the file does not tell it; gives cycles/mm.")] = None,
     black_level_dn: Annotated[float | None, Parameter(help="Where the file does not tell it [default: 0]; contrast only.")] = None,
@@ -351,11 +346,6 @@ def sfr(
     Example: pixsim sfr pixsim-out/slanted_edge/raw.exr
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json.
-
-    Parameters
-    ----------
-    image
-        A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png or .tiff of 16 bits.
     """
     from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, write_sfr
     from pixsim.measure.sfr import sfr_summary as summary
@@ -386,7 +376,7 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
 
 @app.command
 def chart(
-    kind: str,
+    kind: Annotated[str, Parameter(help="csf, flat, siemens_star or slanted_edge.")],
     *,
     output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR, row 0 on top.")],
     width: Annotated[int | None, Parameter(help="Texels across.")] = None,
@@ -397,11 +387,6 @@ def chart(
     """Make a chart texture for -D chart=FILE.
 
     Example: pixsim chart siemens_star -o star.exr
-
-    Parameters
-    ----------
-    kind
-        csf, flat, siemens_star or slanted_edge.
     """
     from pixsim.scene import charts
 
@@ -414,7 +399,12 @@ def chart(
 
 @app.command
 def template(
-    kind: str,
+    kind: Annotated[
+        str,
+        Parameter(
+            help="sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or study, for `pixsim study FILE`."
+        ),
+    ],
     *,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
     json: Json = False,
@@ -424,11 +414,6 @@ def template(
     Example: pixsim template sensor -o my_sensor.toml
 
     Example: pixsim template study -o my_study.toml
-
-    Parameters
-    ----------
-    kind
-        sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or study, for `pixsim study FILE`.
     """
     from pixsim.base.files import write_new
     from pixsim.cli import templates
@@ -445,15 +430,10 @@ def template(
 
 
 @app.command
-def schema(kind: str = "sensor", *, json: Json = True) -> None:
+def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", *, json: Json = True) -> None:
     """Print the JSON schema of a configuration file, for editors that check and complete TOML.
 
     Example: pixsim schema study > study.schema.json
-
-    Parameters
-    ----------
-    kind
-        sensor or study.
     """
     from pixsim.cli import templates
 
@@ -514,17 +494,16 @@ def summary(kind: str | None = None) -> dict[str, Any]:
 
 
 @app.command
-def completion(shell: Literal["bash", "zsh", "fish"], *, json: Json = False) -> None:
+def completion(
+    shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="bash, zsh (into a folder of $fpath, as _pixsim) or fish.")],
+    *,
+    json: Json = False,
+) -> None:
     """Print a script that makes a shell complete commands and options.
 
     Example: pixsim completion bash > ~/.local/share/bash-completion/completions/pixsim
 
     Example: pixsim completion fish > ~/.config/fish/completions/pixsim.fish
-
-    Parameters
-    ----------
-    shell
-        bash, zsh (into a folder of $fpath, as _pixsim) or fish.
     """
     script = app.generate_completion(prog_name="pixsim", shell=shell)
     show({"shell": shell, "script": script}, json, script)

@@ -6,7 +6,6 @@ Whatever may abort or hang runs in processes of its own (`pixsim.cli.trial`): a 
 from __future__ import annotations
 
 import platform
-import re
 import shlex
 import sys
 import tempfile
@@ -29,22 +28,21 @@ MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  #
 
 def requirements(lines: Iterable[str]) -> dict[str, str]:
     """Package -> allowed versions, as `>=2.0`, of what is always needed, from a package's metadata; extras are left out."""
-    parted = (re.match(r"([\w.-]+)(?:\[[^]]*\])?\s*([^;]*)", line) for line in lines if "extra ==" not in line)
-    return {each[1]: each[2].strip() for each in parted if each}
+    from packaging.requirements import Requirement
+
+    parted = [Requirement(line) for line in lines]
+    return {each.name: str(each.specifier) for each in parted if not each.marker or each.marker.evaluate({"extra": ""})}
 
 
 def satisfies(version: str, wanted: str) -> bool:
-    """Whether a version is in a range; a pre-release counts as its release."""
-    have = _numbers(version)
-    for each in filter(None, wanted.split(",")):
-        bound = _numbers(each)
-        if not (have >= bound if each.strip().startswith(">=") else have[: len(bound)] == bound):
-            return False
-    return True
+    """Whether a version is in a range; a pre-release, or a local build, counts as its release."""
+    from packaging.specifiers import SpecifierSet
+    from packaging.version import InvalidVersion, Version
 
-
-def _numbers(version: str) -> list[int]:
-    return [int(number) for number in re.findall(r"\d+", version.partition("+")[0])]
+    try:
+        return Version(Version(version).base_version) in SpecifierSet(wanted)
+    except InvalidVersion:
+        return False
 
 
 def installed(package: str) -> str | None:
@@ -72,12 +70,11 @@ MEAN_GATE, RMS_GATE = 1e-3, 1e-2  # of the tried picture's illuminance: 1e-5 and
 MEMORY_GIB = 1.0  # `pixsim run csf` takes 0.6
 DISK_GIB = 0.5  # it writes 0.13
 LEAST = ("mitsuba", "drjit", "numpy", "scipy")  # looked at where pixsim's own metadata are missing
-OPTIONAL = {
-    variant.LLVM_WHEEL: "fast renders where the system has no LLVM",
-    "distributed": "studies on a cluster",
-    "spectral": "ENVI cubes",
+OPTIONAL = {  # package -> pixsim's extra that brings it, and its purpose
+    variant.LLVM_WHEEL: ("llvm", "fast renders where the system has no LLVM"),
+    "distributed": ("cluster", "studies on a cluster"),
+    "spectral": ("envi", "ENVI cubes"),
 }
-EXTRAS = {variant.LLVM_WHEEL: "llvm", "distributed": "cluster", "spectral": "envi"}
 SCALAR, LLVM, CUDA = "scalar_spectral", "llvm_ad_spectral", "cuda_ad_spectral"
 
 
@@ -101,7 +98,10 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     out : folder that results would go to; it need not exist
     limit_s : for each process that tries something, s
     """
-    required = _required()
+    try:
+        required = requirements(metadata.requires("pixsim") or [])
+    except metadata.PackageNotFoundError:
+        required = {}  # pixsim is on the path but not installed
     with ThreadPoolExecutor() as pool:
         first = [pool.submit(attempt, kind, limit_s=limit_s) for kind in ("libraries", "driver")]
         libraries, driver = (each.result() for each in first)
@@ -134,14 +134,6 @@ def _said(trial: Trial, name: str) -> Any:
 # --- Software ---------------------------------------------------------------------------------------------------------
 
 
-def _required() -> dict[str, str]:
-    """Package -> versions allowed; empty where pixsim is on the path but not installed."""
-    try:
-        return requirements(metadata.requires("pixsim") or [])
-    except metadata.PackageNotFoundError:
-        return {}
-
-
 def _software(required: dict[str, str], imports: Trial) -> Iterator[Finding]:
     room, where = "software", Path(str(resources.files("pixsim")))
     mark, text, mend = OK, f"{VERSION} in {where}", None
@@ -172,21 +164,12 @@ def _broken_packages(required: dict[str, str], versions: dict[str, str | None], 
         elif not satisfies(version, wanted):
             yield Finding("software", name, PROBLEM, f"{version}; pixsim needs {wanted}", pip(f"{name}{wanted}"))
         elif error:
+            verb = "" if error.startswith(("hangs", "dies", "fails")) else "fails: "
             mend = pip("--force-reinstall", f"{name}{wanted}")
-            yield Finding("software", name, PROBLEM, f"{version} is installed, but its import {_verb(error)}", mend)
-
-
-def _verb(error: str) -> str:
-    return error if error.startswith(("hangs", "dies", "fails")) else f"fails: {error}"
+            yield Finding("software", name, PROBLEM, f"{version} is installed, but its import {verb}{error}", mend)
 
 
 # --- Mitsuba ----------------------------------------------------------------------------------------------------------
-
-
-def wheel_or_library() -> str:
-    """The command that brings a usable LLVM."""
-    here = (sys.platform, platform.machine()) == ("linux", "x86_64")
-    return pip(variant.LLVM_WHEEL) if here else f"export {variant.LLVM_VARIABLE}=FILE  # a libLLVM {variant.OLDEST_LLVM} or newer"
 
 
 def usable_llvm(libraries: Trial) -> str | None:
@@ -209,7 +192,10 @@ def _llvm(libraries: Trial, taken: str | None) -> Iterator[Finding]:
         yield Finding("LLVM", "libraries", PROBLEM, found, f"export {variant.LLVM_VARIABLE}=FILE  # another libLLVM")
     elif taken is None and not any(line["origin"] == variant.LLVM_VARIABLE for line in judged):
         found = f"no LLVM {variant.OLDEST_LLVM} or newer that is taken by itself; renders are slower by several times without"
-        yield Finding("LLVM", "libraries", NOTE, found, wheel_or_library())
+        mend = f"export {variant.LLVM_VARIABLE}=FILE  # a libLLVM {variant.OLDEST_LLVM} or newer"
+        if (sys.platform, platform.machine()) == ("linux", "x86_64"):
+            mend = pip(variant.LLVM_WHEEL)
+        yield Finding("LLVM", "libraries", NOTE, found, mend)
     if here := variant.mapped():
         yield Finding("LLVM", "this process", OK, f"has loaded {', '.join(here)}", facts={"mapped": here})
 
@@ -327,7 +313,7 @@ def _space(subject: str, path: Path, mend: str) -> Finding:
 
 
 def _optional() -> Iterator[Finding]:
-    for name, purpose in OPTIONAL.items():
+    for name, (extra, purpose) in OPTIONAL.items():
         version = installed(name)
-        text = f"{version} ({purpose})" if version else f"not installed; for {purpose} only: pip install 'pixsim[{EXTRAS[name]}]'"
+        text = f"{version} ({purpose})" if version else f"not installed; for {purpose} only: pip install 'pixsim[{extra}]'"
         yield Finding("optional", name, OK, text, facts={"version": version})

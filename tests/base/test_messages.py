@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from helpers.commands import assert_refused, command
 
-from pixsim.base.config import Unusable, checked
+from pixsim.base.config import checked
+from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Layer, Run, Study
 
 
@@ -35,11 +36,11 @@ def test_a_name_that_is_near_nothing_is_answered_with_all_of_them() -> None:
 
 
 def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
-    with pytest.raises(Unusable, match=r"a\.toml: f_number: unknown name; .* It belongs into \[camera\]\."):
+    with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs into \[camera\]\."):
         checked(Run, [Layer({"f_number": 2.8}, "a.toml")])
-    with pytest.raises(Unusable, match=r"min_um: unknown name; .* It belongs into \[pitch\]\."):
+    with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs into \[pitch\]\."):
         checked(Study, [Layer({"name": "a", "min_um": 2.8}, "a.toml")])
-    with pytest.raises(Unusable, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
+    with pytest.raises(PixsimError, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
         checked(Run, [Layer({"pixl": {}})])
 
 
