@@ -55,23 +55,20 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     made = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
     probe = folder / ".pixsim-probe"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        _remove_empty(made)
-        raise PixsimError(f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out.") from None
-    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise PixsimError(
+                f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
+            ) from None
         yield folder
     except BaseException:
-        _remove_empty(made)
+        for each in made:
+            with suppress(OSError):  # it holds something, or was never made
+                each.rmdir()
         raise
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for each in folders:
-        with suppress(OSError):  # it holds something, or was never made
-            each.rmdir()
 
 
 def write_new(path: Path, text: str) -> None:

@@ -113,12 +113,10 @@ def as_quantum_efficiency(value: Any) -> Any:
     """A number, or the pairs of a curve, from a number, pairs, or the path of a CSV file. ValueError, in words, for others."""
     if value is None:
         return None
-    if isinstance(value, Path):
-        return read_curve(value)
-    if isinstance(value, str):
+    if isinstance(value, str | Path):
         try:
-            value = float(value)
-        except ValueError:
+            value = float(value)  # type: ignore[arg-type]
+        except (ValueError, TypeError):  # TypeError: a Path is always a file
             return read_curve(Path(value))
     if isinstance(value, int | float):
         value = as_float(value)

@@ -107,7 +107,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
         libraries, driver = (each.result() for each in first)
         chosen = attempt("render", limit_s=limit_s)  # alone, since it is timed
         usable = usable_llvm(libraries)
-        taken = (LLVM if usable else SCALAR) if _said(chosen, "refused") is None else None
+        taken = (LLVM if usable else SCALAR) if chosen.facts.get("refused") is None else None
         other = {name: pool.submit(attempt, "render", name, limit_s=limit_s) for name in (SCALAR, CUDA) if name != taken}
         imports = pool.submit(attempt, "imports", *map(module_of, required or LEAST), limit_s=limit_s)
         tried = {name: each.result() for name, each in other.items()}
@@ -118,17 +118,13 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
         *_llvm(libraries, usable),
         *_variants(tried, taken, driver),
         _graphics(driver),
-        *_hardware(_said(chosen, "threads")),
+        *_hardware(chosen.facts.get("threads")),
         _cache(),
         _space("results", out, "choose another folder with --out"),
         _space("temporary files", Path(tempfile.gettempdir()), "export TMPDIR=FOLDER"),
         *_optional(),
         _picture(chosen, tried.get(SCALAR)),
     ]
-
-
-def _said(trial: Trial, name: str) -> Any:
-    return next((line[name] for line in trial.lines if name in line), None)
 
 
 # --- Software ---------------------------------------------------------------------------------------------------------
@@ -214,13 +210,13 @@ def _judgement(line: dict[str, Any], taken: str | None) -> tuple[str, str, str |
 
 
 def _variants(tried: dict[str, Trial], taken: str | None, driver: Trial) -> Iterator[Finding]:
-    compiled = next((found for each in tried.values() if (found := _said(each, "compiled_in"))), None)
+    compiled = next((found for each in tried.values() if (found := each.facts.get("compiled_in"))), None)
     if compiled:
         yield Finding("Mitsuba", "compiled in", OK, ", ".join(compiled), facts={"variants": compiled})
     for name in (LLVM, SCALAR, CUDA):
         fault = _fault(tried[name]) if name in tried else "needs a usable LLVM"
         mark = NOTE if fault else OK
-        if name == CUDA and (reason := _said(driver, "fault")) and fault:
+        if name == CUDA and (reason := driver.facts.get("fault")) and fault:
             fault, mark = reason, OK  # nothing is wrong with a machine without a graphics card
         run = "runs here" + (" and is taken" if name == taken else f" on request: --variant {name}")
         yield Finding("Mitsuba", name, mark, f"does not run here: {fault}" if fault else run)
@@ -228,27 +224,27 @@ def _variants(tried: dict[str, Trial], taken: str | None, driver: Trial) -> Iter
 
 def _fault(trial: Trial) -> str | None:
     """Why a trial has no picture, or a wrong one."""
-    if reason := trial.fault or _said(trial, "refused"):
+    if reason := trial.fault or trial.facts.get("refused"):
         return str(reason)
-    if (mean := _said(trial, "mean_error")) is None:
+    if (mean := trial.facts.get("mean_error")) is None:
         return "says nothing"
-    rms = _said(trial, "rms_error")
+    rms = trial.facts["rms_error"]
     if abs(mean) <= MEAN_GATE and rms <= RMS_GATE:  # NaN is wrong too
         return None
     return f"its picture is wrong: illuminance {mean:+.2%} in the mean, {rms:.2%} RMS, off the closed form"
 
 
 def _picture(chosen: Trial, scalar: Trial | None) -> Finding:
-    fault, taken = _fault(chosen), _said(chosen, "variant")
-    facts = {name: value for line in chosen.lines for name, value in line.items() if name != "compiled_in"}
-    facts["seconds"] = chosen.seconds
+    fault, taken = _fault(chosen), chosen.facts.get("variant")
+    facts = {**chosen.facts, "seconds": chosen.seconds}
+    facts.pop("compiled_in", None)
     if fault is None:
         found = (
-            f"csf with {taken}: {_said(chosen, 'mean_lx'):.3f} lx, closed form {_said(chosen, 'expected_lx'):.3f} lx "
-            f"({_said(chosen, 'mean_error'):+.1e}; RMS {_said(chosen, 'rms_error'):.2%}); {chosen.seconds:.1f} s, "
-            f"of which {_said(chosen, 'render_s'):.1f} s render"
+            f"csf with {taken}: {facts['mean_lx']:.3f} lx, closed form {facts['expected_lx']:.3f} lx "
+            f"({facts['mean_error']:+.1e}; RMS {facts['rms_error']:.2%}); {chosen.seconds:.1f} s, "
+            f"of which {facts['render_s']:.1f} s render"
         )
-        return Finding("test render", taken, OK, found, facts=facts)
+        return Finding("test render", facts["variant"], OK, found, facts=facts)
     scalar_works = scalar is not None and _fault(scalar) is None and taken != SCALAR
     unset = f"unset {variant.LLVM_VARIABLE}" if variant.LLVM_VARIABLE in fault else None
     mend = f"pixsim run csf --variant {SCALAR}" if scalar_works else pip("--force-reinstall", "mitsuba==3.9.*", "drjit")
@@ -259,8 +255,8 @@ def _picture(chosen: Trial, scalar: Trial | None) -> Finding:
 
 
 def _graphics(driver: Trial) -> Finding:
-    cards, fault = machine.graphics_cards(), driver.fault or _said(driver, "fault")
-    facts = {"cards": cards, "cuda": _said(driver, "cuda"), "devices": _said(driver, "devices")}
+    cards, fault = machine.graphics_cards(), driver.fault or driver.facts.get("fault")
+    facts = {"cards": cards, "cuda": driver.facts.get("cuda"), "devices": driver.facts.get("devices")}
     if fault:
         return Finding("machine", "GPU", NOTE if cards else OK, "; ".join([*cards, f"none to use: {fault}"]), facts=facts)
     return Finding("machine", "GPU", OK, "; ".join(cards) or f"{facts['devices']} devices, CUDA {facts['cuda']}", facts=facts)

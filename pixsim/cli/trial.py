@@ -37,6 +37,11 @@ class Trial:
     last_words: str
 
     @property
+    def facts(self) -> Line:
+        """All lines as one, for a child whose lines name each thing once."""
+        return {name: value for line in self.lines for name, value in line.items()}
+
+    @property
     def fault(self) -> str | None:
         """How it failed; None where it ran to its end."""
         if self.returncode is None:
