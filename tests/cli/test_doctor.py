@@ -353,9 +353,3 @@ def test_the_report_is_words_and_commands_that_can_be_copied():
     assert max(len(line) for line in lines if mend not in line) <= 80
     assert lines[-1] == "pixsim does not work here as it is: 1 problem, 1 note"
     assert report(findings[::2], 80).splitlines()[-1] == "renders work here: 0 problems, 1 note"
-
-
-def test_a_limit_below_nothing_is_refused():
-    done = pixsim("doctor", "--limit-s", "0")
-    assert done.returncode == 2
-    assert "--limit-s: got 0; allowed: a number above 0" in done.stderr

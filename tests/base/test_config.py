@@ -1,8 +1,9 @@
-"""A sensor's file: the same for one picture and for a study of its pixel size; its well and dark current go with the area."""
+"""Settings: a sensor's file is the same for one picture and for a study of its pixel size; messages mend what they refuse."""
 
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from helpers.commands import assert_refused, command
 
 import pixsim
-from pixsim.base.config import study_layers
-from pixsim.base.parameters import pixel_of
+from pixsim.base.config import checked, study_layers
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Layer, Run, Study, pixel_of
+from pixsim.cli.options import SceneOptions
 from pixsim.sensor.pixel import fill_factor_law
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.study import checked_study, load_study, read_study
@@ -93,21 +96,6 @@ def test_a_technology_replaces_the_study_s(tmp_path: Path) -> None:
     assert study.pixel.data_sheet_pitch_um is None
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (SHEET.replace("full_well_e = 12000", ""), ["sensor.toml: pixel", "full_well_e"]),
-        (SHEET.replace("pitch_um = 4.0", 'pitch_um = "wide"'), ["sensor.toml", "wide"]),
-        (SHEET + "[exposure]\nmax_integration = 3\n", ["sensor.toml: exposure.max_integration", "max_integration_s"]),
-        ("[pixel]\npitch_umm = 3\n", ["sensor.toml: pixel.pitch_umm"]),
-    ],
-)
-def test_what_is_wrong_with_a_sensor_is_told(text: str, words: list[str], tmp_path: Path) -> None:
-    path = written(tmp_path / "sensor.toml", text)
-    assert_refused(*command(f"study pixel-size --config {path} --out {tmp_path / 'out'}"), words)
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_data_sheet_without_a_pitch_of_its_own_is_no_study() -> None:
     table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
     with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
@@ -144,6 +132,74 @@ def test_a_scene_parameter_of_a_study_from_the_command_line(tmp_path: Path) -> N
     assert code == 0, err
     assert json.loads(out)["irradiance"]["luminance_cd_per_m2"] == 50
     assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
+
+
+# --- A sensor from its data sheet --------------------------------------------------------------------------------------
+
+
+CURVE = "wavelength (nm), quantum efficiency\n# measured\n400, 0.30\n550, 0.60\n700, 0.40\n900, 0.00\n"
+CURVED = SHEET.replace("quantum_efficiency = 0.6", 'quantum_efficiency = "qe.csv"')
+
+
+def settings_of(path: Path) -> Run:
+    return SceneOptions([path]).settings()
+
+
+@pytest.fixture
+def sheet(tmp_path: Path) -> Path:
+    (tmp_path / "data sheet").mkdir()
+    written(tmp_path / "data sheet/qe.csv", CURVE)
+    return written(tmp_path / "data sheet/my_sensor.toml", CURVED)
+
+
+def test_a_data_sheet_is_enough(sheet: Path, tmp_path: Path) -> None:
+    """Its numbers are those of the picture; nothing of a process is added to them."""
+    small = "-D resolution=64 --display.dots 64 --json"
+    code, out, err = command(f"run csf {small} --config", sheet, "--out", tmp_path / "out")
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["pixel"]["technology"] == "none"
+    assert (told["full_well_e"], told["fill_factor"], told["pitch_um"]) == (12000.0, 1.0, 4.0)
+    physics = pixsim.derive(pixsim.Pixel.model_validate(told["pixel"]))
+    assert (physics.reset_noise_e, physics.offset_fpn_e, physics.column_fpn_e) == (0.0, 0.0, 0.0)
+    assert (physics.read_noise_e, physics.dark_current_e_per_s) == (2.5, 8.0)
+
+
+def test_its_curve_is_straight_between_points_and_nothing_beyond(sheet: Path) -> None:
+    nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
+    found = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
+    np.testing.assert_allclose(found, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize("lost", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
+@pytest.mark.parametrize("line", ["run csf", "study pixel-size"])
+def test_what_a_data_sheet_lacks_is_named(line: str, lost: str, sheet: Path, tmp_path: Path) -> None:
+    written(sheet, "\n".join(each for each in CURVED.splitlines() if not each.startswith(lost)))
+    told = f"{sheet}: pixel: got a sensor without a technology, and without {lost};"
+    assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [told, 'technology = "4t-bsi"'])
+    assert not (tmp_path / "out").exists()
+
+
+def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> None:
+    written(sheet, '[pixel]\ntechnology = "0.35um"\npitch_um = 8.0\nread_noise_e = 5.0\n')
+    physics = pixsim.derive(settings_of(sheet).pixel)
+    derived = pixsim.derive(pixsim.Pixel(technology="0.35um", pitch_um=8.0))
+    assert physics.read_noise_e == 5.0 != derived.read_noise_e
+    assert (physics.full_well_e, physics.dark_current_e_per_s) == (derived.full_well_e, derived.dark_current_e_per_s)
+
+
+def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(Path("qe.csv"), "400,0.1\n500,0.1\n")
+    assert settings_of(sheet).pixel.quantum_efficiency[0] == (400.0, 0.3)
+    study = written(sheet.parent / "s.toml", 'name = "s"\n[quick.pixel]\nquantum_efficiency = "qe.csv"\n')
+    assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
+
+
+def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:
+    pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
+    from_file = settings_of(sheet).pixel
+    assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
 
 
 # --- What says more, and what less -------------------------------------------------------------------------------------
@@ -196,20 +252,6 @@ def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
     assert not study.paper
     assert "camera.die_mm" not in study.sources
     assert study.sources["display.dots"].startswith("assumed")
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("study {path}", ["the file of a sensor", "pixsim study pixel-size --config"]),
-        ("run {path}", ["a TOML file", "pixsim run csf --config"]),
-        ("study chen2000-sensitivity --config {path}", ["--config, -D, --pixel", "varies another study"]),
-        ("study pixel-size --config {path} --render-noise 0", ["render_noise", "1e-06"]),
-    ],
-)
-def test_likely_slips_are_told_how_to_mend_them(line: str, words: list[str], tmp_path: Path) -> None:
-    path = written(tmp_path / "sensor.toml", SHEET)
-    assert_refused(*command(line.format(path=path) + f" --out {tmp_path / 'out'}"), words)
 
 
 def test_a_data_sheet_stands_alone() -> None:
@@ -295,3 +337,30 @@ bits = 14
             assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
             assert f"<p>{line.removeprefix('note: ')}." in page
         assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())
+
+
+# --- Messages -------------------------------------------------------------------------------------------------------
+
+
+def test_a_name_that_is_near_nothing_is_answered_with_all_of_them() -> None:
+    code, _, err = command("run qwertz")
+    assert (code, "Did you mean" in err, "still_life" in err) == (2, False, True)
+
+
+def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
+    with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs into \[camera\]\."):
+        checked(Run, [Layer({"f_number": 2.8}, "a.toml")])
+    with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs into \[pitch\]\."):
+        checked(Study, [Layer({"name": "a", "min_um": 2.8}, "a.toml")])
+    with pytest.raises(PixsimError, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
+        checked(Run, [Layer({"pixl": {}})])
+
+
+def test_a_study_without_a_quick_table_says_that_it_is_done_in_full(tmp_path: Path) -> None:
+    small = 'name = "own"\nrepeats = 2\n[pitch]\nvalues_um = [6, 7, 8, 10, 12]\n[display]\ndots = 64\n'
+    (tmp_path / "own.toml").write_text(small, encoding="utf-8")
+    line = f"study {tmp_path / 'own.toml'} -D resolution=64 -D spp=4 --quick --jobs 1 --out {tmp_path / 'out'}"
+    with warnings.catch_warnings(action="always"):
+        code, _, err = command(line)
+    assert code == 0, err
+    assert "warning: the study own has no [quick] table: it is done in full" in err
