@@ -326,13 +326,6 @@ def test_chart_writes_what_make_chart_returns(kind: str, desk: Path) -> None:
     np.testing.assert_array_equal(channels["Y"], pixsim.make_chart(kind, 96, 64))
 
 
-@pytest.mark.parametrize("line", ["--help", "run --help", "study --help", "chart --help", "--version"])
-def test_help_goes_to_stdout(line: str) -> None:
-    code, out, err = command(line)
-    assert (code, err) == (0, "")
-    assert pixsim.__version__ in out if line == "--version" else "Usage: pixsim" in out
-
-
 @pytest.mark.parametrize("statement", ["import pixsim; pixsim.Camera()", "import pixsim.cli; pixsim.cli.main()"])
 def test_nothing_slow_is_imported_before_it_is_needed(statement: str) -> None:
     """Mitsuba takes 0.3 s, matplotlib 0.5 s, colour 2.6 s."""

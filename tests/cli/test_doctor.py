@@ -73,11 +73,12 @@ def visit(*arguments: str, **how: Any) -> Visit:
     return Visit(done.returncode, done.stderr, json.loads(done.stdout))
 
 
-def package(folder: Path, name: str, text: str) -> Path:
-    """A folder for the front of the module path, with one module in it."""
-    folder.mkdir(exist_ok=True)
-    (folder / f"{name}.py").write_text(text, encoding="utf-8")
-    return folder
+def written(root: Path, files: dict[str, str]) -> Path:
+    """A folder with files, as one of modules for the front of the module path."""
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text, encoding="utf-8")
+    return root
 
 
 @once
@@ -146,7 +147,7 @@ def test_an_old_llvm_in_the_variable_aborts_nothing(path: str, tmp_path: Path):
 
 def test_with_old_libraries_only_no_home_and_no_cache_renders_are_slow_but_work(tmp_path: Path):
     """With the libraries of this system, where it has some; the wheel is hidden."""
-    hidden = package(tmp_path / "hidden", "sitecustomize", HIDES_THE_WHEEL)
+    hidden = written(tmp_path / "hidden", {"sitecustomize.py": HIDES_THE_WHEEL})
     lacking: dict[str, Any] = {"path": hidden, "unset": ("HOME",), "PIXSIM_CACHE_DIR": "/dev/null/there"}
     seen = visit(**lacking)
     usable = [each for each in seen.found["findings"] if each["room"] == "LLVM" and each["facts"].get("origin") == variant.SYSTEM]
@@ -191,7 +192,7 @@ def trial_with(path: Path) -> trial.Trial:
     ids=["import", "hang"],
 )
 def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(package(tmp_path / "broken", "mitsuba", text))
+    monkeypatch.syspath_prepend(written(tmp_path / "broken", {"mitsuba.py": text}))
     found = doctor._picture(trial.attempt("render", limit_s=limit_s), None)
     assert found.mark == PROBLEM
     assert re.fullmatch(fault, found.found)
@@ -199,7 +200,7 @@ def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tm
 
 
 def test_a_mitsuba_that_aborts_does_not_take_the_doctor_with_it(tmp_path: Path):
-    seen = visit(path=package(tmp_path / "broken", "mitsuba", "import os; os.abort()"))
+    seen = visit(path=written(tmp_path / "broken", {"mitsuba.py": "import os; os.abort()"}))
     assert seen.code == 1
     assert seen.problems == ["mitsuba", "Mitsuba"]  # the package, and the test render with it
     assert "dies of signal 6 (SIGABRT)" in seen.picture["found"]
@@ -252,22 +253,14 @@ def test_packages_are_imported_by_their_own_names():
 
 @pytest.mark.parametrize(
     ("version", "wanted", "fits"),
-    [("2.0", ">=2.0", True), ("1.26.4", ">=2.0", False), ("2.0.0rc1", ">=2.0", True), ("10.0", ">=9", True),
-     ("3.8.10", ">=3.8.4", True), ("3.9.1", "==3.9.*", True), ("3.10.0", "==3.9.*", False), ("3.9", "==3.9.*", True),
-     ("1.0+cpu2", ">=1.0", True), ("1", "", True)],
+    [("2.0.0rc1", ">=2.0", True), ("1.26.4", ">=2.0", False), ("10.0", ">=9", True), ("3.9", "==3.9.*", True),
+     ("3.10.0", "==3.9.*", False), ("1.0+cpu2", ">=1.0", True), ("1", "", True), ("not a version", ">=1", False)],
 )  # fmt: skip
 def test_versions_in_a_range(version: str, wanted: str, fits: bool):
     assert satisfies(version, wanted) == fits
 
 
 # --- The machine ---
-
-
-def written(root: Path, files: dict[str, str]) -> Path:
-    for name, text in files.items():
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        (root / name).write_text(text, encoding="utf-8")
-    return root
 
 
 VERSION_2 = {

@@ -13,6 +13,7 @@ import pytest
 from helpers.commands import command, process
 from helpers.processes import HANG_S
 
+import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run, Study
 from pixsim.cli import options
@@ -30,20 +31,18 @@ def test_all_errors_of_all_files_at_once_each_with_its_file(tmp_path: Path) -> N
     second.write_text("[display]\ndots = 1\n[exposur]\n", encoding="utf-8")
     code, out, err = command("run csf --pixel.dsnu much --display.gamma 0 --config", first, "--config", second)
     assert (code, out) == (2, "")
-    for told in (
-        f"{first}: pixel.bitz: unknown name;",
-        "Did you mean 'bits'?",
-        f"{first}: pixel.prnu: got 2; allowed: less than or equal to 0.3",
-        f"{first}: camera.f_number: got 'wide'",
-        f"{second}: display.dots: got 1; allowed: greater than or equal to 8",
-        f"{second}: exposur: unknown name;",
-        "Did you mean 'exposure'?",
-        "pixel.dsnu: got 'much'",
-        "display.gamma: got '0'; allowed: greater than or equal to 0.01",
-    ):
-        assert told in err, told
-    assert f"{first}: pixel.dsnu" not in err
-    assert len(err.splitlines()) == 7
+    wanted = [
+        rf"{first}: camera.f_number: got 'wide'; .*",
+        rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\.",
+        r"pixel.dsnu: got 'much'; .*",
+        rf"{first}: pixel.bitz: unknown name; .* Did you mean 'bits'\?",
+        rf"{second}: display.dots: got 1; allowed: greater than or equal to 8\.",
+        r"display.gamma: got '0'; allowed: greater than or equal to 0\.01\.",
+        rf"{second}: exposur: unknown name; .* Did you mean 'exposure'\?",
+    ]
+    lines = err.removeprefix("pixsim: ").splitlines()
+    assert len(lines) == len(wanted)
+    assert all(re.fullmatch(pattern, line) for pattern, line in zip(wanted, lines, strict=True)), err
 
 
 def test_errors_of_a_study_tell_its_file_and_its_quick_table(tmp_path: Path) -> None:
@@ -80,14 +79,16 @@ def test_exit_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 # --- what is said, and where -------------------------------------------------------------------------------------------
 
 
-def test_every_command_takes_json_and_help_shows_an_example() -> None:
+def test_help_goes_to_stdout_and_shows_json_and_an_example_of_every_command() -> None:
     commands = sorted(name for name in app if not name.startswith("-"))
     assert {"run", "study", "plan", "accuracy", "datasheet", "sfr", "chart", "cache", "template", "schema"} <= set(commands)
-    for name in commands:
-        code, text, _ = command(f"{name} --help")
-        assert code == 0
+    assert command("--version") == (0, f"{pixsim.__version__}\n", "")
+    for name in ("", *commands):
+        code, text, err = command(f"{name} --help")
+        assert (code, err) == (0, "")
+        assert "Usage: pixsim" in text
         assert "--json" in text, name
-        assert re.search(rf"pixsim {name} \S|Example", text), name
+        assert not name or re.search(rf"pixsim {name} \S|Example", text), name
 
 
 def test_results_go_to_stdout_and_all_else_to_stderr(tmp_path: Path) -> None:
