@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable, Sequence
+from functools import reduce
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,7 @@ DEEPEST = 16  # tables in tables; pixsim's own go to 4
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:
     """All layers, later ones over the others."""
-    settings: dict[str, Any] = {}
-    for layer in layers:
-        settings = merge(settings, layer.table)
-    return settings
+    return reduce(merge, (layer.table for layer in layers), {})
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -557,8 +557,5 @@ def report(findings: list[Finding], width: int) -> str:
             lines.append(" " * 11 + f"mend it: {each.mend}")
     problems, notes = (sum(each.mark == mark for each in findings) for mark in (PROBLEM, NOTE))
     verdict = "pixsim does not work here as it is" if problems else "renders work here"
-    return "\n".join([*lines, "", f"{verdict}: {_count(problems, 'problem')}, {_count(notes, 'note')}"])
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
+    counts = (f"{number} {what}{'' if number == 1 else 's'}" for number, what in ((problems, "problem"), (notes, "note")))
+    return "\n".join([*lines, "", f"{verdict}: {', '.join(counts)}"])
