@@ -26,17 +26,11 @@ RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
 
 
 @pytest.mark.parametrize("record", RECORDS)
-def test_an_unknown_name_is_refused(record):
+def test_records_are_frozen_and_refuse_an_unknown_name(record):
     with pytest.raises(ValidationError, match="pitch_mm"):
         record(pitch_mm=1.0)
-
-
-@pytest.mark.parametrize("record", RECORDS)
-def test_records_are_frozen(record):
-    made = record()
-    name = next(iter(record.model_fields))
     with pytest.raises(ValidationError, match="frozen"):
-        setattr(made, name, 1.0)
+        setattr(record(), next(iter(record.model_fields)), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -150,8 +144,6 @@ def test_later_tables_win_and_keep_what_they_do_not_name():
 def test_camera_options_replace_what_is_given_only():
     camera = CameraOptions(f_number=2.0).over(Camera(focal_length_mm=5.0))
     assert (camera.focal_length_mm, camera.f_number, camera.die_mm) == (5.0, 2.0, Camera().die_mm)
-    with pytest.raises(ValidationError, match="no real image"):
-        CameraOptions(object_distance_m=0.001).over(Camera())
 
 
 # --- The camera ---
@@ -165,25 +157,19 @@ CAMERAS = [
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_the_thin_lens_equation_holds(camera):
+def test_the_thin_lens_equation_holds_and_gives_the_camera_back(camera):
     u_mm, v_mm, f_mm = 1e3 * camera.object_distance_m, camera.image_distance_mm, camera.focal_length_mm
     assert 1 / u_mm + 1 / v_mm == pytest.approx(1 / f_mm, rel=1e-12)
     assert camera.magnification == pytest.approx(v_mm / u_mm, rel=1e-12)
     assert camera.working_f_number == pytest.approx(v_mm / (2e3 * camera.aperture_radius_m), rel=1e-12)
     assert np.tan(np.radians(camera.fov_deg / 2)) == pytest.approx(camera.die_mm / 2 / v_mm, rel=1e-12)
+    back = Camera.from_lens_geometry(camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m, camera.die_mm)
+    assert back.model_dump() == pytest.approx(camera.model_dump(), rel=1e-9)
     # The chart that fills the die is the die over the magnification.
     assert 2e3 * camera.chart_half_width_m * camera.magnification == pytest.approx(camera.die_mm, rel=1e-12)
-
-
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_a_camera_comes_back_from_its_lens_geometry(camera):
-    geometry = (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m, camera.die_mm)
-    back = Camera.from_lens_geometry(*geometry)
-    for name in Camera.model_fields:
-        assert getattr(back, name) == pytest.approx(getattr(camera, name), rel=1e-9), name
 
 
 @pytest.mark.parametrize("object_distance_m", [0.05, 0.049])
 def test_an_object_within_the_focal_length_is_refused(object_distance_m):
     with pytest.raises(ValidationError, match=r"focal_length_mm = 50 .*no real image"):
-        Camera(focal_length_mm=50, object_distance_m=object_distance_m)
+        CameraOptions(object_distance_m=object_distance_m).over(Camera(focal_length_mm=50))
