@@ -69,6 +69,10 @@ def test_a_well_of_no_electron_is_refused() -> None:
         pixsim.derive(pixsim.Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0))
 
 
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
 def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
     return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
 
@@ -96,24 +100,30 @@ def test_a_technology_replaces_the_study_s(tmp_path: Path) -> None:
     assert study.pixel.data_sheet_pitch_um is None
 
 
-def test_a_data_sheet_without_a_pitch_of_its_own_is_no_study() -> None:
+def test_a_data_sheet_needs_a_pitch_and_stands_alone() -> None:
     table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
     with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
-        pixsim.Study.model_validate(table)
+        Study.model_validate(table)
     table["pixel"] |= {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
     with pytest.raises(ValueError, match=r"give pitch\.min_um"):
-        pixsim.Study.model_validate(table)
+        Study.model_validate(table)
+    with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
+        Study.model_validate(table | {"technologies": ["none", "0.35um"]})
 
 
 def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
-    small = "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n"
+    """With a parameter of its scene, and in full where it is asked to be quick and has no table for that."""
     own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
-    path = written(tmp_path / "sensor.toml", SHEET + small)
-    code, out, err = command(f"study {own} --config {path} --jobs 1 --out {tmp_path / 'out'}")
+    path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n")
+    line = f"study {own} --config {path} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
+    with warnings.catch_warnings(action="always"):
+        code, out, err = command(line)
     assert code == 0, err
+    assert "warning: the study own has no [quick] table: it is done in full" in err
     assert out.startswith("data sheet: ")
-    rows = (tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()
-    assert len(rows) == 1 + 5 * 2
+    assert len(read(tmp_path / "out/results.csv").splitlines()) == 1 + 5 * 2
+    assert json.loads(read(tmp_path / "out/summary.json"))["irradiance"]["luminance_cd_per_m2"] == 50
+    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
 
 
 def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
@@ -121,17 +131,9 @@ def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
     study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
     assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
     assert study.technologies == ("none",)
+    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path]), "one file needs no list"
     with pytest.raises(pixsim.PixsimError, match=r"config, parameters, pixel: got with a Study"):
         pixsim.study(study, tmp_path / "out", config=[path])
-
-
-def test_a_scene_parameter_of_a_study_from_the_command_line(tmp_path: Path) -> None:
-    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n[display]\ndots = 64\n')
-    told = "-D luminance_cd_per_m2=50 -D resolution=64 -D spp=4"
-    code, out, err = command(f"study {own} {told} --jobs 1 --json --out {tmp_path / 'out'}")
-    assert code == 0, err
-    assert json.loads(out)["irradiance"]["luminance_cd_per_m2"] == 50
-    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
 
 
 # --- A sensor from its data sheet --------------------------------------------------------------------------------------
@@ -254,17 +256,6 @@ def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
     assert study.sources["display.dots"].startswith("assumed")
 
 
-def test_a_data_sheet_stands_alone() -> None:
-    table = {"name": "a", "technologies": ["none", "0.35um"], "pitch": {"min_um": 2}}
-    with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
-        pixsim.Study.model_validate(table)
-
-
-def test_a_single_file_needs_no_list(tmp_path: Path) -> None:
-    path = written(tmp_path / "sensor.toml", SHEET)
-    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path])
-
-
 def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
     """Rows are known by their content: two names of one process would share them, and one curve would have none."""
     source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
@@ -301,12 +292,12 @@ def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, t
     notes = [line for line in out.splitlines() if line.startswith("note: ")]
     assert len(notes) == bool(told)
     assert out.startswith("mean ΔE ")
-    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    page = read(tmp_path / "out/report.html")
     assert ("cuts off dark noise" in page) == bool(told)
     if told:
         assert told in notes[0]
         assert notes[0] in page
-    dark = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["dark"]
+    dark = json.loads(read(tmp_path / "out/score.json"))["dark"]
     assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(told)
 
 
@@ -326,9 +317,9 @@ bits = 14
         code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
         assert code == 0, err
         told = [line for line in out.splitlines() if line.startswith("note: ")]
-        page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+        page = read(tmp_path / "out/report.html")
         assert len(told) == notes == page.count("cuts off dark noise")
-        curves = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["curves"]
+        curves = json.loads(read(tmp_path / "out/summary.json"))["curves"]
         for line, curve in zip(told, curves, strict=bool(notes)):
             dark = curve["dark"]
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"
@@ -354,13 +345,3 @@ def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
         checked(Study, [Layer({"name": "a", "min_um": 2.8}, "a.toml")])
     with pytest.raises(PixsimError, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
         checked(Run, [Layer({"pixl": {}})])
-
-
-def test_a_study_without_a_quick_table_says_that_it_is_done_in_full(tmp_path: Path) -> None:
-    small = 'name = "own"\nrepeats = 2\n[pitch]\nvalues_um = [6, 7, 8, 10, 12]\n[display]\ndots = 64\n'
-    (tmp_path / "own.toml").write_text(small, encoding="utf-8")
-    line = f"study {tmp_path / 'own.toml'} -D resolution=64 -D spp=4 --quick --jobs 1 --out {tmp_path / 'out'}"
-    with warnings.catch_warnings(action="always"):
-        code, _, err = command(line)
-    assert code == 0, err
-    assert "warning: the study own has no [quick] table: it is done in full" in err

@@ -63,6 +63,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "sheet_key.toml": SHEET + "[exposure]\nmax_integration = 3\n",
         "sheet_curve.toml": SHEET.replace("0.6", '"qe.csv"'),
         "qe.csv": "400,30\n500,40\n",
+        "study_errors.toml": 'name = "s"\nrepeats = 1\n[pitch]\ncuont = 9\n',
+        "study_quick.toml": 'name = "s"\n[quick]\nrepeats = 1\n',
         "taken": "a file in the way",
     }
     for name, text in files.items():
@@ -135,6 +137,11 @@ UNUSABLE = {
     "study chen2000-sensitivity --config sheet.toml": ["--config, -D, --pixel", "varies another study"],
     "study gone.toml": ["gone.toml", "does not exist"],
     "study study_key.toml": ["repeat", "Did you mean 'repeats'?"],
+    "study study_errors.toml": [
+        *("study_errors.toml: repeats: got 1; allowed: greater than or equal to 2.", "Did you mean 'count'?"),
+        "study_errors.toml: pitch.cuont: unknown name;",
+    ],
+    "study study_quick.toml": ["study_quick.toml [quick]: repeats: got 1"],
     "study study_small.toml": ["4", "5.135 µm"],
     "study study_few.toml": ["[6.0, 7.0, 8.0]", "at least 5"],
     "study study_large.toml": ["3000", "2713.6 µm"],

@@ -8,6 +8,7 @@ import re
 import subprocess
 import tomllib
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from helpers.commands import command, process
@@ -45,35 +46,24 @@ def test_all_errors_of_all_files_at_once_each_with_its_file(tmp_path: Path) -> N
     assert all(re.fullmatch(pattern, line) for pattern, line in zip(wanted, lines, strict=True)), err
 
 
-def test_errors_of_a_study_tell_its_file_and_its_quick_table(tmp_path: Path) -> None:
-    path = tmp_path / "s.toml"
-    path.write_text('name = "s"\nrepeats = 1\n[pitch]\ncuont = 9\n', encoding="utf-8")
-    code, _, err = command("study", path)
-    assert code == 2
-    assert f"{path}: repeats: got 1; allowed: greater than or equal to 2." in err
-    assert f"{path}: pitch.cuont: unknown name;" in err
-    assert "Did you mean 'count'?" in err
-    path.write_text('name = "s"\n[quick]\nrepeats = 1\n', encoding="utf-8")
-    code, _, err = command("study", path)
-    assert (code, f"{path} [quick]: repeats: got 1" in err) == (2, True)
-
-
-def test_exit_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert command("cache")[0] == 0
-
-    def fail(*_: object, **__: object) -> None:
-        raise RuntimeError("the moon is out")
-
-    monkeypatch.setattr("pixsim.report.run.run_and_write", fail)
-    code, out, err = command("run csf")
-    assert (code, out) == (1, "")
-    assert err == "pixsim: unexpected RuntimeError: the moon is out\nThis is a mistake of pixsim's. --verbose tells where.\n"
+@pytest.mark.parametrize(
+    ("failure", "code", "said"),
+    [
+        (
+            RuntimeError("the moon is out"),
+            1,
+            "unexpected RuntimeError: the moon is out\nThis is a mistake of pixsim's. --verbose",
+        ),
+        (MemoryError(), 1, "the system is out of memory"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_exit_codes(failure: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """0 is in most tests, 2 in those of refusals."""
+    monkeypatch.setattr("pixsim.report.run.run_and_write", Mock(side_effect=failure))
+    assert command("run csf")[:2] == (code, "")
+    assert command("run csf")[2].startswith(f"pixsim: {said}")
     assert "Traceback" in command("run csf --verbose")[2]
-    monkeypatch.setattr("pixsim.report.run.run_and_write", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
-    assert command("run csf")[0] == 130
-    monkeypatch.setattr("pixsim.report.run.run_and_write", lambda *_, **__: (_ for _ in ()).throw(MemoryError))
-    code, _, err = command("run csf")
-    assert (code, "out of memory" in err) == (1, True)
 
 
 # --- what is said, and where -------------------------------------------------------------------------------------------
