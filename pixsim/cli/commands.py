@@ -17,7 +17,7 @@ from cyclopts import Parameter
 
 from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, refuse
-from pixsim.base.files import output_folder
+from pixsim.base.files import MIB, output_folder
 from pixsim.cli.options import (
     DEFAULT_OUT,
     FILE_WIDTH,
@@ -136,10 +136,8 @@ def plan(
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
     how: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
     made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **how)
-    if json:
-        show(made.as_dict(), True, "")
-    else:
-        print(plan_table(made, None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH))
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
+    show(made.as_dict(), json, "" if json else plan_table(made, width))
 
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
@@ -440,9 +438,6 @@ def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", 
     show(templates.json_schema(kind), json, "")
 
 
-MIB = 1 << 20
-
-
 @app.command
 def cache(
     *,
@@ -460,7 +455,7 @@ def cache(
     """
     from pixsim.base import cache as kept
 
-    kinds = sorted(summary()["kinds"])
+    kinds = summary()["kinds"]
     if kind is not None and kind not in kinds:
         raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
     freed = kept.clear(kind) if clear else None

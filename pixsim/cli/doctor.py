@@ -64,7 +64,6 @@ def pip(*arguments: str) -> str:
 
 
 OK, NOTE, PROBLEM = "ok", "note", "problem"
-GIB = 1 << 30
 LIMIT_S = 20.0  # for each trial; one takes 1 to 3 s
 MEAN_GATE, RMS_GATE = 1e-3, 1e-2  # of the tried picture's illuminance: 1e-5 and 0.4 % where all is right
 MEMORY_GIB = 1.0  # `pixsim run csf` takes 0.6
@@ -274,13 +273,13 @@ def _hardware(threads: int | None) -> Iterator[Finding]:
     memory = machine.memory()
     text = f"{_gib(memory.total)} in all, {_gib(memory.available)} free"
     text += "" if memory.limit is None else f", {_gib(memory.limit)} allowed by the container"
-    little = memory.usable is not None and memory.usable < MEMORY_GIB * GIB
+    little = memory.usable is not None and memory.usable < MEMORY_GIB * cache.GIB
     mend = "pixsim run SCENE -D resolution=512" if little else None
     yield Finding("machine", "memory", NOTE if little else OK, text, mend, dict(vars(memory)))
 
 
 def _gib(size: int | None) -> str:
-    return "unknown" if size is None else f"{size / GIB:.1f} GiB"
+    return "unknown" if size is None else f"{size / cache.GIB:.1f} GiB"
 
 
 def _cache() -> Finding:
@@ -304,7 +303,7 @@ def _space(subject: str, path: Path, mend: str) -> Finding:
     facts = {"folder": str(path), "free_bytes": at.free, "writable": at.fault is None}
     if at.fault:
         return Finding("folders", subject, PROBLEM, f"{path} cannot be written ({at.fault})", mend, facts)
-    little = at.free is not None and at.free < DISK_GIB * GIB
+    little = at.free is not None and at.free < DISK_GIB * cache.GIB
     return Finding("folders", subject, NOTE if little else OK, f"{path}: {_gib(at.free)} free", mend if little else None, facts)
 
 
