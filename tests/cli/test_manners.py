@@ -123,20 +123,19 @@ def test_options_and_files_have_the_same_names() -> None:
     assert options == fields
 
 
-def test_nothing_is_written_outside_the_output_and_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_written_outside_the_output_and_the_cache(tmp_path: Path) -> None:
     home, here, kept, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
     for folder in (home, here):
         folder.mkdir()
-    for name in list(os.environ):
-        if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG")):
-            monkeypatch.delenv(name)
+    own = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
+    own |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(kept)}
     study = tmp_path / "s.toml"
     study.write_text(
         'name = "s"\nrepeats = 2\n[scene]\nparameters = { resolution = 64 }\n[display]\ndots = 64\n[pitch]\ncount = 5\n',
         encoding="utf-8",
     )
     for line in (f"run csf {SMALL} --out {out}/run", f"study {study} --jobs 2 --out {out}/study"):
-        done = process(line, folder=here, HOME=str(home), TMPDIR=str(here), **{FOLDER_VARIABLE: str(kept)})
+        done = process(line, folder=here, **own)
         assert done.returncode == 0, done.stderr
     assert list(home.rglob("*")) == []
     assert list(here.rglob("*")) == [], "temporary files stay"

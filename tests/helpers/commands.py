@@ -31,10 +31,14 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
     return end.value.code, out.getvalue(), err.getvalue()
 
 
-def process(line: str, *words: object, folder: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The installed command, as `command` takes it, in a process of its own; HANG_S ends one that hangs."""
-    done = [COMMAND, *shlex.split(line), *map(str, words)]
-    return subprocess.run(done, capture_output=True, text=True, timeout=HANG_S, cwd=folder, env=os.environ | environment)
+def process(line: str, *words: object, folder: Path | None = None, **changes: str | None) -> subprocess.CompletedProcess[str]:
+    """The installed command, as `command` takes it, in a process of its own, which HANG_S ends where it hangs.
+
+    changes : of the environment; None removes a variable
+    """
+    environment = {name: value for name, value in (os.environ | changes).items() if value is not None}
+    run = [COMMAND, *shlex.split(line), *map(str, words)]
+    return subprocess.run(run, capture_output=True, text=True, timeout=HANG_S, cwd=folder, env=environment)
 
 
 def assert_refused(code: int, out: str, err: str, wanted: list[str]) -> None:
