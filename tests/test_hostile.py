@@ -599,6 +599,10 @@ def test_a_report_escapes_what_files_say(line, tmp_path, monkeypatch):
 
 # --- at random ---------------------------------------------------------------------------------------------------------
 
+PICTURES = ["light.exr", "factors.exr", "light.npz", "chart.exr", "edge.npy"]
+KINDS = ["config.toml", "study.toml", "technology.toml", "curve.csv", "scene.xml", "shipped.xml"]
+KINDS += ["cube.hdr", "edge.png", "results.csv", *PICTURES]
+
 
 @pytest.fixture(scope="module")
 def targets(tmp_path_factory: pytest.TempPathFactory) -> dict:
@@ -607,12 +611,13 @@ def targets(tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 def test_the_seeds_are_read(targets):
+    assert sorted(targets) == sorted(KINDS)
     for name, (path, _, reader) in targets.items():
         assert reader(path) is not None, name
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("kind", ["light.exr", "factors.exr", "light.npz", "chart.exr", "edge.npy"])
+@pytest.mark.parametrize("kind", PICTURES)
 def test_a_torn_picture_is_refused_at_every_length(targets, kind, capfd):
     path, whole, reader = targets[kind]
     with given_back(path, whole):
@@ -623,8 +628,6 @@ def test_a_torn_picture_is_refused_at_every_length(targets, kind, capfd):
     assert capfd.readouterr().out == "", "results go to stdout, and nothing else"
 
 
-KINDS = ["config.toml", "study.toml", "technology.toml", "curve.csv", "scene.xml", "shipped.xml", "light.exr", "factors.exr"]
-KINDS += ["light.npz", "cube.hdr", "chart.exr", "edge.npy", "edge.png", "results.csv"]
 TOKENS = [b"\0", b"\xff", b"[", b"{", b'"', b"-1", b"1e999", b"nan", b"9" * 40, b"\xff\xff\xff\x7f", b"<", b"$spp", b"null", b""]
 CHANGES = st.lists(st.tuples(st.floats(0, 1), st.sampled_from(TOKENS) | st.binary(min_size=1, max_size=4)), max_size=6)
 
