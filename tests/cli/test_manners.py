@@ -11,7 +11,7 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
-from helpers.commands import command, process
+from helpers.commands import assert_refused, command, process
 from helpers.processes import HANG_S
 
 import pixsim
@@ -64,6 +64,16 @@ def test_exit_codes(failure: BaseException, code: int, said: str, monkeypatch: p
     assert command("run csf")[:2] == (code, "")
     assert command("run csf")[2].startswith(f"pixsim: {said}")
     assert "Traceback" in command("run csf --verbose")[2]
+
+
+def test_cache_tells_its_folder_and_frees_what_it_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+    (tmp_path / "render").mkdir()
+    (tmp_path / "render/a.npz").write_bytes(b"x" * (1 << 20))
+    assert command("cache")[1].splitlines() == [f"{tmp_path}: 1.0 MiB of 4096", "  render            1 entries        1.0 MiB"]
+    assert_refused(*command("cache --kind frame"), ["--kind: got 'frame'; allowed: render"])
+    code, out, _ = command("cache --clear --json")
+    assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, 1 << 20, {})
 
 
 # --- what is said, and where -------------------------------------------------------------------------------------------
