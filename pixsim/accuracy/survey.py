@@ -16,6 +16,7 @@ from pixsim.accuracy.result import Accuracy, Discharge
 from pixsim.accuracy.solvers import solvers
 from pixsim.base.arrays import stream
 from pixsim.base.parameters import Camera, Display, Pixel, Run
+from pixsim.base.progress import Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.run import summary_of, write_all
 from pixsim.scene import variant as variants
@@ -109,7 +110,6 @@ COARSEST = 64  # film width of the least part of a scene that is looked at, wher
 FEWEST_DOTS = 8
 LONG_WORK = 8.0  # times that of the shipped settings: such methods come last
 CHART_HALF_WIDTH = "chart_half_width"  # of the shipped charts, which fill the die: a part of it is to show a part of them
-Stage = Callable[[str], Callable[..., None]]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
@@ -95,33 +96,34 @@ DAMAGE += (TypeError, OverflowError, IndexError, AttributeError)
 DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
 
 
-def read_arrays(path: Path, what: str, allowed: str, most_arrays: int = MOST_ARRAYS) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, what: str, allowed: str) -> dict[str, NDArray[Any]]:
     """Name -> array of an `.npz`, whole and with its CRC compared; nothing pickled is loaded. PixsimError for what is none."""
-    with opened(path, what, allowed) as file:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                refuse_zip_bomb(path, archive, most_arrays)
-                return {each.filename.removesuffix(".npy"): _member(archive, each) for each in archive.infolist()}
-        except PixsimError:
-            raise
-        except DAMAGE as error:
-            raise refuse(what, f"'{path}' ({error})", allowed) from None
+    found = {}
+    with _of_numpy(path, what, allowed) as file, zipfile.ZipFile(file) as archive:
+        refuse_zip_bomb(path, archive, MOST_ARRAYS)
+        for each in archive.infolist():
+            with archive.open(each) as member:
+                found[each.filename.removesuffix(".npy")] = _array(member, each.file_size)
+                member.read(1)  # the CRC is compared at the end
+    return found
 
 
 def read_array(path: Path, what: str, allowed: str) -> NDArray[Any]:
     """The array of an `.npy`. PixsimError for what is none."""
+    with _of_numpy(path, what, allowed) as file:
+        return _array(file, os.fstat(file.fileno()).st_size)
+
+
+@contextmanager
+def _of_numpy(path: Path, what: str, allowed: str) -> Iterator[IO[bytes]]:
+    """An opened file; PixsimError in place of whatever damage raises."""
     with opened(path, what, allowed) as file:
         try:
-            return _array(file, os.fstat(file.fileno()).st_size)
+            yield file
+        except PixsimError:
+            raise
         except DAMAGE as error:
             raise refuse(what, f"'{path}' ({error})", allowed) from None
-
-
-def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
-    with archive.open(member) as file:
-        array = _array(file, member.file_size)
-        file.read(1)  # the CRC is compared at the end
-        return array
 
 
 def _array(file: IO[bytes], size_bytes: int) -> NDArray[Any]:

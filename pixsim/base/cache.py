@@ -171,25 +171,20 @@ class Entry:
 
 def entries(kind: str | None = None) -> list[Entry]:
     """All entries, or those of a kind, the one used last at the end. Mitsuba's and Matplotlib's files only where named."""
-    found = [entry for each in _kinds(kind) for entry in _in(each)]
+    found = [entry for entry in _files(kind) if not entry.path.name.startswith(".")]
     return sorted(found, key=lambda entry: (entry.used_s, entry.path))
 
 
-def _kinds(kind: str | None) -> list[Path]:
-    try:
-        folders = [Path(each) for each in os.scandir(folder()) if each.is_dir()]
-    except OSError:
-        return []
-    return [each for each in folders if (each.name not in HELPERS if kind is None else each.name == kind)]
-
-
-def _in(kind: Path) -> Iterator[Entry]:
-    with suppress(OSError):  # another process has removed the folder
-        for each in os.scandir(kind):
-            with suppress(OSError):  # or the file
-                if each.is_file(follow_symlinks=False) and not each.name.startswith("."):
-                    about = each.stat()
-                    yield Entry(Path(each), about.st_size, about.st_mtime)
+def _files(kind: str | None) -> Iterator[Entry]:
+    """`entries` in any order, and partial files with them."""
+    _, kinds, _ = next(os.walk(folder()), ("", [], []))
+    for name in kinds:
+        if name not in HELPERS if kind is None else name == kind:
+            with suppress(OSError):  # another process has removed the folder
+                for each in os.scandir(folder() / name):
+                    with suppress(OSError):  # or the file
+                        if each.is_file(follow_symlinks=False):
+                            yield Entry(Path(each), each.stat().st_size, each.stat().st_mtime)
 
 
 def trim() -> int:
@@ -200,11 +195,9 @@ def trim() -> int:
         if freed >= excess:
             break
         freed += _removed(entry)
-    for kind in _kinds(None):
-        with suppress(OSError):
-            for each in os.scandir(kind):
-                if each.name.startswith(".") and time.time() - each.stat().st_mtime > ABANDONED_S:
-                    Path(each).unlink(missing_ok=True)
+    for entry in _files(None):
+        if entry.path.name.startswith(".") and time.time() - entry.used_s > ABANDONED_S:
+            _removed(entry)
     return freed
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
+from functools import reduce
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,17 +25,19 @@ DEEPEST = 16  # tables in tables; pixsim's own go to 4
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:
     """All layers, later ones over the others."""
-    settings: dict[str, Any] = {}
-    for layer in layers:
-        settings = merge(settings, layer.table)
-    return settings
+    return reduce(merge, (layer.table for layer in layers), {})
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as a dict; PixsimError where it is missing, too large, not text, not TOML, or nested without end."""
     what = f"configuration file '{path}'"
     text = read_text(path, "configuration file", "a readable TOML file", LARGEST_BYTES)
-    _refuse_endless(text, what)
+    # What would keep the parser busy, or be of no use after it.
+    bare = text.translate(dict.fromkeys(map(ord, " \t\"'")))
+    if max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", bare)), default=0) > MOST_DOTS:
+        raise refuse(what, f"a key of more than {MOST_DOTS} dots", f"at most {DEEPEST}")
+    if re.search(rf"[0-9a-fA-F_]{{{MOST_DIGITS + 1}}}", text):
+        raise refuse(what, f"a number of more than {MOST_DIGITS} digits", "numbers that are floats")
     try:
         table = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, and dates that are none
@@ -44,15 +47,6 @@ def read_toml(path: Path) -> dict[str, Any]:
     if depth(table) > DEEPEST:
         raise refuse(what, f"tables nested {depth(table)} deep", f"at most {DEEPEST}")
     return table
-
-
-def _refuse_endless(text: str, what: str) -> None:
-    """PixsimError for numbers and dotted keys that would keep the parser busy, or be of no use after it."""
-    bare = text.translate(dict.fromkeys(map(ord, " \t\"'")))
-    if max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", bare)), default=0) > MOST_DOTS:
-        raise refuse(what, f"a key of more than {MOST_DOTS} dots", f"at most {DEEPEST}")
-    if re.search(rf"[0-9a-fA-F_]{{{MOST_DIGITS + 1}}}", text):
-        raise refuse(what, f"a number of more than {MOST_DIGITS} digits", "numbers that are floats")
 
 
 def depth(value: Any) -> int:
@@ -82,16 +76,12 @@ def packaged(folder: str) -> dict[str, Path]:
 LONGEST_VALUE = 80
 
 
-class Unusable(PixsimError):
-    """All that is wrong with some settings, a line each."""
-
-
 def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:
     """The record of layers laid over each other. PixsimError with every problem, each with the layer that it comes from."""
     try:
         return record.model_validate(merged(layers))
     except ValidationError as error:
-        raise Unusable(explain(error, layers)) from None
+        raise PixsimError(explain(error, layers)) from None
 
 
 def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
@@ -105,9 +95,11 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     path = [str(part) for part in problem["loc"]]
     where = _where(title, problem, layers)
     if problem["type"] == "extra_forbidden":
-        known = _names(title, path[:-1])
-        name = path[-1].replace("-", "_")
-        mend = _its_table(title, path[:-1], name) or did_you_mean(name, known)
+        *above, name = path
+        name, known = name.replace("-", "_"), _names(title, above)
+        tables = [table for table in known if name in _names(title, [*above, table])]  # [pixel] was forgotten
+        inner = ".".join([*above, *tables])
+        mend = f"It belongs into [{inner}]." if len(tables) == 1 else did_you_mean(name, known)
         return f"{where}: unknown name; allowed: {', '.join(known)}.{mend and ' '}{mend}"
     if problem["type"] == "missing":
         return f"{where}: missing; every {title} needs it."
@@ -135,26 +127,16 @@ def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     return dotted
 
 
-def _its_table(title: str, path: list[str], name: str) -> str:
-    """Where a field belongs that stands one table too high: [pixel] was forgotten."""
-    tables = [table for table in _names(title, path) if name in _names(title, [*path, table])]
-    return f"It belongs into [{'.'.join([*path, tables[0]])}]." if len(tables) == 1 else ""
-
-
 def _names(title: str, path: list[str]) -> list[str]:
     """Field names of the record that a dotted path leads to, from the record called `title`."""
-    record: Any = next((each for each in _records(Record) if each.__name__ == title), None)
+    kinds: list[type[Record]] = [Record]  # and all that are made of it, as far as they were imported
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    record: Any = next((each for each in kinds if each.__name__ == title), None)
     for part in path:
         field = record.model_fields.get(part) if record else None
         record = field.annotation if field else None
     return list(record.model_fields) if isinstance(record, type) and issubclass(record, BaseModel) else []
-
-
-def _records(kind: type[Record]) -> Iterator[type[Record]]:
-    """A kind of record and all that are made of it, as far as they were imported: an error of others cannot be."""
-    yield kind
-    for each in kind.__subclasses__():
-        yield from _records(each)
 
 
 OF_AN_AREA = ("full_well_e", "dark_current_e_per_s")  # what a data sheet tells of its own pitch only
@@ -222,9 +204,10 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     over.append(Layer(options or {}))
     said = merged(over)
     table = dict(study.table)
-    for name, kept in (("quick", _without), ("sources", _sources_without)):
-        if isinstance(table.get(name), dict):
-            table[name] = kept(table[name], said)
+    if isinstance(quick := table.get("quick"), dict):
+        table["quick"] = _without(quick, said)
+    if isinstance(sources := table.get("sources"), dict):
+        table["sources"] = {name: source for name, source in sources.items() if not Layer(said).names(name.split("."))}
     return [Layer(below), Layer(table, study.source), *over]
 
 
@@ -245,8 +228,3 @@ def _without(table: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
         elif name not in said:
             left[name] = value
     return left
-
-
-def _sources_without(sources: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
-    """Where values come from, but for those that are said elsewhere."""
-    return {name: source for name, source in sources.items() if not Layer(said).names(name.split("."))}

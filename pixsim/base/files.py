@@ -24,11 +24,9 @@ FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
 def cache_folder() -> Path:
     """$PIXSIM_CACHE_DIR, else pixsim in the user's cache folder (XDG base directories)."""
-    named = os.environ.get(FOLDER_VARIABLE)
-    if named:
+    if named := os.environ.get(FOLDER_VARIABLE):
         return Path(named)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "pixsim"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pixsim"
 
 
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
@@ -57,23 +55,20 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     made = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
     probe = folder / ".pixsim-probe"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        _remove_empty(made)
-        raise PixsimError(f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out.") from None
-    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise PixsimError(
+                f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
+            ) from None
         yield folder
     except BaseException:
-        _remove_empty(made)
+        for each in made:
+            with suppress(OSError):  # it holds something, or was never made
+                each.rmdir()
         raise
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for each in folders:
-        with suppress(OSError):  # it holds something, or was never made
-            each.rmdir()
 
 
 def write_new(path: Path, text: str) -> None:
@@ -168,9 +163,7 @@ def read_bytes(path: Path, what: str, allowed: str, most_bytes: int) -> bytes:
 def read_text(path: Path, what: str, allowed: str, most_bytes: int) -> str:
     """`read_bytes` in UTF-8, with the line ends of any system; PixsimError where it is something else."""
     try:
-        text = read_bytes(path, what, allowed, most_bytes).decode(
-            "utf-8-sig"
-        )  # a byte order mark, as spreadsheets write it, is no text
+        text = read_bytes(path, what, allowed, most_bytes).decode("utf-8-sig")  # a spreadsheet's byte order mark is no text
     except UnicodeDecodeError as error:
         raise refuse(what, f"'{path}' ({error})", f"{allowed} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")

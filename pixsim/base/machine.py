@@ -57,15 +57,13 @@ class Folder:
 def processors(root: Path = Path("/")) -> Processors:
     """Those of this process; `root` is for tests."""
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
-    return Processors(os.cpu_count(), allowed, min(_granted(root), default=None))
-
-
-def _granted(root: Path) -> Iterator[float]:
+    granted = []
     for folder in _groups("cpu", root):
         quota, _, period = _text(folder / "cpu.max").partition(" ")  # version 2 of control groups
         quota, period = quota or _text(folder / "cpu.cfs_quota_us"), period or _text(folder / "cpu.cfs_period_us")
         if quota.isdigit() and period.isdigit() and int(period) > 0:  # else "max" or -1
-            yield int(quota) / int(period)
+            granted.append(int(quota) / int(period))
+    return Processors(os.cpu_count(), allowed, min(granted, default=None))
 
 
 def memory(root: Path = Path("/")) -> Memory:

@@ -11,7 +11,7 @@ import csv
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -113,12 +113,10 @@ def as_quantum_efficiency(value: Any) -> Any:
     """A number, or the pairs of a curve, from a number, pairs, or the path of a CSV file. ValueError, in words, for others."""
     if value is None:
         return None
-    if isinstance(value, Path):
-        return read_curve(value)
-    if isinstance(value, str):
+    if isinstance(value, str | Path):
         try:
-            value = float(value)
-        except ValueError:
+            value = float(value)  # type: ignore[arg-type]
+        except (ValueError, TypeError):  # TypeError: a Path is always a file
             return read_curve(Path(value))
     if isinstance(value, int | float):
         value = as_float(value)
@@ -149,7 +147,11 @@ def read_curve(path: Path) -> EfficiencyCurve:
     pairs: list[tuple[float, float]] = []
     separator = next((each for each in ";\t" if any(each in line for line in lines)), ",")
     decimal = "," if separator != "," else "."  # a comma that does not separate is a decimal one
-    for number, row in enumerate(_rows(lines, separator, path), 1):
+    try:
+        rows = list(csv.reader(lines, delimiter=separator))
+    except csv.Error as error:
+        raise ValueError(f"got '{path}' ({error}); allowed: {ALLOWED_FILE}") from None
+    for number, row in enumerate(rows, 1):
         cells = [cell.strip() for cell in row]
         if not any(cells) or cells[0].startswith("#"):
             continue
@@ -159,13 +161,6 @@ def read_curve(path: Path) -> EfficiencyCurve:
             if pairs or cells[0][:1].isdigit():  # no title
                 raise ValueError(f"got {','.join(row)!r} in line {number} of '{path}'; allowed: wavelength in nm, value") from None
     return _checked(tuple(pairs), f"'{path}'")
-
-
-def _rows(lines: list[str], separator: str, path: Path) -> Iterator[list[str]]:
-    try:
-        yield from csv.reader(lines, delimiter=separator)
-    except csv.Error as error:
-        raise ValueError(f"got '{path}' ({error}); allowed: {ALLOWED_FILE}") from None
 
 
 def _checked(pairs: EfficiencyCurve, what: str) -> EfficiencyCurve:

@@ -8,7 +8,7 @@ import shutil
 import sys
 import textwrap
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -17,32 +17,29 @@ from cyclopts import Parameter
 
 from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, refuse
-from pixsim.base.files import output_folder
+from pixsim.base.files import MIB, output_folder
 from pixsim.cli.options import (
     DEFAULT_OUT,
     FILE_WIDTH,
-    NO_CAMERA,
-    NO_DISPLAY,
-    NO_EXPOSURE,
-    NO_PIXEL,
-    CameraTable,
+    NO_EFFORT,
+    NO_OPTIONS,
     Config,
     Define,
     DisplayTable,
+    Effort,
     ExposureTable,
     Full,
     Json,
     Out,
     PixelTable,
+    SceneOptions,
     Seed,
     SensorId,
     Tolerance,
     Variant,
     app,
     definitions,
-    described,
     given,
-    settings_of,
     show,
     stages,
 )
@@ -52,21 +49,21 @@ if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
 
 
+SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
+
+
 @app.command
 def run(
-    scene: str,
+    scene: Annotated[
+        str,
+        Parameter(help=f"{SCENE_HELP} Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry."),
+    ],
     *,
-    config: Config = None,
-    define: Define | None = None,
-    camera: CameraTable = NO_CAMERA,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
-    display: DisplayTable = NO_DISPLAY,
+    options: SceneOptions = NO_OPTIONS,
+    display: DisplayTable = None,
     seed: Seed = None,
     tolerance_e: Tolerance = None,
-    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
-    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
-    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    effort: Effort = NO_EFFORT,
     full: Full = False,
     sensor: SensorId = None,
     variant: Variant = None,
@@ -87,25 +84,11 @@ def run(
 
     Writes irradiance.exr, raw.exr (for --raw in other formats too), ideal.png, image.png, delta_e.exr, delta_e.png,
     score.json, and report.html, which shows them.
-
-    Parameters
-    ----------
-    scene
-        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
-        Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry.
     """
     from pixsim.report.run import run_and_write
     from pixsim.report.wording import budget_lines, dark_note, score_line
 
-    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
-    values = {
-        "seed": seed,
-        "tolerance_e": tolerance_e,
-        "tolerance_delta_e": tolerance_delta_e,
-        "render_noise": render_noise,
-        "max_seconds": max_seconds,
-    }
-    chosen = settings_of(config, tables, define, values)
+    chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
     with stages() as stage:
         result = run_and_write(
@@ -133,13 +116,9 @@ def run(
 
 @app.command
 def plan(
-    scene: str,
+    scene: Annotated[str, Parameter(help=SCENE_HELP)],
     *,
-    config: Config = None,
-    define: Define | None = None,
-    camera: CameraTable = NO_CAMERA,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
+    options: SceneOptions = NO_OPTIONS,
     tolerance_e: Tolerance = None,
     full: Full = False,
     sensor: SensorId = None,
@@ -149,24 +128,16 @@ def plan(
     """What a scene needs, what is left out, why, and what leaving it out can cost at most; nothing is rendered.
 
     Example: pixsim plan macbeth --tolerance-e 1e-4
-
-    Parameters
-    ----------
-    scene
-        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
     """
     from pixsim.scene.plan import make_plan
     from pixsim.scene.scene import load_scene
 
-    tables = {"camera": camera, "pixel": pixel, "exposure": exposure}
-    chosen = settings_of(config, tables, define, {"tolerance_e": tolerance_e})
+    chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
     how: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
     made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **how)
-    if json:
-        show(made.as_dict(), True, "")
-    else:
-        print(plan_table(made, None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH))
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
+    show(made.as_dict(), json, "" if json else plan_table(made, width))
 
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
@@ -195,19 +166,20 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
 
 @app.command
 def study(
-    study: str,
+    study: Annotated[
+        str,
+        Parameter(help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern."),
+    ],
     *,
     config: Config = None,
-    define: Define | None = None,
-    pixel: PixelTable = NO_PIXEL,
+    define: Define = None,
+    pixel: PixelTable = None,
     quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
     jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
     scheduler: Annotated[
         str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786), whose workers take the place of --jobs.")
     ] = None,
-    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None,
-    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None,
-    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None,
+    effort: Effort = NO_EFFORT,
     variant: Variant = None,
     out: Out = None,
     json: Json = False,
@@ -220,23 +192,15 @@ def study(
 
     Writes results.csv, summary.json, figures (with a contact sheet), provenance.json, report.html; an interrupted
     study goes on where it stopped when the same command is given again.
-
-    Parameters
-    ----------
-    study
-        A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.
     """
     from pixsim.report.wording import budget_lines, found_line, sensitivity_lines, study_dark_notes, target_notes
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
-    effort = {"tolerance_delta_e": tolerance_delta_e, "render_noise": render_noise, "max_seconds": max_seconds}
-    options: dict[str, Any] = {name: value for name, value in effort.items() if value is not None}
-    if define:
-        options["scene"] = {"parameters": definitions(define)}
-    if own := given(pixel):
-        options["pixel"] = own
-    if "vary" in table.table and (config or define or own):
+    options = given({**vars(effort), "pixel": pixel})
+    if parameters := definitions(define):
+        options["scene"] = {"parameters": parameters}
+    if "vary" in table.table and (config or define or pixel):
         mend = "Copy the study that it varies, set them there, and name the copy as its base."
         raise refuse("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", mend)
     layers = study_layers(table, config or [], options)
@@ -277,15 +241,11 @@ def study_folder(out: Path | None, name: str, quick: bool) -> Path:
 
 @app.command
 def accuracy(
-    scene: str,
+    scene: Annotated[str, Parameter(help=SCENE_HELP)],
     *,
     quick: Annotated[bool, Parameter(help="Fewer rungs, a minute in all.")] = False,
-    config: Config = None,
-    define: Define | None = None,
-    camera: CameraTable = NO_CAMERA,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
-    display: DisplayTable = NO_DISPLAY,
+    options: SceneOptions = NO_OPTIONS,
+    display: DisplayTable = None,
     seed: Seed = None,
     sensor: SensorId = None,
     variant: Variant = None,
@@ -297,17 +257,11 @@ def accuracy(
     Example: pixsim accuracy csf --quick
 
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json, report.html.
-
-    Parameters
-    ----------
-    scene
-        An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life.
     """
     from pixsim.accuracy.report import accuracy_lines, write_accuracy
     from pixsim.accuracy.survey import survey
 
-    tables = {"camera": camera, "pixel": pixel, "exposure": exposure, "display": display}
-    settings = settings_of(config, tables, define, {"seed": seed})
+    settings = options.settings(display=display, seed=seed)
     with stages() as stage, output_folder(out) if out else nullcontext():  # told before a minute of work
         found = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
@@ -318,11 +272,18 @@ def accuracy(
 
 @app.command
 def datasheet(
-    pixel_file: Annotated[str | None, Parameter(name="PIXEL")] = None,
+    pixel_file: Annotated[
+        str | None,
+        Parameter(
+            name="PIXEL",
+            help="A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a "
+            "table [pixel]; without one, the pixel of the options.",
+        ),
+    ] = None,
     *,
     config: Config = None,
-    pixel: PixelTable = NO_PIXEL,
-    exposure: ExposureTable = NO_EXPOSURE,
+    pixel: PixelTable = None,
+    exposure: ExposureTable = None,
     wavelength_nm: Annotated[float | None, Parameter(help="Of the light [default: where the response peaks].")] = None,
     seed: Annotated[str | None, Parameter(help="Of the individual sensor and its noise [default: 0].")] = None,
     out: Out = None,
@@ -339,19 +300,19 @@ def datasheet(
     A photon-transfer experiment with one individual sensor of 200 × 200 pixels: 50 pairs of frames from dark to beyond
     saturation, stacks for the spatial terms, dark series over time and temperature. A black level of less than 6 σ of the
     dark is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv, report.html.
-
-    Parameters
-    ----------
-    pixel_file
-        A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a
-        table [pixel]; without one, the pixel of the options.
     """
     from pixsim.measure.datasheet import make_datasheet
     from pixsim.measure.datasheet import sheet_summary as summary
     from pixsim.measure.datasheet_report import datasheet_lines, sheet_name, write_datasheet
 
-    files, table = pixel_of_argument(pixel_file, config, pixel)
-    settings = settings_of(files, {"pixel": table, "exposure": exposure}, None, {"seed": seed})
+    files, own = list(config or []), given({"pixel": pixel}).get("pixel", {})
+    if pixel_file is not None and pixel_file.endswith(".toml") and "pixel" in read_toml(Path(pixel_file)):
+        files.insert(0, Path(pixel_file))
+    elif pixel_file is not None:
+        if "technology" in own:
+            raise PixsimError(f"PIXEL: got '{pixel_file}' beside --pixel.technology {own['technology']}; give one of them.")
+        own["technology"] = pixel_file
+    settings = SceneOptions(files, exposure=exposure).settings(pixel=own or None, seed=seed)
     how: dict[str, Any] = {"wavelength_nm": wavelength_nm, "seed": settings.seed}
     with output_folder(out) if out else nullcontext(), stages() as stage:  # refused before the measurement, not after it
         sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, **how)
@@ -360,21 +321,15 @@ def datasheet(
     show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
 
 
-def pixel_of_argument(name: str | None, config: list[Path] | None, table: Any) -> tuple[list[Path], Any]:
-    """What PIXEL means: a file of settings, below the others, or the technology option."""
-    files = list(config or [])
-    if name is None:
-        return files, table
-    if name.endswith(".toml") and "pixel" in read_toml(Path(name)):
-        return [Path(name), *files], table
-    if table.technology is not None:
-        raise PixsimError(f"PIXEL: got '{name}' beside --pixel.technology {table.technology}; give one of them.")
-    return files, replace(table, technology=name)
-
-
 @app.command
 def sfr(
-    image: Path,
+    image: Annotated[
+        Path,
+        Parameter(
+            help="A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png or .tiff of "
+            "16 bits."
+        ),
+    ],
     *,
     pitch_um: Annotated[float | None, Parameter(help="Of the pixels, where the file does not tell it; gives cycles/mm.")] = None,
     black_level_dn: Annotated[float | None, Parameter(help="Where the file does not tell it [default: 0]; contrast only.")] = None,
@@ -389,11 +344,6 @@ def sfr(
     Example: pixsim sfr pixsim-out/slanted_edge/raw.exr
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json.
-
-    Parameters
-    ----------
-    image
-        A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png or .tiff of 16 bits.
     """
     from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, write_sfr
     from pixsim.measure.sfr import sfr_summary as summary
@@ -424,7 +374,7 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
 
 @app.command
 def chart(
-    kind: str,
+    kind: Annotated[str, Parameter(help="csf, flat, siemens_star or slanted_edge.")],
     *,
     output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR, row 0 on top.")],
     width: Annotated[int | None, Parameter(help="Texels across.")] = None,
@@ -435,11 +385,6 @@ def chart(
     """Make a chart texture for -D chart=FILE.
 
     Example: pixsim chart siemens_star -o star.exr
-
-    Parameters
-    ----------
-    kind
-        csf, flat, siemens_star or slanted_edge.
     """
     from pixsim.scene import charts
 
@@ -452,7 +397,12 @@ def chart(
 
 @app.command
 def template(
-    kind: str,
+    kind: Annotated[
+        str,
+        Parameter(
+            help="sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or study, for `pixsim study FILE`."
+        ),
+    ],
     *,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
     json: Json = False,
@@ -462,11 +412,6 @@ def template(
     Example: pixsim template sensor -o my_sensor.toml
 
     Example: pixsim template study -o my_study.toml
-
-    Parameters
-    ----------
-    kind
-        sensor, for `pixsim run SCENE --config FILE` and `pixsim datasheet FILE`; or study, for `pixsim study FILE`.
     """
     from pixsim.base.files import write_new
     from pixsim.cli import templates
@@ -483,22 +428,14 @@ def template(
 
 
 @app.command
-def schema(kind: str = "sensor", *, json: Json = True) -> None:
+def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", *, json: Json = True) -> None:
     """Print the JSON schema of a configuration file, for editors that check and complete TOML.
 
     Example: pixsim schema study > study.schema.json
-
-    Parameters
-    ----------
-    kind
-        sensor or study.
     """
     from pixsim.cli import templates
 
     show(templates.json_schema(kind), json, "")
-
-
-MIB = 1 << 20
 
 
 @app.command
@@ -518,7 +455,7 @@ def cache(
     """
     from pixsim.base import cache as kept
 
-    kinds = sorted(summary()["kinds"])
+    kinds = summary()["kinds"]
     if kind is not None and kind not in kinds:
         raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
     freed = kept.clear(kind) if clear else None
@@ -552,17 +489,16 @@ def summary(kind: str | None = None) -> dict[str, Any]:
 
 
 @app.command
-def completion(shell: Literal["bash", "zsh", "fish"], *, json: Json = False) -> None:
+def completion(
+    shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="bash, zsh (into a folder of $fpath, as _pixsim) or fish.")],
+    *,
+    json: Json = False,
+) -> None:
     """Print a script that makes a shell complete commands and options.
 
     Example: pixsim completion bash > ~/.local/share/bash-completion/completions/pixsim
 
     Example: pixsim completion fish > ~/.config/fish/completions/pixsim.fish
-
-    Parameters
-    ----------
-    shell
-        bash, zsh (into a folder of $fpath, as _pixsim) or fish.
     """
     script = app.generate_completion(prog_name="pixsim", shell=shell)
     show({"shell": shell, "script": script}, json, script)
@@ -616,8 +552,5 @@ def report(findings: list[Finding], width: int) -> str:
             lines.append(" " * 11 + f"mend it: {each.mend}")
     problems, notes = (sum(each.mark == mark for each in findings) for mark in (PROBLEM, NOTE))
     verdict = "pixsim does not work here as it is" if problems else "renders work here"
-    return "\n".join([*lines, "", f"{verdict}: {_count(problems, 'problem')}, {_count(notes, 'note')}"])
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
+    counts = (f"{number} {what}{'' if number == 1 else 's'}" for number, what in ((problems, "problem"), (notes, "note")))
+    return "\n".join([*lines, "", f"{verdict}: {', '.join(counts)}"])

@@ -6,7 +6,6 @@ Whatever may abort or hang runs in processes of its own (`pixsim.cli.trial`): a 
 from __future__ import annotations
 
 import platform
-import re
 import shlex
 import sys
 import tempfile
@@ -29,22 +28,21 @@ MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  #
 
 def requirements(lines: Iterable[str]) -> dict[str, str]:
     """Package -> allowed versions, as `>=2.0`, of what is always needed, from a package's metadata; extras are left out."""
-    parted = (re.match(r"([\w.-]+)(?:\[[^]]*\])?\s*([^;]*)", line) for line in lines if "extra ==" not in line)
-    return {each[1]: each[2].strip() for each in parted if each}
+    from packaging.requirements import Requirement
+
+    parted = [Requirement(line) for line in lines]
+    return {each.name: str(each.specifier) for each in parted if not each.marker or each.marker.evaluate({"extra": ""})}
 
 
 def satisfies(version: str, wanted: str) -> bool:
-    """Whether a version is in a range; a pre-release counts as its release."""
-    have = _numbers(version)
-    for each in filter(None, wanted.split(",")):
-        bound = _numbers(each)
-        if not (have >= bound if each.strip().startswith(">=") else have[: len(bound)] == bound):
-            return False
-    return True
+    """Whether a version is in a range; a pre-release, or a local build, counts as its release."""
+    from packaging.specifiers import SpecifierSet
+    from packaging.version import InvalidVersion, Version
 
-
-def _numbers(version: str) -> list[int]:
-    return [int(number) for number in re.findall(r"\d+", version.partition("+")[0])]
+    try:
+        return Version(Version(version).base_version) in SpecifierSet(wanted)
+    except InvalidVersion:
+        return False
 
 
 def installed(package: str) -> str | None:
@@ -66,18 +64,16 @@ def pip(*arguments: str) -> str:
 
 
 OK, NOTE, PROBLEM = "ok", "note", "problem"
-GIB = 1 << 30
 LIMIT_S = 20.0  # for each trial; one takes 1 to 3 s
 MEAN_GATE, RMS_GATE = 1e-3, 1e-2  # of the tried picture's illuminance: 1e-5 and 0.4 % where all is right
 MEMORY_GIB = 1.0  # `pixsim run csf` takes 0.6
 DISK_GIB = 0.5  # it writes 0.13
 LEAST = ("mitsuba", "drjit", "numpy", "scipy")  # looked at where pixsim's own metadata are missing
-OPTIONAL = {
-    variant.LLVM_WHEEL: "fast renders where the system has no LLVM",
-    "distributed": "studies on a cluster",
-    "spectral": "ENVI cubes",
+OPTIONAL = {  # package -> pixsim's extra that brings it, and its purpose
+    variant.LLVM_WHEEL: ("llvm", "fast renders where the system has no LLVM"),
+    "distributed": ("cluster", "studies on a cluster"),
+    "spectral": ("envi", "ENVI cubes"),
 }
-EXTRAS = {variant.LLVM_WHEEL: "llvm", "distributed": "cluster", "spectral": "envi"}
 SCALAR, LLVM, CUDA = "scalar_spectral", "llvm_ad_spectral", "cuda_ad_spectral"
 
 
@@ -101,13 +97,16 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     out : folder that results would go to; it need not exist
     limit_s : for each process that tries something, s
     """
-    required = _required()
+    try:
+        required = requirements(metadata.requires("pixsim") or [])
+    except metadata.PackageNotFoundError:
+        required = {}  # pixsim is on the path but not installed
     with ThreadPoolExecutor() as pool:
         first = [pool.submit(attempt, kind, limit_s=limit_s) for kind in ("libraries", "driver")]
         libraries, driver = (each.result() for each in first)
         chosen = attempt("render", limit_s=limit_s)  # alone, since it is timed
         usable = usable_llvm(libraries)
-        taken = (LLVM if usable else SCALAR) if _said(chosen, "refused") is None else None
+        taken = (LLVM if usable else SCALAR) if chosen.facts.get("refused") is None else None
         other = {name: pool.submit(attempt, "render", name, limit_s=limit_s) for name in (SCALAR, CUDA) if name != taken}
         imports = pool.submit(attempt, "imports", *map(module_of, required or LEAST), limit_s=limit_s)
         tried = {name: each.result() for name, each in other.items()}
@@ -118,7 +117,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
         *_llvm(libraries, usable),
         *_variants(tried, taken, driver),
         _graphics(driver),
-        *_hardware(_said(chosen, "threads")),
+        *_hardware(chosen.facts.get("threads")),
         _cache(),
         _space("results", out, "choose another folder with --out"),
         _space("temporary files", Path(tempfile.gettempdir()), "export TMPDIR=FOLDER"),
@@ -127,19 +126,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     ]
 
 
-def _said(trial: Trial, name: str) -> Any:
-    return next((line[name] for line in trial.lines if name in line), None)
-
-
 # --- Software ---------------------------------------------------------------------------------------------------------
-
-
-def _required() -> dict[str, str]:
-    """Package -> versions allowed; empty where pixsim is on the path but not installed."""
-    try:
-        return requirements(metadata.requires("pixsim") or [])
-    except metadata.PackageNotFoundError:
-        return {}
 
 
 def _software(required: dict[str, str], imports: Trial) -> Iterator[Finding]:
@@ -172,21 +159,12 @@ def _broken_packages(required: dict[str, str], versions: dict[str, str | None], 
         elif not satisfies(version, wanted):
             yield Finding("software", name, PROBLEM, f"{version}; pixsim needs {wanted}", pip(f"{name}{wanted}"))
         elif error:
+            verb = "" if error.startswith(("hangs", "dies", "fails")) else "fails: "
             mend = pip("--force-reinstall", f"{name}{wanted}")
-            yield Finding("software", name, PROBLEM, f"{version} is installed, but its import {_verb(error)}", mend)
-
-
-def _verb(error: str) -> str:
-    return error if error.startswith(("hangs", "dies", "fails")) else f"fails: {error}"
+            yield Finding("software", name, PROBLEM, f"{version} is installed, but its import {verb}{error}", mend)
 
 
 # --- Mitsuba ----------------------------------------------------------------------------------------------------------
-
-
-def wheel_or_library() -> str:
-    """The command that brings a usable LLVM."""
-    here = (sys.platform, platform.machine()) == ("linux", "x86_64")
-    return pip(variant.LLVM_WHEEL) if here else f"export {variant.LLVM_VARIABLE}=FILE  # a libLLVM {variant.OLDEST_LLVM} or newer"
 
 
 def usable_llvm(libraries: Trial) -> str | None:
@@ -209,7 +187,10 @@ def _llvm(libraries: Trial, taken: str | None) -> Iterator[Finding]:
         yield Finding("LLVM", "libraries", PROBLEM, found, f"export {variant.LLVM_VARIABLE}=FILE  # another libLLVM")
     elif taken is None and not any(line["origin"] == variant.LLVM_VARIABLE for line in judged):
         found = f"no LLVM {variant.OLDEST_LLVM} or newer that is taken by itself; renders are slower by several times without"
-        yield Finding("LLVM", "libraries", NOTE, found, wheel_or_library())
+        mend = f"export {variant.LLVM_VARIABLE}=FILE  # a libLLVM {variant.OLDEST_LLVM} or newer"
+        if (sys.platform, platform.machine()) == ("linux", "x86_64"):
+            mend = pip(variant.LLVM_WHEEL)
+        yield Finding("LLVM", "libraries", NOTE, found, mend)
     if here := variant.mapped():
         yield Finding("LLVM", "this process", OK, f"has loaded {', '.join(here)}", facts={"mapped": here})
 
@@ -228,13 +209,13 @@ def _judgement(line: dict[str, Any], taken: str | None) -> tuple[str, str, str |
 
 
 def _variants(tried: dict[str, Trial], taken: str | None, driver: Trial) -> Iterator[Finding]:
-    compiled = next((found for each in tried.values() if (found := _said(each, "compiled_in"))), None)
+    compiled = next((found for each in tried.values() if (found := each.facts.get("compiled_in"))), None)
     if compiled:
         yield Finding("Mitsuba", "compiled in", OK, ", ".join(compiled), facts={"variants": compiled})
     for name in (LLVM, SCALAR, CUDA):
         fault = _fault(tried[name]) if name in tried else "needs a usable LLVM"
         mark = NOTE if fault else OK
-        if name == CUDA and (reason := _said(driver, "fault")) and fault:
+        if name == CUDA and (reason := driver.facts.get("fault")) and fault:
             fault, mark = reason, OK  # nothing is wrong with a machine without a graphics card
         run = "runs here" + (" and is taken" if name == taken else f" on request: --variant {name}")
         yield Finding("Mitsuba", name, mark, f"does not run here: {fault}" if fault else run)
@@ -242,27 +223,27 @@ def _variants(tried: dict[str, Trial], taken: str | None, driver: Trial) -> Iter
 
 def _fault(trial: Trial) -> str | None:
     """Why a trial has no picture, or a wrong one."""
-    if reason := trial.fault or _said(trial, "refused"):
+    if reason := trial.fault or trial.facts.get("refused"):
         return str(reason)
-    if (mean := _said(trial, "mean_error")) is None:
+    if (mean := trial.facts.get("mean_error")) is None:
         return "says nothing"
-    rms = _said(trial, "rms_error")
+    rms = trial.facts["rms_error"]
     if abs(mean) <= MEAN_GATE and rms <= RMS_GATE:  # NaN is wrong too
         return None
     return f"its picture is wrong: illuminance {mean:+.2%} in the mean, {rms:.2%} RMS, off the closed form"
 
 
 def _picture(chosen: Trial, scalar: Trial | None) -> Finding:
-    fault, taken = _fault(chosen), _said(chosen, "variant")
-    facts = {name: value for line in chosen.lines for name, value in line.items() if name != "compiled_in"}
-    facts["seconds"] = chosen.seconds
+    fault, taken = _fault(chosen), chosen.facts.get("variant")
+    facts = {**chosen.facts, "seconds": chosen.seconds}
+    facts.pop("compiled_in", None)
     if fault is None:
         found = (
-            f"csf with {taken}: {_said(chosen, 'mean_lx'):.3f} lx, closed form {_said(chosen, 'expected_lx'):.3f} lx "
-            f"({_said(chosen, 'mean_error'):+.1e}; RMS {_said(chosen, 'rms_error'):.2%}); {chosen.seconds:.1f} s, "
-            f"of which {_said(chosen, 'render_s'):.1f} s render"
+            f"csf with {taken}: {facts['mean_lx']:.3f} lx, closed form {facts['expected_lx']:.3f} lx "
+            f"({facts['mean_error']:+.1e}; RMS {facts['rms_error']:.2%}); {chosen.seconds:.1f} s, "
+            f"of which {facts['render_s']:.1f} s render"
         )
-        return Finding("test render", taken, OK, found, facts=facts)
+        return Finding("test render", facts["variant"], OK, found, facts=facts)
     scalar_works = scalar is not None and _fault(scalar) is None and taken != SCALAR
     unset = f"unset {variant.LLVM_VARIABLE}" if variant.LLVM_VARIABLE in fault else None
     mend = f"pixsim run csf --variant {SCALAR}" if scalar_works else pip("--force-reinstall", "mitsuba==3.9.*", "drjit")
@@ -273,8 +254,8 @@ def _picture(chosen: Trial, scalar: Trial | None) -> Finding:
 
 
 def _graphics(driver: Trial) -> Finding:
-    cards, fault = machine.graphics_cards(), driver.fault or _said(driver, "fault")
-    facts = {"cards": cards, "cuda": _said(driver, "cuda"), "devices": _said(driver, "devices")}
+    cards, fault = machine.graphics_cards(), driver.fault or driver.facts.get("fault")
+    facts = {"cards": cards, "cuda": driver.facts.get("cuda"), "devices": driver.facts.get("devices")}
     if fault:
         return Finding("machine", "GPU", NOTE if cards else OK, "; ".join([*cards, f"none to use: {fault}"]), facts=facts)
     return Finding("machine", "GPU", OK, "; ".join(cards) or f"{facts['devices']} devices, CUDA {facts['cuda']}", facts=facts)
@@ -292,13 +273,13 @@ def _hardware(threads: int | None) -> Iterator[Finding]:
     memory = machine.memory()
     text = f"{_gib(memory.total)} in all, {_gib(memory.available)} free"
     text += "" if memory.limit is None else f", {_gib(memory.limit)} allowed by the container"
-    little = memory.usable is not None and memory.usable < MEMORY_GIB * GIB
+    little = memory.usable is not None and memory.usable < MEMORY_GIB * cache.GIB
     mend = "pixsim run SCENE -D resolution=512" if little else None
     yield Finding("machine", "memory", NOTE if little else OK, text, mend, dict(vars(memory)))
 
 
 def _gib(size: int | None) -> str:
-    return "unknown" if size is None else f"{size / GIB:.1f} GiB"
+    return "unknown" if size is None else f"{size / cache.GIB:.1f} GiB"
 
 
 def _cache() -> Finding:
@@ -322,12 +303,12 @@ def _space(subject: str, path: Path, mend: str) -> Finding:
     facts = {"folder": str(path), "free_bytes": at.free, "writable": at.fault is None}
     if at.fault:
         return Finding("folders", subject, PROBLEM, f"{path} cannot be written ({at.fault})", mend, facts)
-    little = at.free is not None and at.free < DISK_GIB * GIB
+    little = at.free is not None and at.free < DISK_GIB * cache.GIB
     return Finding("folders", subject, NOTE if little else OK, f"{path}: {_gib(at.free)} free", mend if little else None, facts)
 
 
 def _optional() -> Iterator[Finding]:
-    for name, purpose in OPTIONAL.items():
+    for name, (extra, purpose) in OPTIONAL.items():
         version = installed(name)
-        text = f"{version} ({purpose})" if version else f"not installed; for {purpose} only: pip install 'pixsim[{EXTRAS[name]}]'"
+        text = f"{version} ({purpose})" if version else f"not installed; for {purpose} only: pip install 'pixsim[{extra}]'"
         yield Finding("optional", name, OK, text, facts={"version": version})

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import field, make_dataclass
+from dataclasses import dataclass, field, is_dataclass, make_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -69,7 +69,7 @@ def keep_helpers_files_together() -> None:
 @contextmanager
 def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
     """`pixsim.base.progress.stages` in the manner asked for."""
-    clock: dict[str, float] = {} if seconds is None else seconds
+    clock = {} if seconds is None else seconds
     with progress.stages(clock, quiet=manner.quiet) as stage:
         yield stage
     if manner.verbose:
@@ -83,42 +83,94 @@ def described(name: str) -> str:
 
 
 Config = Annotated[list[Path] | None, Parameter(help="TOML with tables [camera], [pixel], …; later files win.")]
+Define = Annotated[
+    list[str] | None, Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)
+]
 Tolerance = Annotated[str | None, Parameter(help=described("tolerance_e"))]
 Full = Annotated[bool, Parameter(help="Leave nothing out.")]
 SensorId = Annotated[str | None, Parameter(help="Id of the sensor, where the scene has several.")]
-Define = Annotated[list[str], Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)]
 Seed = Annotated[str | None, Parameter(help="Of the render, the sensor and its noise [default: 0].")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
 Variant = Annotated[str | None, Parameter(help="Mitsuba variant; by default the fastest that works here.")]
 
 
-def settings_of(config: list[Path] | None, tables: dict[str, Any], define: list[str] | None, values: dict[str, str | None]) -> Run:
-    """Defaults ← files ← options, checked once. PixsimError with all that is wrong."""
-    options: dict[str, Any] = {name: own for name, table in tables.items() if (own := given(table))}
-    options |= {"scene": definitions(define)} if define else {}
-    options |= {name: value for name, value in values.items() if value is not None}
-    files = [settings_layer(path) for path in config or []]
-    settings: Run = checked(Run, [*files, Layer(options)])  # names and values first, then what a data sheet lacks
-    if is_data_sheet(files, options):
-        settings = checked(Run, [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files, Layer(options)])
-    return settings
+def option_table(record: type[Record], name: str) -> Any:
+    """The fields of a record as dotted options, None where none of them is given.
+
+    They stay text: the record itself checks them, in one place.
+    """
+    fields = []
+    for key, info in record.model_fields.items():
+        default = "" if info.is_required() or info.default is None else f" [default: {info.default}]"
+        how = Parameter(help=f"{info.description or ''}{default}".strip(), allow_leading_hyphen=True, show_default=False)
+        fields.append((key, Annotated[str | None, how], field(default=None)))
+    table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
+    table.__module__ = __name__  # without it cyclopts takes the class for a builtin
+    return Annotated[table | None, Parameter(name=name, group=f"--{name}.…", show_default=False)]
 
 
-def given(table: Any) -> dict[str, str]:
-    """Options that were on the command line."""
-    return {name: value for name, value in vars(table).items() if value is not None}
+if TYPE_CHECKING:
+    CameraTable: TypeAlias = Any
+    PixelTable: TypeAlias = Any
+    ExposureTable: TypeAlias = Any
+    DisplayTable: TypeAlias = Any
+else:
+    CameraTable = option_table(CameraOptions, "camera")
+    PixelTable = option_table(Pixel, "pixel")
+    ExposureTable = option_table(Exposure, "exposure")
+    DisplayTable = option_table(Display, "display")
 
 
-def definitions(pairs: list[str]) -> dict[str, str]:
-    """name=value pairs as a table."""
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SceneOptions:
+    """What run, plan and accuracy share: files of settings, and what lies over them."""
+
+    config: Config = None
+    define: Define = None
+    camera: CameraTable = None
+    pixel: PixelTable = None
+    exposure: ExposureTable = None
+
+    def settings(self, **others: Any) -> Run:
+        """Defaults ← files ← options, these and others, checked once. PixsimError with all that is wrong."""
+        values = {**vars(self), **others}
+        files = [settings_layer(path) for path in values.pop("config") or []]
+        options = given({"scene": definitions(values.pop("define")), **values})
+        settings: Run = checked(Run, [*files, Layer(options)])  # names and values first, then what a data sheet lacks
+        if is_data_sheet(files, options):
+            settings = checked(Run, [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files, Layer(options)])
+        return settings
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Effort:
+    """What run and study share: how good, and how long. Text, as in the tables."""
+
+    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None
+    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None
+    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None
+
+
+NO_OPTIONS, NO_EFFORT = SceneOptions(), Effort()
+
+
+def given(options: dict[str, Any]) -> dict[str, Any]:
+    """Those that were on the command line, tables as dicts."""
+    return {name: given(vars(own)) if is_dataclass(own) else own for name, own in options.items() if own is not None}
+
+
+def definitions(pairs: list[str] | None) -> dict[str, str] | None:
+    """name=value pairs as a table, None without any."""
     table = {}
-    for pair in pairs:
+    for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not (name and equals):
             raise PixsimError(f"-D: got '{pair}'; allowed: name=value. Write -D resolution=512.")
         table[name.strip()] = value
-    return table
+    return table or None
 
 
 def show(result: dict[str, Any], as_json: bool, text: str) -> None:
@@ -127,37 +179,3 @@ def show(result: dict[str, Any], as_json: bool, text: str) -> None:
 
         text = json.dumps(result, indent=2, sort_keys=True, ensure_ascii=False)
     print(text)
-
-
-def option_table(record: type[Record], name: str) -> tuple[Any, Any]:
-    """The fields of a record as dotted options, and the table with none given.
-
-    They stay text: the record itself checks them, in one place.
-    """
-    fields = []
-    for key, info in record.model_fields.items():
-        default = "" if info.is_required() or info.default is None else f" [default: {info.default}]"
-        help_text = f"{info.description or ''}{default}".strip()
-        fields.append(
-            (
-                key,
-                Annotated[str | None, Parameter(help=help_text, allow_leading_hyphen=True, show_default=False)],
-                field(default=None),
-            )
-        )
-    table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
-    table.__module__ = __name__  # without it cyclopts takes the class for a builtin
-    return Annotated[table, Parameter(name=name, group=f"--{name}.…", show_default=False)], table()
-
-
-if TYPE_CHECKING:
-    CameraTable: TypeAlias = Any
-    PixelTable: TypeAlias = Any
-    ExposureTable: TypeAlias = Any
-    DisplayTable: TypeAlias = Any
-    NO_CAMERA = NO_PIXEL = NO_EXPOSURE = NO_DISPLAY = None
-else:
-    CameraTable, NO_CAMERA = option_table(CameraOptions, "camera")
-    PixelTable, NO_PIXEL = option_table(Pixel, "pixel")
-    ExposureTable, NO_EXPOSURE = option_table(Exposure, "exposure")
-    DisplayTable, NO_DISPLAY = option_table(Display, "display")

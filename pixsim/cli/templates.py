@@ -113,10 +113,12 @@ def json_schema(kind: str) -> dict[str, Any]:
 def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> Iterator[str]:
     for name, each in properties.items():
         set_here = table + name in shown
-        told = [each.get("description", ""), unit_of(name), allowed(each), _default(each)]
+        value = each.get("default", {} if each.get("type") == "object" else ...)
+        is_open = value in (None, "", {})
+        default = "needed" if value is ... else "open" if is_open else f"default {toml_value(value)}"
+        told = [each.get("description", ""), unit_of(name), allowed(each), default]
         yield from textwrap.wrap("; ".join(part for part in told if part), WIDTH, initial_indent="## ", subsequent_indent="##   ")
-        value = each.get("default")
-        if name in EXAMPLES and (set_here or value in (None, "", {})):
+        if name in EXAMPLES and (set_here or is_open or value is ...):
             value = EXAMPLES[name]
         yield ("" if set_here else "# ") + f"{name} = {toml_value(value)}"
 
@@ -126,38 +128,20 @@ def unit_of(name: str) -> str:
     return "" if name in NO_UNIT else next((f"in {unit}" for end, unit in UNITS.items() if name.endswith(end)), "")
 
 
-def _default(each: dict[str, Any]) -> str:
-    """None, nothing and an empty table are open; what has no default is needed."""
-    default = each.get("default", {} if each.get("type") == "object" else ...)
-    if default is ...:
-        return "needed"
-    return "open" if default in (None, "", {}) else f"default {toml_value(default)}"
-
-
 def allowed(each: dict[str, Any]) -> str:
     """A field's range or choices, in words, from its JSON schema."""
-    kinds = [kind for kind in each.get("anyOf", [each]) if kind.get("type") != "null"]
-    told = [_allowed_one(kind) for kind in kinds]
-    return " or ".join(dict.fromkeys(part for part in told if part))
-
-
-def _allowed_one(kind: dict[str, Any]) -> str:
-    if "enum" in kind or "const" in kind:
-        return ", ".join(toml_value(each) for each in kind.get("enum", [kind.get("const")]))
-    if "anyOf" in kind:
-        return allowed(kind)
-    if kind.get("type") == "array":
-        return "a list"
-    if kind.get("type") == "boolean":
-        return "true or false"
-    if kind.get("type") in ("number", "integer"):
-        low, above = kind.get("minimum"), kind.get("exclusiveMinimum")
-        high, below = kind.get("maximum"), kind.get("exclusiveMaximum")
-        start = number(low) if low is not None else f"above {number(above)}" if above is not None else ""
+    if "anyOf" in each:
+        return " or ".join(dict.fromkeys(filter(None, map(allowed, each["anyOf"]))))
+    if "enum" in each or "const" in each:
+        return ", ".join(toml_value(value) for value in each.get("enum", [each.get("const")]))
+    kind = each.get("type")
+    if kind in ("number", "integer"):
+        low, above = each.get("minimum"), each.get("exclusiveMinimum")
+        high, below = each.get("maximum"), each.get("exclusiveMaximum")
+        start = f"{number(low)} " if low is not None else f"above {number(above)} " if above is not None else ""
         end = f"to {number(high)}" if high is not None else f"to below {number(below)}" if below is not None else "and more"
-        whole = "whole numbers, " if kind["type"] == "integer" else ""
-        return f"{whole}{start} {end}" if start else f"{whole}{end}".strip()
-    return ""
+        return f"{'whole numbers, ' if kind == 'integer' else ''}{start}{end}"
+    return {"array": "a list", "boolean": "true or false"}.get(str(kind), "")
 
 
 def number(value: float) -> str:

@@ -37,24 +37,23 @@ class Trial:
     last_words: str
 
     @property
+    def facts(self) -> Line:
+        """All lines as one, for a child whose lines name each thing once."""
+        return {name: value for line in self.lines for name, value in line.items()}
+
+    @property
     def fault(self) -> str | None:
         """How it failed; None where it ran to its end."""
         if self.returncode is None:
             return f"hangs: it was stopped after {self.seconds:.0f} s"
+        if not self.returncode:
+            return None
         if self.returncode < 0:
-            return f"dies of signal {-self.returncode} ({_signal_name(-self.returncode)})" + self._said
-        return f"fails{self._said}" if self.returncode else None
-
-    @property
-    def _said(self) -> str:
-        return f": {self.last_words}" if self.last_words else ""
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return "unknown"
+            name = next((each.name for each in signal.Signals if each == -self.returncode), "unknown")
+            how = f"dies of signal {-self.returncode} ({name})"
+        else:
+            how = "fails"
+        return how + (f": {self.last_words}" if self.last_words else "")
 
 
 def attempt(kind: str, *arguments: str, limit_s: float) -> Trial:
@@ -148,14 +147,10 @@ def render(variant: str = "") -> Iterator[Line]:
         "expected_lx": float(expected.mean()),
         "mean_error": float(found.mean() / expected.mean() - 1),
         "rms_error": float(np.sqrt(np.mean((found / expected - 1) ** 2))),
-        "threads": _threads(),
+        "threads": int(import_module("drjit").thread_count()),
         "compiled_in": list(mitsuba.variants()),
         "mapped_llvm": variants.mapped(),
     }
-
-
-def _threads() -> int:
-    return int(import_module("drjit").thread_count())
 
 
 def closed_form_lx(camera: Any, resolution: int) -> Any:
@@ -174,12 +169,7 @@ def closed_form_lx(camera: Any, resolution: int) -> Any:
     return charts.LUMINANCE_CD_PER_M2[1] * cells * factor
 
 
-TRIALS: dict[str, Callable[..., Iterator[Line]]] = {
-    "libraries": libraries,
-    "imports": imports,
-    "driver": driver,
-    "render": render,
-}
+TRIALS: dict[str, Callable[..., Iterator[Line]]] = {each.__name__: each for each in (libraries, imports, driver, render)}
 
 
 def main(fd: int, kind: str, *arguments: str) -> None:

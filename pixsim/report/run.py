@@ -18,6 +18,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import refuse
 from pixsim.base.files import output_folder, versions, write_json
 from pixsim.base.parameters import Camera, Display, Exposure, Run
+from pixsim.base.progress import Stage
 from pixsim.light.exr import write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
@@ -136,7 +137,6 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     return Picture.of(grey_codes(reduced(luminance)), name)
 
 
-Stage = Callable[[str], Callable[..., None]]
 OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # files that a run may write or not
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array, row_blocks
 from pixsim.base.parameters import Camera, Exposure, Pixel, content_hash
+from pixsim.base.progress import Progress
 from pixsim.light.spectral import WHOLE, SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
@@ -21,7 +22,6 @@ from pixsim.sensor.integration import Columns, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
 
-Told = Callable[[float, str], None]  # fraction done, and the present error in words
 RENDER_NOISE = 0.2  # of the sensor noise: adds 2 % to its standard deviation
 MAX_SECONDS = 120.0
 MOST_RUNS = 1 << 12
@@ -56,7 +56,7 @@ def render_until(
     *,
     render_noise: float = RENDER_NOISE,
     max_seconds: float = MAX_SECONDS,
-    progress: Told | None = None,
+    progress: Progress | None = None,  # fraction done, and the present error in words
     keep: bool = False,
 ) -> tuple[SpectralImage, RenderNoise]:
     """The mean of as many independent renders as the noise of the sensors allows, at least two.
@@ -132,7 +132,7 @@ def _add(sums: list[Array], pictures: Sequence[Picture], weight: int) -> None:
             sum_[rows] += weight * picture[rows]
 
 
-def _told(progress: Told | None, number: int, found: RenderNoise) -> Callable[[float], None] | None:
+def _told(progress: Progress | None, number: int, found: RenderNoise) -> Progress | None:
     """A pair of renders is one bar; beside it the error so far."""
     note = f", noise {found.fraction:.2g} of the sensor's" if found.runs else ""
     return (lambda done: progress((number + done) / 2, note)) if progress else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,6 +15,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, row_blocks
 from pixsim.base.errors import refuse
 from pixsim.base.parameters import Camera, content_hash
+from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import WHOLE, SpectralImage
 from pixsim.optics.thin_lens import irradiance_factor
@@ -138,7 +139,6 @@ class KeptRenders:
         return f"{self.job}-{level}-{index}"
 
 
-Progress = Callable[[float], None]
 Picture = NDArray[np.float32] | Array
 # A kernel of so many samples runs about 1.5 s on two cores; between kernels Ctrl-C is heard and progress is told.
 SAMPLES_PER_KERNEL = 1 << 25

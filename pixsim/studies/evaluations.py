@@ -29,6 +29,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, refuse
 from pixsim.base.files import read_bytes, replacing
 from pixsim.base.parameters import Camera, Study, content_hash, pixel_of
+from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
@@ -165,7 +166,6 @@ TEXTS = COLUMNS[:2]
 REPEATS_A_TASK = 8  # evaluations after which a worker reports
 LIGHTS_BYTES = 1 << 28  # of lights that are made at once
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order
-Progress = Callable[..., None]  # (fraction done, what to say beside it)
 # What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
 Light = Projection | SpectralImage
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,13 +15,13 @@ from pydantic import Field
 from pixsim.base.errors import did_you_mean, refuse
 from pixsim.base.files import output_folder, versions, write_json
 from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_hash, merge
+from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.technology import load_technology
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Column, Plate, write_page, write_plates
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.engine import Workers, results_of, workers_for
-from pixsim.studies.evaluations import Progress
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
 from pixsim.studies.study import load_study, refuse_bad_pitches, render_for, scene_for, sweep_pitches
 
@@ -210,7 +210,7 @@ def run_sensitivity(
     jobs: int | None = None,
     scheduler: Any = None,
     variant: str | None = None,
-    progress: Callable[[str], Progress] | None = None,
+    progress: Stage | None = None,
 ) -> SensitivityResult:
     """Run the base and every case; each keeps its rows in `out`/cases/, so an interrupted run goes on.
 

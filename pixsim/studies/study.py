@@ -13,13 +13,14 @@ from pixsim.base.config import beside, checked, packaged, read_toml, study_layer
 from pixsim.base.errors import did_you_mean, refuse
 from pixsim.base.files import output_folder
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
+from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, Lights, Progress, Sampling, first_sampling, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, Lights, Sampling, first_sampling, study_pitches_um
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import white_cd_per_m2
 
@@ -202,7 +203,7 @@ def study(
     jobs: int | None = None,
     scheduler: Any = None,
     variant: str | None = None,
-    progress: Callable[[str], Progress] | None = None,
+    progress: Stage | None = None,
 ) -> StudyResult:
     """Run a study, or go on with an interrupted one, and keep its rows in `out`/results.csv.
 

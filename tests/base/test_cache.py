@@ -20,6 +20,12 @@ from pixsim.base.files import FOLDER_VARIABLE
 
 
 @pytest.fixture
+def small(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))  # 8 MiB
+    return folder
+
+
+@pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
     return tmp_path / "kept"
@@ -48,21 +54,19 @@ def test_made_once(folder):
 
 
 @pytest.mark.parametrize(
-    "text", ["", '{"number": 1', "[]", "3", "null", '{"other": 1}', '{"number": "many"}', '{"number": null}', "\x00"]
+    "content",
+    [
+        *(b"", b'{"number": 1', b"[]", b"3", b"null", b'{"other": 1}', b'{"number": "many"}', b'{"number": null}', b"\x00"),
+        *(b"\xff\xfe\x80", b"[" * 100_000, b"[1]", b"NaN", b"9" * 10_000),
+    ],
+    ids=lambda content: repr(content[:20]),
 )
-def test_a_damaged_entry_is_made_again_with_a_warning(folder, text):
+def test_a_damaged_entry_is_made_again_with_a_warning(folder, content):
     kept(1.5)
-    (folder / "kind/key.json").write_text(text, encoding="utf-8")
+    (folder / "kind/key.json").write_bytes(content)
     with pytest.warns(UserWarning, match="damaged"):
         assert kept(2.5) == ({"number": 2.5}, 1)
     assert kept(3.5) == ({"number": 2.5}, 0)
-
-
-def test_bytes_that_are_no_text(folder):
-    kept(1.5)
-    (folder / "kind/key.json").write_bytes(b"\xff\xfe\x80")
-    with pytest.warns(UserWarning, match="damaged"):
-        assert kept(2.5) == ({"number": 2.5}, 1)
 
 
 def test_nan_comes_back(folder):
@@ -179,8 +183,7 @@ def test_every_damage_is_noticed(folder):
     assert_same(cache.arrays("kind", "key"))
 
 
-def test_what_belongs_to_others_stays_and_ends_nothing(folder, monkeypatch):
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))
+def test_what_belongs_to_others_stays_and_ends_nothing(small, monkeypatch):
     for number in range(12):
         cache.keep_arrays("kind", f"{number:02d}", big(1))
     unlink = Path.unlink
@@ -210,11 +213,10 @@ def big(mib: float) -> cache.Arrays:
     return {"zeros": np.zeros(int(mib * 2**20), np.uint8)}
 
 
-def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(folder, monkeypatch):
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))  # 8 MiB
+def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(small):
     for number in range(12):
         cache.keep_arrays("kind", f"{number:02d}", big(1))
-        os.utime(folder / f"kind/{number:02d}.npz", (number, number))
+        os.utime(small / f"kind/{number:02d}.npz", (number, number))
         if number > 0:
             assert cache.arrays("kind", "00") is not None, "used each time, but gone"
     cache.trim()
@@ -223,15 +225,13 @@ def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(folder, 
     assert sorted(left) == ["00", "06", "07", "08", "09", "10", "11"], "7 of a little more than 1 MiB fit into 8 MiB"
 
 
-def test_a_process_that_writes_much_trims_by_itself(folder, monkeypatch):
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))
+def test_a_process_that_writes_much_trims_by_itself(small):
     for number in range(40):
         cache.keep_arrays("kind", f"{number}", big(1))
         assert sum(entry.size_bytes for entry in cache.entries()) <= 9.5 * 2**20
 
 
-def test_an_entry_that_would_drive_out_the_rest_is_not_kept(folder, monkeypatch):
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))
+def test_an_entry_that_would_drive_out_the_rest_is_not_kept(small):
     cache.keep_arrays("kind", "small", big(1.9))
     cache.keep_arrays("kind", "large", big(2.1))
     assert [entry.path.stem for entry in cache.entries()] == ["small"]

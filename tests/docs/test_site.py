@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import html
-import json
 import os
 import re
 import socket
@@ -16,7 +14,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from helpers.browser import browse, needs_browser, print_page
+from helpers.browser import in_frames, needs_browser, print_page
 from helpers.processes import HANG_S
 from helpers.public_names import CLASSES, PUBLIC, fields
 
@@ -30,7 +28,6 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 if not (DOCS / "conf.py").is_file():
     pytest.skip("the tests are installed without the pages' sources", allow_module_level=True)
-TOGETHER = ["--allow-file-access-from-files"]  # pages on disk may read one another
 MARKDOWN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "scenes/README.md", *sorted(DOCS.rglob("*.md"))]
 
 
@@ -153,7 +150,7 @@ def commands() -> Iterator[tuple[str, Any]]:
 @pytest.mark.parametrize("name", [name for name, _ in commands()])
 def test_every_command_is_told_with_its_options(name: str, site: Path) -> None:
     text = re.sub(r"<[^>]+>", "", (site / "reference/command_line.html").read_text(encoding="utf-8"))
-    words = {word for argument in app[name].assemble_argument_collection() for word in argument.names}
+    words = {word for argument in app[name].assemble_argument_collection() if argument.show for word in argument.names}
     words = {word for word in words if not word.startswith(("--no-", "--empty-"))}  # the app has none
     assert words
     own = re.split(r"\n\s*pixsim \w+¶", text[text.index(f"pixsim {name}¶") :])[0]
@@ -224,14 +221,8 @@ onload = () => {{
 
 def looked_at(shown: list[Path], width: int, folder: Path) -> list[Any]:
     """[room, width of what is in it, title, pictures that are missing, elements that stick out] of each page."""
-    frames = "\n".join(f'<iframe width="{width}" height="900" style="border: 0" src="{path.as_uri()}"></iframe>' for path in shown)
-    frame = folder / "frames.html"
-    frame.write_text(FRAMES.format(frames=frames), encoding="utf-8")
-    title = re.search(r"<title>(.*?)</title>", browse([*TOGETHER, "--dump-dom", frame.as_uri()], folder).stdout, re.DOTALL)
-    assert title
-    found: list[Any] = json.loads(html.unescape(title[1]))
-    assert len(found) == len(shown)
-    return found
+    sources = [f'width="{width}" src="{path.as_uri()}"' for path in shown]
+    return in_frames(FRAMES, sources, 900, folder, "--allow-file-access-from-files")  # pages on disk may read one another
 
 
 @needs_browser

@@ -94,17 +94,25 @@ def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[st
     return subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=True, timeout=HANG_S)
 
 
-def see(page: Path, folder: Path) -> list[Seen]:
-    """The page at each of `WIDTHS`; it has no errors in the console."""
-    text = html.escape(page.read_text(encoding="utf-8"))
-    frames = "".join(f'<iframe width="{width}" height="20000" style="border: 0" srcdoc="{text}"></iframe>' for width in WIDTHS)
+def in_frames(script: str, sources: list[str], height: int, folder: Path, *arguments: str) -> list[Any]:
+    """What a script, which puts JSON into its page's title, finds in frames (`width="…" src="…"`); no errors in the console."""
     frame = folder / "frames.html"
-    frame.write_text(FRAMES.format(frames=frames), encoding="utf-8")
-    done = browse(["--dump-dom", frame.as_uri()], folder)
+    frames = "\n".join(f'<iframe height="{height}" style="border: 0" {source}></iframe>' for source in sources)
+    frame.write_text(script.format(frames=frames), encoding="utf-8")
+    done = browse([*arguments, "--dump-dom", frame.as_uri()], folder)
     assert "CONSOLE" not in done.stderr, done.stderr
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
     assert title
-    return [Seen(width, **found) for width, found in zip(WIDTHS, json.loads(html.unescape(title[1])), strict=True)]
+    found: list[Any] = json.loads(html.unescape(title[1]))
+    assert len(found) == len(sources)
+    return found
+
+
+def see(page: Path, folder: Path) -> list[Seen]:
+    """The page at each of `WIDTHS`."""
+    text = html.escape(page.read_text(encoding="utf-8"))
+    found = in_frames(FRAMES, [f'width="{width}" srcdoc="{text}"' for width in WIDTHS], 20000, folder)
+    return [Seen(width, **each) for width, each in zip(WIDTHS, found, strict=True)]
 
 
 def assert_fits(page: Path, folder: Path) -> list[Seen]:

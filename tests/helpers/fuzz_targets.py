@@ -12,7 +12,7 @@ from PIL import Image
 
 import pixsim
 from pixsim.base.parameters import CameraOptions, read_curve
-from pixsim.cli.options import settings_of
+from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import read_edge_picture
@@ -90,18 +90,20 @@ def read_picture(path: Path) -> object:
 def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     """Kind -> a valid file and what reads it."""
     shipped = packaged_scenes()["still_life"]
-    texts = {
-        "config.toml": CONFIG,
-        "study.toml": (PACKAGE / "data/studies/modern.toml").read_text(),
-        "technology.toml": (PACKAGE / "data/technologies/0.35um.toml").read_text(),
-        "curve.csv": "nm,qe\n400,0.1\n500,0.5\n600,0.4\n",
-        "scene.xml": SCENE,
-        "part.xml": '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="0.01"/></shape></scene>',
-        "shipped.xml": shipped.read_text().replace('"spectra/', f'"{shipped.parent}/spectra/'),
-        "cube.hdr": ENVI,
+    load = partial(load_scene, variant="scalar_spectral")
+    texts: dict[str, tuple[str, Reader]] = {
+        "config.toml": (CONFIG, lambda path: SceneOptions([path]).settings()),
+        "study.toml": ((PACKAGE / "data/studies/modern.toml").read_text(), load_study),
+        "technology.toml": ((PACKAGE / "data/technologies/0.35um.toml").read_text(), lambda path: load_technology(str(path))),
+        "curve.csv": ("nm,qe\n400,0.1\n500,0.5\n600,0.4\n", read_curve),
+        "scene.xml": (SCENE, load),
+        "shipped.xml": (shipped.read_text().replace('"spectra/', f'"{shipped.parent}/spectra/'), load),
+        "cube.hdr": (ENVI, read_picture),
     }
-    for name, text in texts.items():
+    for name, (text, _) in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
+    part = '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="0.01"/></shape></scene>'
+    (folder / "part.xml").write_text(part, encoding="utf-8")
     light().data.transpose(2, 0, 1).tofile(folder / "cube.img")
     write_chart(folder / "chart.exr", np.ones((4, 4), np.float32))
     write_exr(folder / "light.exr", light())
@@ -110,22 +112,9 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     np.save(folder / "edge.npy", np.ones((4, 4)))
     Image.fromarray(np.ones((8, 8), np.uint16)).save(folder / "edge.png")
     rows(folder / "results.csv")
-    readers: dict[str, Reader] = {
-        "config.toml": lambda path: settings_of([path], {}, None, {}),
-        "study.toml": load_study,
-        "technology.toml": lambda path: load_technology(str(path)),
-        "curve.csv": read_curve,
-        "scene.xml": partial(load_scene, variant="scalar_spectral"),
-        "shipped.xml": partial(load_scene, variant="scalar_spectral"),
-        "light.exr": read_picture,
-        "factors.exr": read_picture,
-        "light.npz": read_picture,
-        "cube.hdr": read_picture,
-        "chart.exr": read_edge_picture,
-        "edge.npy": read_edge_picture,
-        "edge.png": read_edge_picture,
-        "results.csv": read_rows,
-    }
+    readers: dict[str, Reader] = {name: reader for name, (_, reader) in texts.items()}
+    readers |= dict.fromkeys(("light.exr", "factors.exr", "light.npz"), read_picture)
+    readers |= dict.fromkeys(("chart.exr", "edge.npy", "edge.png"), read_edge_picture) | {"results.csv": read_rows}
     return {name: (folder / name, reader) for name, reader in readers.items()}
 
 

@@ -1,8 +1,9 @@
-"""A sensor's file: the same for one picture and for a study of its pixel size; its well and dark current go with the area."""
+"""Settings: a sensor's file is the same for one picture and for a study of its pixel size; messages mend what they refuse."""
 
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from helpers.commands import assert_refused, command
 
 import pixsim
-from pixsim.base.config import study_layers
-from pixsim.base.parameters import pixel_of
+from pixsim.base.config import checked, study_layers
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Layer, Run, Study, pixel_of
+from pixsim.cli.options import SceneOptions
 from pixsim.sensor.pixel import fill_factor_law
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.study import checked_study, load_study, read_study
@@ -66,6 +69,10 @@ def test_a_well_of_no_electron_is_refused() -> None:
         pixsim.derive(pixsim.Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0))
 
 
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
 def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
     return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
 
@@ -93,39 +100,30 @@ def test_a_technology_replaces_the_study_s(tmp_path: Path) -> None:
     assert study.pixel.data_sheet_pitch_um is None
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (SHEET.replace("full_well_e = 12000", ""), ["sensor.toml: pixel", "full_well_e"]),
-        (SHEET.replace("pitch_um = 4.0", 'pitch_um = "wide"'), ["sensor.toml", "wide"]),
-        (SHEET + "[exposure]\nmax_integration = 3\n", ["sensor.toml: exposure.max_integration", "max_integration_s"]),
-        ("[pixel]\npitch_umm = 3\n", ["sensor.toml: pixel.pitch_umm"]),
-    ],
-)
-def test_what_is_wrong_with_a_sensor_is_told(text: str, words: list[str], tmp_path: Path) -> None:
-    path = written(tmp_path / "sensor.toml", text)
-    assert_refused(*command(f"study pixel-size --config {path} --out {tmp_path / 'out'}"), words)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_data_sheet_without_a_pitch_of_its_own_is_no_study() -> None:
+def test_a_data_sheet_needs_a_pitch_and_stands_alone() -> None:
     table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
     with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
-        pixsim.Study.model_validate(table)
+        Study.model_validate(table)
     table["pixel"] |= {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
     with pytest.raises(ValueError, match=r"give pitch\.min_um"):
-        pixsim.Study.model_validate(table)
+        Study.model_validate(table)
+    with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
+        Study.model_validate(table | {"technologies": ["none", "0.35um"]})
 
 
 def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
-    small = "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n"
+    """With a parameter of its scene, and in full where it is asked to be quick and has no table for that."""
     own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
-    path = written(tmp_path / "sensor.toml", SHEET + small)
-    code, out, err = command(f"study {own} --config {path} --jobs 1 --out {tmp_path / 'out'}")
+    path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n")
+    line = f"study {own} --config {path} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
+    with warnings.catch_warnings(action="always"):
+        code, out, err = command(line)
     assert code == 0, err
+    assert "warning: the study own has no [quick] table: it is done in full" in err
     assert out.startswith("data sheet: ")
-    rows = (tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()
-    assert len(rows) == 1 + 5 * 2
+    assert len(read(tmp_path / "out/results.csv").splitlines()) == 1 + 5 * 2
+    assert json.loads(read(tmp_path / "out/summary.json"))["irradiance"]["luminance_cd_per_m2"] == 50
+    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
 
 
 def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
@@ -133,17 +131,77 @@ def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
     study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
     assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
     assert study.technologies == ("none",)
+    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path]), "one file needs no list"
     with pytest.raises(pixsim.PixsimError, match=r"config, parameters, pixel: got with a Study"):
         pixsim.study(study, tmp_path / "out", config=[path])
 
 
-def test_a_scene_parameter_of_a_study_from_the_command_line(tmp_path: Path) -> None:
-    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n[display]\ndots = 64\n')
-    told = "-D luminance_cd_per_m2=50 -D resolution=64 -D spp=4"
-    code, out, err = command(f"study {own} {told} --jobs 1 --json --out {tmp_path / 'out'}")
+# --- A sensor from its data sheet --------------------------------------------------------------------------------------
+
+
+CURVE = "wavelength (nm), quantum efficiency\n# measured\n400, 0.30\n550, 0.60\n700, 0.40\n900, 0.00\n"
+CURVED = SHEET.replace("quantum_efficiency = 0.6", 'quantum_efficiency = "qe.csv"')
+
+
+def settings_of(path: Path) -> Run:
+    return SceneOptions([path]).settings()
+
+
+@pytest.fixture
+def sheet(tmp_path: Path) -> Path:
+    (tmp_path / "data sheet").mkdir()
+    written(tmp_path / "data sheet/qe.csv", CURVE)
+    return written(tmp_path / "data sheet/my_sensor.toml", CURVED)
+
+
+def test_a_data_sheet_is_enough(sheet: Path, tmp_path: Path) -> None:
+    """Its numbers are those of the picture; nothing of a process is added to them."""
+    small = "-D resolution=64 --display.dots 64 --json"
+    code, out, err = command(f"run csf {small} --config", sheet, "--out", tmp_path / "out")
     assert code == 0, err
-    assert json.loads(out)["irradiance"]["luminance_cd_per_m2"] == 50
-    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
+    told = json.loads(out)
+    assert told["pixel"]["technology"] == "none"
+    assert (told["full_well_e"], told["fill_factor"], told["pitch_um"]) == (12000.0, 1.0, 4.0)
+    physics = pixsim.derive(pixsim.Pixel.model_validate(told["pixel"]))
+    assert (physics.reset_noise_e, physics.offset_fpn_e, physics.column_fpn_e) == (0.0, 0.0, 0.0)
+    assert (physics.read_noise_e, physics.dark_current_e_per_s) == (2.5, 8.0)
+
+
+def test_its_curve_is_straight_between_points_and_nothing_beyond(sheet: Path) -> None:
+    nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
+    found = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
+    np.testing.assert_allclose(found, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
+
+
+@pytest.mark.parametrize("lost", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
+@pytest.mark.parametrize("line", ["run csf", "study pixel-size"])
+def test_what_a_data_sheet_lacks_is_named(line: str, lost: str, sheet: Path, tmp_path: Path) -> None:
+    written(sheet, "\n".join(each for each in CURVED.splitlines() if not each.startswith(lost)))
+    told = f"{sheet}: pixel: got a sensor without a technology, and without {lost};"
+    assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [told, 'technology = "4t-bsi"'])
+    assert not (tmp_path / "out").exists()
+
+
+def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> None:
+    written(sheet, '[pixel]\ntechnology = "0.35um"\npitch_um = 8.0\nread_noise_e = 5.0\n')
+    physics = pixsim.derive(settings_of(sheet).pixel)
+    derived = pixsim.derive(pixsim.Pixel(technology="0.35um", pitch_um=8.0))
+    assert physics.read_noise_e == 5.0 != derived.read_noise_e
+    assert (physics.full_well_e, physics.dark_current_e_per_s) == (derived.full_well_e, derived.dark_current_e_per_s)
+
+
+def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(Path("qe.csv"), "400,0.1\n500,0.1\n")
+    assert settings_of(sheet).pixel.quantum_efficiency[0] == (400.0, 0.3)
+    study = written(sheet.parent / "s.toml", 'name = "s"\n[quick.pixel]\nquantum_efficiency = "qe.csv"\n')
+    assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
+
+
+def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:
+    pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
+    from_file = settings_of(sheet).pixel
+    assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
 
 
 # --- What says more, and what less -------------------------------------------------------------------------------------
@@ -198,31 +256,6 @@ def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
     assert study.sources["display.dots"].startswith("assumed")
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("study {path}", ["the file of a sensor", "pixsim study pixel-size --config"]),
-        ("run {path}", ["a TOML file", "pixsim run csf --config"]),
-        ("study chen2000-sensitivity --config {path}", ["--config, -D, --pixel", "varies another study"]),
-        ("study pixel-size --config {path} --render-noise 0", ["render_noise", "1e-06"]),
-    ],
-)
-def test_likely_slips_are_told_how_to_mend_them(line: str, words: list[str], tmp_path: Path) -> None:
-    path = written(tmp_path / "sensor.toml", SHEET)
-    assert_refused(*command(line.format(path=path) + f" --out {tmp_path / 'out'}"), words)
-
-
-def test_a_data_sheet_stands_alone() -> None:
-    table = {"name": "a", "technologies": ["none", "0.35um"], "pitch": {"min_um": 2}}
-    with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
-        pixsim.Study.model_validate(table)
-
-
-def test_a_single_file_needs_no_list(tmp_path: Path) -> None:
-    path = written(tmp_path / "sensor.toml", SHEET)
-    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path])
-
-
 def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
     """Rows are known by their content: two names of one process would share them, and one curve would have none."""
     source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
@@ -259,12 +292,12 @@ def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, t
     notes = [line for line in out.splitlines() if line.startswith("note: ")]
     assert len(notes) == bool(told)
     assert out.startswith("mean ΔE ")
-    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    page = read(tmp_path / "out/report.html")
     assert ("cuts off dark noise" in page) == bool(told)
     if told:
         assert told in notes[0]
         assert notes[0] in page
-    dark = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["dark"]
+    dark = json.loads(read(tmp_path / "out/score.json"))["dark"]
     assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(told)
 
 
@@ -284,9 +317,9 @@ bits = 14
         code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
         assert code == 0, err
         told = [line for line in out.splitlines() if line.startswith("note: ")]
-        page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+        page = read(tmp_path / "out/report.html")
         assert len(told) == notes == page.count("cuts off dark noise")
-        curves = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["curves"]
+        curves = json.loads(read(tmp_path / "out/summary.json"))["curves"]
         for line, curve in zip(told, curves, strict=bool(notes)):
             dark = curve["dark"]
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"
@@ -295,3 +328,20 @@ bits = 14
             assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
             assert f"<p>{line.removeprefix('note: ')}." in page
         assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())
+
+
+# --- Messages -------------------------------------------------------------------------------------------------------
+
+
+def test_a_name_that_is_near_nothing_is_answered_with_all_of_them() -> None:
+    code, _, err = command("run qwertz")
+    assert (code, "Did you mean" in err, "still_life" in err) == (2, False, True)
+
+
+def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
+    with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs into \[camera\]\."):
+        checked(Run, [Layer({"f_number": 2.8}, "a.toml")])
+    with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs into \[pitch\]\."):
+        checked(Study, [Layer({"name": "a", "min_um": 2.8}, "a.toml")])
+    with pytest.raises(PixsimError, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
+        checked(Run, [Layer({"pixl": {}})])
