@@ -29,9 +29,9 @@ import pytest
 
 from pixsim.base.arrays import stream
 from pixsim.base.parameters import Pixel
-from pixsim.measure.datasheet import DataSheet, dark_map_e, variance_peak_e
+from pixsim.measure.datasheet import dark_map_e, measure, variance_peak_e
 from pixsim.measure.estimators import Frames, saturation_index
-from pixsim.measure.experiment import Experiment, make_experiment, measure
+from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.readout import draw_sensor
 
 process = pytest.importorskip("emva1288.process")
@@ -170,14 +170,14 @@ def test_no_seed_was_chosen(case: Case) -> None:
 
 def test_pixsims_estimators_are_the_packages() -> None:
     experiment = experiment_of(CASES[0], side=120)
-    found, sheet = package_results(experiment), DataSheet(experiment, measure(experiment))
+    found, sheet = package_results(experiment), measure(experiment)
     own = {
         "K": sheet.transfer.gain_dn_per_e,
         "R": sheet.transfer.responsivity_dn_per_p,
         "QE": sheet.transfer.efficiency * 100,
         "sigma_d": sheet.transfer.dark_noise_e,
-        "DSNU1288": sheet.spatial.dsnu_e,
-        "PRNU1288": sheet.spatial.prnu * 100,
+        "DSNU1288": sheet.dsnu_e,
+        "PRNU1288": sheet.prnu * 100,
         "u_p_sat": sheet.transfer.saturation_p,
         "u_p_min": sheet.transfer.threshold_p,
     }
