@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.result import METRICS, Accuracy, pareto
+from pixsim.accuracy.result import METRICS, Accuracy, pareto, plain
 from pixsim.accuracy.solvers import response_plate
 from pixsim.base.files import output_folder, versions, write_json
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, new_figure
@@ -287,7 +287,7 @@ def write_accuracy(found: Accuracy, out: Path) -> Path:
         write_table(folder / "ladders.csv", rungs)
         write_table(folder / "stability.csv", [case.as_dict() for case in found.cases])
         if found.solvers:
-            write_table(folder / "solvers.csv", [each.as_dict() for each in found.solvers])
+            write_table(folder / "solvers.csv", [plain(vars(each)) for each in found.solvers])
         write_json(folder / "summary.json", found.as_dict())
         metrics = [metric for metric in METRICS if found.rivals(metric)]
         orders = [(name, metric, found.order(name, metric)) for name in found.names for metric in METRICS]

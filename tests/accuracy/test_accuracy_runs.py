@@ -23,13 +23,13 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 import pixsim
 from pixsim.accuracy import stability
 from pixsim.accuracy import survey as surveys
-from pixsim.accuracy.ladders import Clock, Rung, seed_rungs
+from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
 from pixsim.accuracy.report import plates_of, write_accuracy
 from pixsim.accuracy.result import METRICS, Accuracy
 from pixsim.accuracy.solvers import solvers
 from pixsim.accuracy.stability import compare
-from pixsim.accuracy.survey import QUICK, survey
+from pixsim.accuracy.survey import survey
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
@@ -66,7 +66,7 @@ def few_extremes(monkeypatch: pytest.MonkeyPatch) -> None:
         replace(compare("one", 1.0, 1.0, 0.1, "by <hand>"), room="optics"),
         compare("two & three", 1.0, 2.0, 0.1, "it's wrong"),
     ]
-    monkeypatch.setattr(stability, "all_cases", lambda told=None: (cases, {"optics": 0.0}))
+    monkeypatch.setattr(stability, "all_cases", lambda told=None: cases)
 
 
 def settings(**values) -> Run:
@@ -297,7 +297,7 @@ def truth_of(sensors: int = 16) -> float:
     scene = load("csf")
     options = Run.model_validate({"camera": {"die_mm": 0.8}, "display": {"dots": 128}})
     camera = scene.camera(options.camera)
-    image = analytic_reference(scene, camera, Setup.of(options, camera), "csf", (1024, 1024)).image
+    image = analytic_reference(scene, camera, Setup.of(options, camera), "csf", (1024, 1024))[0]
     setup = replace(Setup.of(options, camera), sensors=sensors, seed=99)
     return probe(image, setup).mean_delta_e
 
