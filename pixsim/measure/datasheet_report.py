@@ -15,7 +15,7 @@ from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, 
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.sensor.technology import file_label, label_of
-from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure
+from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, plain_powers
 from pixsim.show.pages import Plate, shown_value, write_page, write_plates, write_table
 
 if TYPE_CHECKING:
@@ -51,15 +51,6 @@ def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = 
     axes.grid(alpha=0.25)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, fontsize=8, loc=legend)
-
-
-def plain_powers(axes: Axes) -> None:
-    """Plain numbers at 1, 2 and 5 on a short logarithmic axis."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def photon_transfer_plate(sheet: DataSheet) -> Plate:
@@ -167,7 +158,7 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
     if warm:
         panels[2].errorbar(temperatures, [each.value for each in warm], [each.error for each in warm], fmt="o", ms=4, color=BLUE)
         panels[2].set_yscale("log")
-        plain_powers(panels[2])
+        plain_powers(panels[2].yaxis)
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
     caption = "Dark current: slopes of the dark's mean and variance over time, which agree where dark charge alone adds noise"
     caption += "; and its growth with temperature." if warm else "."
