@@ -7,7 +7,7 @@ gates. Rooms say what they compare with: a closed form, a limit, a conservation 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from typing import Any
@@ -15,6 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pixsim.base.arrays import Array
+
+SIGMAS = 5.0  # of what is drawn
+STATISTICAL = "fixed seed; gate 5σ, 6e-7 false alarms with another seed"
+ROUNDING = 1e-12  # a few hundred operations in float64
+QUIET = dict.fromkeys(
+    ("dark_current_e_per_s", "read_noise_e", "reset_noise_factor", "prnu", "dsnu", "offset_fpn", "column_fpn"), 0
+)  # of a pixel without any noise but that of photons
 ROOMS = ("optics", "spectra", "light", "sensor", "integration", "viewer", "photodiode")
 
 
@@ -56,6 +64,16 @@ def compare(name: str, expected: ArrayLike, got: ArrayLike, allowed: float, sour
     error = np.where(np.isnan(found), np.nan, error)
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
     return Case("", name, float(wanted.flat[worst]), float(found.flat[worst]), float(error.flat[worst]), allowed, source)
+
+
+def compare_drawn(name: str, expected: ArrayLike, got: ArrayLike, error: ArrayLike, source: str, more: str = "") -> Case:
+    """`compare` of what is random, in its standard errors."""
+    return compare(name, expected, got, SIGMAS, f"{source}; {STATISTICAL}{more}", error)
+
+
+def flat(arrays: Iterable[Array]) -> Array:
+    """All values of arrays of any shapes, (n,)."""
+    return np.concatenate([each.ravel() for each in arrays])
 
 
 def cases_of(room: str) -> Iterator[Case]:

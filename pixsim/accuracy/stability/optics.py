@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from pixsim.accuracy.stability import Case, compare
+from pixsim.accuracy.stability import Case, compare, flat
 from pixsim.base.arrays import Array
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffract, diffraction_otf
 from pixsim.optics.thin_lens import irradiance_factor
@@ -161,15 +161,15 @@ def _pictures() -> Iterator[Case]:
     )
     yield compare(
         "pictures whose lens passes nothing of them but the mean, f/1e6 to a pinhole",
-        np.tile(_flat([np.full(each.shape, each.mean()) for each in pictures]), 4),
-        _flat([each for n in (1e6, 1e100, 1e306, np.inf) for each in blurred(n)]),
+        np.tile(flat([np.full(each.shape, each.mean()) for each in pictures]), 4),
+        flat([each for n in (1e6, 1e100, 1e306, np.inf) for each in blurred(n)]),
         TRANSFORMED,
         "cut-off below the lowest frequency; roundings of the transform",
     )
     yield compare(
         "pictures with a cut-off far above the grid, 1e15 cy/mm to infinity",
-        np.tile(_flat(pictures), 3),
-        _flat([each for n in (1e-12, 1e-300, 1e-320) for each in blurred(n)]),
+        np.tile(flat(pictures), 3),
+        flat([each for n in (1e-12, 1e-300, 1e-320) for each in blurred(n)]),
         TRANSFORMED + 4 / np.pi * 1e3 / 1e15,
         "unchanged: the OTF is 1 - 4f/(π cut-off), f up to 1e3 cy/mm",
         scale=2.0,
@@ -186,10 +186,6 @@ def _pictures() -> Iterator[Case]:
         "0, and 2/3 - √3/2π; interpolation in the table of the OTF",
         scale=1.0,
     )
-
-
-def _flat(pictures: list[Array]) -> Array:
-    return np.concatenate([each.ravel() for each in pictures])
 
 
 def _wave_behind(wave: Array, order: int, share: float) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.accuracy.stability import Case, compare
+from pixsim.accuracy.stability import Case, compare, flat
 from pixsim.base.arrays import Array
 from pixsim.viewer.scielab import CIE_LAB, Filters, delta_e, delta_e_map, filtered_grey_lab, filtered_lab, xyz_to_lab
 
@@ -49,12 +49,12 @@ def view(samples_per_deg: float, filters: Filters = "published", unit: float = 1
 
 def _views(pictures: list[Array]) -> Iterator[Case]:
     colours = np.array([[1.0, 1.0, 1.0], [0.3, 0.2, 0.9], [1e-3, 2e-3, 1e-4], [0.0, 0.0, 0.0]])
-    flat = [np.broadcast_to(colour * WHITE, (*shape, 3)) for colour in colours for shape in SHAPES]
-    expected = [np.broadcast_to(lab_of(colour), (*shape, 3)).ravel() for colour in colours for shape in SHAPES]
+    even = [np.broadcast_to(colour * WHITE, (*shape, 3)) for colour in colours for shape in SHAPES]
+    expected = [np.broadcast_to(lab_of(colour), (*shape, 3)) for colour in colours for shape in SHAPES]
     yield compare(
         f"CIELAB of even pictures, {VIEWS}",
-        np.tile(np.concatenate(expected), len(DENSITIES)),
-        np.concatenate([filtered_lab(each, **view(density)).ravel() for density in DENSITIES for each in flat]),
+        np.tile(flat(expected), len(DENSITIES)),
+        flat(filtered_lab(each, **view(density)) for density in DENSITIES for each in even),
         LAB_ROUNDED,
         "the eye's blur changes nothing: CIE 15; ΔE, roundings",
         scale=1.0,
@@ -74,12 +74,12 @@ def _views(pictures: list[Array]) -> Iterator[Case]:
             for each in pictures:
                 mirrored = np.concatenate([each, each[:, ::-1]], axis=1)
                 mirrored = np.concatenate([mirrored, mirrored[::-1]], axis=0)
-                part.append(filtered_lab(each, **view(density, filters)).ravel())
-                whole.append(filtered_lab(mirrored, **view(density, filters))[: each.shape[0], : each.shape[1]].ravel())
+                part.append(filtered_lab(each, **view(density, filters)))
+                whole.append(filtered_lab(mirrored, **view(density, filters))[: each.shape[0], : each.shape[1]])
         yield compare(
             f"pictures smaller than the eye's blur, filters '{filters}', {VIEWS}",
-            np.concatenate(whole),
-            np.concatenate(part),
+            flat(whole),
+            flat(part),
             LAB_ROUNDED,
             "symmetry: a picture and the same one with its mirror images beside it look alike; ΔE, roundings",
             scale=1.0,
@@ -115,9 +115,9 @@ def _amounts(pictures: list[Array]) -> Iterator[Case]:
         for each in pictures
         for k in (0, -1, 1e-12, 1e12)
     ]
-    yield compare("ΔE of pictures with themselves: black, negative, 1e-12 and 1e12 times white", 0.0, _flat(same), 0.0, "exactly 0")
+    yield compare("ΔE of pictures with themselves: black, negative, 1e-12 and 1e12 times white", 0.0, flat(same), 0.0, "exactly 0")
     black = [filtered_lab(np.zeros((*shape, 3)), **view(density)) for shape in SHAPES for density in DENSITIES]
-    yield compare(f"CIELAB of black, XYZ = 0, {VIEWS}", 0.0, _flat(black), 0.0, "exactly 0")
+    yield compare(f"CIELAB of black, XYZ = 0, {VIEWS}", 0.0, flat(black), 0.0, "exactly 0")
     pairs = list(zip(pictures, [each[::-1, ::-1] * 0.9 for each in pictures], strict=True))
     plain = [delta_e_map(*each, **view(23.0)) for each in pairs]
     for name, units, allowed in (
@@ -126,7 +126,7 @@ def _amounts(pictures: list[Array]) -> Iterator[Case]:
     ):
         scaled = [delta_e_map(a * unit, b * unit, **view(23.0, unit=unit)) for unit in units for a, b in pairs]
         source = "the unit of XYZ does not matter" + ("; roundings of the images" if allowed else ": not a bit")
-        yield compare(f"ΔE of images and white times {name}", np.tile(_flat(plain), 2), _flat(scaled), allowed, source, 1.0)
+        yield compare(f"ΔE of images and white times {name}", np.tile(flat(plain), 2), flat(scaled), allowed, source, 1.0)
     faint = np.array([1e-150, 1e-12, 1e-6, 1e-3])
     found = [delta_e_map(np.zeros((4, 4, 3)), np.full((4, 4, 3), k) * WHITE, **view(23.0)) for k in faint]
     yield compare("ΔE of black and grey of 1e-150 to 1e-3 of white", SLOPE * faint[:, None, None], found, 1e-12, "(29/3)³ Y/Yn")
@@ -147,16 +147,12 @@ def _amounts(pictures: list[Array]) -> Iterator[Case]:
     grey = [each[..., 1] / 100 for each in pictures]
     yield compare(
         f"grey pictures by one transform and by three, {VIEWS}",
-        _flat([filtered_lab(each[..., None] * WHITE, **view(density)) for density in DENSITIES for each in grey]),
-        _flat([filtered_grey_lab(each, **view(density)) for density in DENSITIES for each in grey]),
+        flat([filtered_lab(each[..., None] * WHITE, **view(density)) for density in DENSITIES for each in grey]),
+        flat([filtered_grey_lab(each, **view(density)) for density in DENSITIES for each in grey]),
         LAB_ROUNDED,
         "the same picture; ΔE, roundings",
         scale=1.0,
     )
-
-
-def _flat(arrays: list[Array]) -> Array:
-    return np.concatenate([each.ravel() for each in arrays])
 
 
 def _threshold() -> Iterator[Case]:
