@@ -25,14 +25,14 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import pytest
+from judges.gates import not_met, verdict
 from scipy.signal.windows import tukey
 
 import pixsim
@@ -158,11 +158,10 @@ def curve_of(found: EdgeResponse) -> Curve:
     return found.frequency_cy_per_px, found.sfr
 
 
-def row(judge: str, gate: str, measured: float, met: bool) -> dict[str, Any]:
-    return {"judge": judge, "standard": STANDARD, "gate": gate, "measured": measured, "met": bool(met)}
+row = partial(verdict, STANDARD)
 
 
-def sfr_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
+def sfr_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     """Largest difference from the theory, and the angle, at each setting."""
     found = []
     for setting in SETTINGS:
@@ -198,7 +197,7 @@ def second_curve(rate: np.ndarray, half_window_px: float) -> tuple[Curve, float]
     return (frequency, mtf[:, 1] / np.sinc(frequency / 4) / np.sinc(frequency / 2)), float(status["angle"])
 
 
-def second_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
+def second_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     """The same gate for the others' estimator against the theory, and both against each other."""
     found = []
     for setting in SETTINGS:
@@ -216,7 +215,7 @@ def second_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
 # --- with noise -------------------------------------------------------------------------------------------------------
 
 
-def noise_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
+def noise_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     """Frames of as many sensors, quantised: their mean e-SFR is that without noise, as far as their own scatter tells."""
     setting = Setting(5.0, 2.8, 6.5)
     physics = derive(Pixel(pitch_um=setting.pitch_um, black_level_dn=16))
@@ -242,7 +241,7 @@ def noise_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def rows(work: Work = BOUNDED, folder: Path | None = None) -> list[dict[str, Any]]:
+def rows(work: Work = BOUNDED, folder: Path | None = None) -> list[dict[str, object]]:
     """All that this judge measures, a dict each: judge, standard, gate, measured, met."""
     if folder is None:
         with TemporaryDirectory() as own:
@@ -262,23 +261,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     texels_of.cache_clear()
 
 
-def missed(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [each for each in found if not each["met"]]
-
-
 def test_the_edge_has_the_mtf_of_diffraction_and_photodiode(folder: Path) -> None:
     found = sfr_rows(BOUNDED, folder)
     assert len(found) == 24
-    assert not missed(found)
+    assert not not_met(found)
 
 
 def test_noise_and_quantisation_leave_the_mtf_as_it_is(folder: Path) -> None:
-    assert not missed(noise_rows(BOUNDED, folder))
+    assert not not_met(noise_rows(BOUNDED, folder))
 
 
 def test_a_second_estimator_agrees(folder: Path) -> None:
     pytest.importorskip("quickMTF", reason="the second estimator, quickMTF, is in the test extra")
-    assert not missed(second_rows(BOUNDED, folder))
+    assert not not_met(second_rows(BOUNDED, folder))
 
 
 @pytest.mark.parametrize(
@@ -322,4 +317,4 @@ def test_a_window_of_20_pixels_would_show(folder: Path) -> None:
 
 @pytest.mark.judges_full
 def test_in_full(folder: Path) -> None:
-    assert not missed(rows(FULL, folder))
+    assert not not_met(rows(FULL, folder))

@@ -19,26 +19,24 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
+from judges.gates import not_met, verdict
 
 from pixsim.base.parameters import Pixel
-from pixsim.measure.datasheet import SPEED, dark_map_e, entries, make_datasheet
+from pixsim.measure.datasheet import NOISE, SPEED, dark_map_e, entries, make_datasheet
 from pixsim.measure.estimators import daylight_e_per_lx_s, noise_15739
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.pixel import derive
 
 NOISE_GATE, LIGHT_GATE, SATURATION_GATE, SPEED_GATE = 0.005, 0.002, 0.002, 0.02
-NOISE_STANDARD, SPEED_STANDARD = "ISO 15739", "ISO 12232"
 SIDE = 400
 WELL_SHARES = 0.02, 0.13, 0.6
-CASES: tuple[tuple[str, float, int, int], ...] = (("0.35um", 5.3, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.2, 12, 64))
-MORE_CASES: tuple[tuple[str, float, int, int], ...] = (("0.35um", 6.5, 12, 16), ("0.5um", 9.0, 12, 16),
-                                                       ("0.25um", 5.0, 12, 16), ("0.18um", 3.0, 12, 16),
-                                                  ("4t-fsi", 2.2, 12, 128))  # fmt: skip
-Case = tuple[str, float, int, int]
+Case = tuple[str, float, int, int]  # technology, pitch in µm, bits, frames
+CASES: tuple[Case, ...] = (("0.35um", 5.3, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.2, 12, 64))
+MORE_CASES: tuple[Case, ...] = (("0.35um", 6.5, 12, 16), ("0.5um", 9.0, 12, 16), ("0.25um", 5.0, 12, 16),
+                                ("0.18um", 3.0, 12, 16), ("4t-fsi", 2.2, 12, 128))  # fmt: skip
 
 
 def pixel_of(case: Case) -> Pixel:
@@ -93,39 +91,31 @@ def speed_offs(case: Case) -> list[tuple[str, float]]:
     return [(each.symbol, each.off) for each in entries(sheet) if each.standard == SPEED and math.isfinite(each.off)]
 
 
-def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, Any]]:
+def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     """A row for each pixel and quantity, for tables."""
     table = []
     for case in cases:
-        name = f"{case[0]}, {case[1]:g} µm"
-        for quantity, off in noise_offs(case):
-            table.append(row(NOISE_STANDARD, f"{quantity}: {name}", NOISE_GATE, off))
-        table.append(row(SPEED_STANDARD, f"electrons per lx·s of D65 by colour-science: {name}", LIGHT_GATE, light_off(case)))
+        found = [(NOISE, quantity, NOISE_GATE, off) for quantity, off in noise_offs(case)]
+        found.append((SPEED, "electrons per lx·s of D65 by colour-science", LIGHT_GATE, light_off(case)))
         for symbol, off in speed_offs(case):
-            table.append(row(SPEED_STANDARD, f"{symbol}: {name}", SATURATION_GATE if symbol == "S_sat" else SPEED_GATE, off))
+            found.append((SPEED, symbol, SATURATION_GATE if symbol == "S_sat" else SPEED_GATE, off))
+        for standard, quantity, gate, off in found:
+            judge, told = f"{quantity}: {case[0]}, {case[1]:g} µm", f"within {100 * gate:g} % of what is injected"
+            table.append(verdict(standard, judge, told, f"{100 * off:+.2f} %", abs(off) <= gate))
     return table
-
-
-def row(standard: str, judge: str, gate: float, off: float) -> dict[str, Any]:
-    gate_told, measured = f"within {100 * gate:g} % of what is injected", f"{100 * off:+.2f} %"
-    return {"judge": judge, "standard": standard, "gate": gate_told, "measured": measured, "met": bool(abs(off) <= gate)}
-
-
-def missed(table: list[dict[str, Any]]) -> list[str]:
-    return [f"{each['judge']}: {each['measured']}, {each['gate']}" for each in table if not each["met"]]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]}-{case[1]}")
 def test_noise_and_speed_are_those_injected(case: Case) -> None:
     table = rows((case,))
     assert len(table) >= 11
-    assert not missed(table)
+    assert not not_met(table)
 
 
 @pytest.mark.judges_full
 @pytest.mark.parametrize("case", MORE_CASES, ids=lambda case: f"{case[0]}-{case[1]}")
 def test_noise_and_speed_of_other_pixels_are_those_injected(case: Case) -> None:
-    assert not missed(rows((case,)))
+    assert not not_met(rows((case,)))
 
 
 def test_two_per_cent_more_noise_is_found_out() -> None:

@@ -29,7 +29,6 @@ import pytest
 from judges.gates import not_met, row
 
 from pixsim.viewer import scielab
-from pixsim.viewer import scielab as eye_filters
 
 DATA = Path(__file__).parents[1] / "data" / "scielab"
 PAIRS = ["constant_offset", "csf_sweep_vs_blur", "dark_noise", "edge_vs_blurred_edge", "redgreen_grating_vs_mean"]
@@ -69,10 +68,10 @@ def from_1996_kernels(samples_per_deg: int, width: float = 1.0) -> np.ndarray:
     with np.load(DATA / "kernels.npz") as kernels:
         return np.concatenate([
             np.ravel([
-                np.sign(weight) * abs(weight) ** 0.5 * eye_filters.zhang1996_kernel(width * width_deg, samples_per_deg)
+                np.sign(weight) * abs(weight) ** 0.5 * scielab.zhang1996_kernel(width * width_deg, samples_per_deg)
                 for weight, width_deg in gaussians
             ] - kernels[f"spd{samples_per_deg}_k{channel + 1}"])
-            for channel, gaussians in enumerate(eye_filters.ZHANG1996_GAUSSIANS)
+            for channel, gaussians in enumerate(scielab.ZHANG1996_GAUSSIANS)
         ])  # fmt: skip
 
 
@@ -143,22 +142,14 @@ def from_sharma(formula: str = "2000", hue_deg: float = 0.0) -> np.ndarray:
 
 
 def rows() -> list[dict[str, object]]:
-    matlab, code = "SCIELAB-1996 under Octave", "colour-science"
+    matlab, both, code = "SCIELAB-1996 under Octave", "SCIELAB-1996 and ISETCam under Octave", "colour-science"
+    kernels = np.concatenate([from_1996_kernels(each) for each in KERNELS_SAMPLES_PER_DEG])
     return [
         *(row(f"S-CIELAB map, ΔE {each}, 5 pairs", matlab, -1e-9, 1e-9, from_1996(each)) for each in ("1976", "1994")),
-        row(
-            "S-CIELAB kernels, 20 to 240 samples/deg",
-            matlab,
-            -1e-14,
-            1e-14,
-            np.concatenate([from_1996_kernels(each) for each in KERNELS_SAMPLES_PER_DEG]),
-        ),
+        row("S-CIELAB kernels, 20 to 240 samples/deg", matlab, -1e-14, 1e-14, kernels),
         row("published filters over 1996's, mean ΔE, 60 samples/deg", matlab, 0.01, 0.07, published_over_1996(False), "{:.3f}"),
         row("the same, 20 and 30 samples/deg", matlab, 0.01, 0.17, published_over_1996(True), "{:.3f}"),
-        *(
-            row(f"ΔE {each}, no filter", "SCIELAB-1996 and ISETCam under Octave", -1e-9, 1e-9, from_matlab_plain(each))
-            for each in ("1976", "2000")
-        ),
+        *(row(f"ΔE {each}, no filter", both, -1e-9, 1e-9, from_matlab_plain(each)) for each in ("1976", "2000")),
         row("CIELAB, exact constants", f"{code}, CIE 15", -1e-9, 1e-9, from_colour_lab()),
         *(row(f"ΔE {each}", code, -1e-9, 1e-9, from_colour_delta_e(each)) for each in COLOUR_METHODS),
         row("CIEDE2000, 34 pairs", "Sharma, Wu & Dalal 2005", -1e-4, 1e-4, from_sharma()),
@@ -170,13 +161,6 @@ def test_rows():
 
 
 # --- The first public code, 1996 ---
-
-
-@pytest.mark.parametrize("name", PAIRS)
-@pytest.mark.parametrize("formula", ["1976", "1994"])
-def test_the_1996_maps_are_met(name, formula):
-    # Both sides are float64 of the same arithmetic: measured 1e-13. A wrong tap, edge or Lab constant gives > 1e-5.
-    assert np.abs(from_1996(formula, [name])).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", PAIRS)
@@ -198,9 +182,7 @@ def test_1994_is_weighted_by_the_reference():
 
 
 @pytest.mark.parametrize("samples_per_deg", KERNELS_SAMPLES_PER_DEG)
-def test_the_1996_kernels_are_met(samples_per_deg):
-    # Taps are at most 1 and rounded to 1e-16.
-    assert np.abs(from_1996_kernels(samples_per_deg)).max() < 1e-14
+def test_wider_kernels_miss_those_of_1996(samples_per_deg):
     for wrong in (1.001, 0.999):
         assert np.abs(from_1996_kernels(samples_per_deg, wrong)).max() > 1e-6
 
@@ -225,10 +207,8 @@ def test_the_1996_filters_are_too_near_themselves(coarse):
 
 
 @pytest.mark.parametrize("formula", ["1976", "2000"])
-def test_matlab_maps_without_a_filter_are_met(formula):
-    found = from_matlab_plain(formula)
-    assert found.size > 1000
-    assert np.abs(found).max() < 1e-9  # measured 3e-14
+def test_other_constants_and_formulas_miss_matlabs_maps(formula):
+    assert from_matlab_plain(formula).size > 1000
     # Where it is dark its rounded constants are seen, and no more than they can do.
     assert 1e-6 < np.abs(from_matlab_plain(formula, dark=True)).max() < 1e-4
     assert np.abs(from_matlab_plain(formula, asked="1994")).max() > 0.1
@@ -248,21 +228,18 @@ def test_a_uniform_patch_has_its_plain_cielab(xyz):
     np.testing.assert_allclose(scielab.xyz_to_lab(xyz, D65), expected, rtol=0, atol=1e-9)
 
 
-def test_cielab_is_colours():
-    assert np.abs(from_colour_lab()).max() < 1e-9
+def test_another_white_misses_colours_cielab():
     # The constants rounded in 1976, and a white of 0.01 % more light.
     assert np.abs(from_colour_lab(constants=scielab.ZHANG1996_LAB)).max() > 1e-5
     assert np.abs(from_colour_lab(white_xyz=D65 * 1.0001)).max() > 1e-4
 
 
 @pytest.mark.parametrize(("formula", "wrong"), [("1976", "1994"), ("1994", "2000"), ("2000", "1994")])
-def test_delta_e_is_colours(formula, wrong):
-    assert np.abs(from_colour_delta_e(formula)).max() < 1e-9
+def test_another_delta_e_misses_colours(formula, wrong):
     assert np.abs(from_colour_delta_e(formula, asked=wrong)).max() > 0.1
 
 
-def test_2000_meets_sharmas_pairs():
-    assert np.abs(from_sharma()).max() < 1e-4  # the table is rounded to 4 decimals
+def test_another_formula_or_hue_misses_sharmas_pairs():
     assert np.abs(from_sharma("1994")).max() > 0.1
     for wrong_deg in (0.01, -0.01):
         assert np.abs(from_sharma(hue_deg=wrong_deg)).max() > 1e-4
