@@ -10,14 +10,17 @@ random numbers, transforms and cube roots alone, of the same sizes, in the faste
 
 from __future__ import annotations
 
-import statistics
-import time
+import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import fftconvolve
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers.timing import median_s, seconds_of
 
 from pixsim import optics
 from pixsim.base.arrays import dct, empty_planes, inverse_dct, stream
@@ -39,22 +42,6 @@ CAMERA, DISPLAY, EXPOSURE = Camera(die_mm=DIE_MM), Display(), Exposure()
 PITCHES_UM = (5.3, 6.5, 15.0)
 MOST_TIMES_PARTS = 2.0
 SPREADS = 3  # of the widest Gaussian that a sampled kernel reaches
-
-
-def median_s(work: Work, repeats: int = 11) -> float:
-    work()
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
-
-
-def once_s(work: Work) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 def chart(n: int) -> SpectralImage:
@@ -145,7 +132,7 @@ def plain_evaluation(bench: Bench, mean_e: np.ndarray, white_e: float, seconds: 
 
 
 def row(name: str, target_s: float | None, work: Work, plain: Work, repeats: int = 11) -> None:
-    own, plain_s = median_s(work, repeats), once_s(plain)
+    own, plain_s = median_s(work, repeats), seconds_of(plain)
     met = "" if target_s is None else f"{target_s:7.3f} {'yes' if own <= target_s else 'NO':>4}"
     print(f"{name:48} {own:8.4f} {met:12} {plain_s:8.3f} {plain_s / own:7.1f}", flush=True)
 

@@ -191,13 +191,7 @@ def rows(full: bool = False) -> list[dict[str, object]]:
         row("diffraction MTF, 450, 550, 650 nm", "ISETCam", -1e-14, 1e-14, mtf),
         row("first dark ring over 1.21967 λN, less 1", "Airy", -2e-4, 2e-4, zero / FIRST_ZERO - 1),
         row("light within it over 83.78 %, less 1", "Airy", -1e-4, 1e-4, inside / INSIDE_IT - 1),
-        row(
-            "E/L, f/0.5 to f/1000, 0 to 60°",
-            "solid angle, quadrature",
-            -1e-9,
-            1e-9,
-            [from_quadrature(*each) for each in QUADRATURE],
-        ),
+        row("E/L, f/0.5 to f/1000, 0 to 60°", "solid angle, quadrature", -1e-9, 1e-9, integral),
         row("E/L, f/4, 0 to 45°", path, -1e-4, 1e-4, [from_disc(*each) for each in DISCS]),
         row("picture of a flat field, f/4, centre and border", path, -1e-4, 1e-4, picture_from_disc()),
     ]
