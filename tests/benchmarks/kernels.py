@@ -166,7 +166,7 @@ def targets() -> None:
 
     chain = partial(plain_frame, frame.mean_e, physics, frame.integration_s, np.random.default_rng(1))
     row("noise of a sensor and a frame, 512²", 0.03, noise, chain)
-    show = partial(frame_luminance, frame, bench.size_um, white_e, DISPLAY)
+    show = partial(frame_luminance, frame, bench.size_um, white_e, DISPLAY, bench.dot_edges_um)
     row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
 
     def evaluation() -> None:
