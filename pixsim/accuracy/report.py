@@ -77,7 +77,7 @@ AXES = {
 }
 SETTINGS = {
     "spp": "samples a film cell", "film": "film width (samples)", "lens": "lens samples", "bands": "bands",
-    "seeds": "sensors averaged", "raster": "display dots across",
+    "seeds": "sensors averaged", "raster": "display dots across"
 }  # fmt: skip
 
 

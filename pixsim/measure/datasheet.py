@@ -371,7 +371,7 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
              "μ_p.sat / μ_p.min", limited),
         line(EMVA, "linearity error, mean", "LE", "%", linearity_estimate(sheet, "error"), 100 * true.error, of_line),
         line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.lowest, of_line),
-        line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.highest, of_line),
+        line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.highest, of_line)
     ]  # fmt: skip
 
 
@@ -397,7 +397,7 @@ def spatial(sheet: DataSheet) -> list[Entry]:
                  "this individual's maps, split alike")
             for (name, short), found, true in split
         ),
-        line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.prnu * 100, 100 * sheet.true_prnu, of_gain),
+        line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.prnu * 100, 100 * sheet.true_prnu, of_gain)
     ]  # fmt: skip
 
 
@@ -440,7 +440,7 @@ def noise(sheet: DataSheet) -> list[Entry]:
         line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
              20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "of the injected signal and noise"),
         line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
-             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "top code over temporal noise of the dark"),
+             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "top code over temporal noise of the dark")
     ]  # fmt: skip
 
 
@@ -455,7 +455,7 @@ def speed(sheet: DataSheet) -> list[Entry]:
     of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
     entries = [
         line(SPEED, "saturation-based speed", "S_sat", "", Estimate(SATURATION_SPEED_LX_S) / filling,
-             SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}"),
+             SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}")
     ]  # fmt: skip
     lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
     deviation = np.sqrt(rising.frame_variance_dn2[:-1])

@@ -47,7 +47,7 @@ def calibration(**changes) -> Calibration:
         "per_e": Effect(0.5, 2.0), "films": (Effect(0.1, 0.5), Effect(0.02, 0.1), Effect(0.004, 0.02)), "order": 2.0,
         "sensor": Effect(0.003, 0.05), "raster": Effect(0.01, 0.02), "interpolation": Effect(0.03, 0.04),
         "work": 8.4e6, "planes": 1, "dots": 512,
-        "mean_delta_e": 0.5, "optimum_um": 5.5,
+        "mean_delta_e": 0.5, "optimum_um": 5.5
     }  # fmt: skip
     return Calibration(**values | changes)
 

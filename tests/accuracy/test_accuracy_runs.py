@@ -41,16 +41,7 @@ LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raste
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # what a command warns of is in its stderr
 DISPLAY, DIE = {"dots": 32}, {"die_mm": 0.4}  # 75 pixels of 5.3 µm: quick
 SMALL = replace(
-    QUICK,
-    seconds=math.inf,
-    reference_s=0.0,
-    spp=16,
-    films=(-1,),
-    bands=(2,),
-    lens=(4,),
-    plain=(4,),
-    pool=8,
-    dots=(0.5, 2),
+    QUICK, seconds=math.inf, reference_s=0.0, spp=16, films=(-1,), bands=(2,), lens=(4,), plain=(4,), pool=8, dots=(0.5, 2)
 )
 NO_TIME = replace(SMALL, seconds=0.0, ladders_s=0.0)  # for any rung, however fast the machine is
 

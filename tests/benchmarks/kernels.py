@@ -123,7 +123,8 @@ def plain_display(picture: np.ndarray, dots: int) -> np.ndarray:
 def plain_evaluation(bench: Bench, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
     """Sensor, display and S-CIELAB of one frame; the ideal picture filtered anew."""
     dn = plain_frame(mean_e, bench.physics, seconds, np.random.default_rng(1))
-    shown = plain_display(dn / bench.physics.dn_per_e / white_e, DISPLAY.dots)
+    rows, columns = bench.ideal.shape  # the edge above and to the left is not scored
+    shown = plain_display(dn / bench.physics.dn_per_e / white_e, DISPLAY.dots)[-rows:, -columns:]
     image = (np.rint(255 * np.clip(shown, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
     return plain_delta_e(bench.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
 

@@ -237,7 +237,7 @@ def noise_rows(work: Work, folder: Path) -> list[dict[str, object]]:
         same,
         row("noisy frames - noiseless", f"±{SIGMAS} σ of their mean at {kept.sum()} frequencies", float(z[np.abs(z).argmax()]),
             np.abs(z).max() <= SIGMAS),
-        row("noise of one frame's e-SFR", f"{SCATTER[0]} to {SCATTER[1]}", scatter, SCATTER[0] <= scatter <= SCATTER[1]),
+        row("noise of one frame's e-SFR", f"{SCATTER[0]} to {SCATTER[1]}", scatter, SCATTER[0] <= scatter <= SCATTER[1])
     ]  # fmt: skip
 
 
@@ -291,28 +291,10 @@ def test_five_percent_of_the_f_number_or_three_of_the_photodiode_would_show(
     assert abs(worst(curve_of(estimate(setting, BOUNDED, folder)), setting, BOUNDED, folder, **told)) > GATE
 
 
-def test_an_estimator_without_its_corrections_would_show(folder: Path) -> None:
-    setting = Setting(5.0, 2.8, 6.5)
-    frequency, sfr = curve_of(estimate(setting, BOUNDED, folder))
-    for own in (np.sinc(frequency / 4), np.sinc(frequency / 2)):
-        assert worst((frequency, sfr * own), setting, BOUNDED, folder) < -GATE
-
-
 def test_the_packaged_texture_would_show(folder: Path) -> None:
     setting = Setting(5.0, 2.8, 6.5)
     coarse = Work((1024, 1024), 1024, 4, False)
     assert worst(curve_of(estimate(setting, coarse, folder)), setting, coarse, folder) < -10 * GATE
-
-
-def test_a_window_of_20_pixels_would_show(folder: Path) -> None:
-    """Under a window without a flat middle, as ISO 12233:2017 has it; it loses 0.015, ours 0.010."""
-    setting = Setting(5.0, 8.0, 5.3)
-    edge = estimate(setting, BOUNDED, folder, 20.0)
-    line = np.gradient(edge.edge_spread) * np.hamming(edge.edge_spread.size)
-    frequency = np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL)
-    sfr = np.abs(np.fft.rfft(line)) / abs(line.sum()) / np.sinc(frequency / 4) / np.sinc(frequency / 2)
-    assert worst((frequency, sfr), setting, BOUNDED, folder) > GATE
-    assert abs(worst(curve_of(estimate(setting, BOUNDED, folder, 48.0)), setting, BOUNDED, folder)) < GATE
 
 
 @pytest.mark.judges_full
