@@ -97,15 +97,12 @@ def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, ful
 def test_photon_transfer_of_ideal_frames() -> None:
     gain, eta, dark_e2, full_e = 0.4, 0.5, 100.0, 9000.0
     found = photon_transfer(ideal_light(gain, eta, dark_e2, full_e), 50.0, gain**2 * dark_e2 + 1 / 12, 10_000)
-    assert found.gain_dn_per_e.value == pytest.approx(gain, rel=1e-12)
-    assert found.responsivity_dn_per_p.value == pytest.approx(gain * eta, rel=1e-12)
-    assert found.efficiency.value == pytest.approx(eta, rel=1e-12)
-    assert found.dark_noise_e.value == pytest.approx(10, rel=1e-12)
-    assert found.saturation_p.value == 17_600
-    assert found.snr_max.value == pytest.approx(math.sqrt(0.5 * 17_600), rel=1e-12)
     threshold_p = (math.sqrt(100 + 1 / 12 / gain**2) + 0.5) / eta
-    assert found.threshold_p.value == pytest.approx(threshold_p, rel=1e-12)
-    assert found.dynamic_range.value == pytest.approx(17_600 / threshold_p, rel=1e-12)
+    expected = {
+        "gain_dn_per_e": gain, "responsivity_dn_per_p": gain * eta, "efficiency": eta, "dark_noise_e": 10, "saturation_p": 17_600,
+        "snr_max": math.sqrt(0.5 * 17_600), "threshold_p": threshold_p, "dynamic_range": 17_600 / threshold_p,
+    }  # fmt: skip
+    assert {name: getattr(found, name).value for name in expected} == pytest.approx(expected, rel=1e-12)
     assert not found.limited
 
 
