@@ -52,13 +52,8 @@ def centres_um(count: int, pitch_um: float, length_um: float) -> Array:
 def _conservation(picture: Array) -> Iterator[Case]:
     for name, ratio in (("1", 1.0), ("1 + 1e-12", 1 + ALMOST), ("1/3", 1 / 3), ("4/7", 4 / 7)):
         got = integrated(picture, ratio)
-        yield compare(
-            f"electrons of all photodiodes without gaps, pitch/grid {name}",
-            picture.sum(),
-            got.sum(),
-            KEPT * SIDE,
-            "conservation; roundings of sums",
-        )
+        name = f"electrons of all photodiodes without gaps, pitch/grid {name}"
+        yield compare(name, picture.sum(), got.sum(), KEPT * SIDE, "conservation; roundings of sums")
     got = integrated(picture, 1 - ALMOST)
     left_out = SIDE * ALMOST / 2 * sum(picture[at].sum() for at in ((0,), (-1,), (slice(None), 0), (slice(None), -1)))
     yield compare(
@@ -73,14 +68,9 @@ def _conservation(picture: Array) -> Iterator[Case]:
     yield compare("electrons of all photodiodes without gaps, pitch/grid 7/3", thirds.sum(), got.sum(), KEPT * 70, "conservation")
     for sign in (1, -1):
         got = integrated(picture, 1 + sign * ALMOST)
-        yield compare(
-            f"every pixel, pitch/grid 1 {'+' if sign > 0 else '-'} 1e-12",
-            picture,
-            got,
-            4 * SIDE * ALMOST,
-            "limit: the samples themselves; along either axis, borders move by 3.2e-11 samples between values 2 apart at most",
-            scale=1.0,
-        )
+        name = f"every pixel, pitch/grid 1 {'+' if sign > 0 else '-'} 1e-12"
+        source = "limit: the samples themselves; along either axis, borders move by 3.2e-11 samples between values 2 apart at most"
+        yield compare(name, picture, got, 4 * SIDE * ALMOST, source, scale=1.0)
 
 
 def _pictures(_: Array) -> Iterator[Case]:
@@ -98,14 +88,9 @@ def _pictures(_: Array) -> Iterator[Case]:
                 wanted.append((truth * side_um**2).ravel())
                 found.append(got.ravel())
                 unit.append(np.full(got.size, truth.max() * side_um * max(shape)))
-        yield compare(
-            f"{name} pictures of 64×64 to 20 000×4 samples, pitch/grid {NAMED}",
-            np.concatenate(wanted),
-            np.concatenate(found),
-            ROUNDED,
-            "closed form; roundings of a running sum of n samples, relative to n samples",
-            scale=np.concatenate(unit),
-        )
+        name = f"{name} pictures of 64×64 to 20 000×4 samples, pitch/grid {NAMED}"
+        source = "closed form; roundings of a running sum of n samples, relative to n samples"
+        yield compare(name, np.concatenate(wanted), np.concatenate(found), ROUNDED, source, scale=np.concatenate(unit))
 
 
 def _sample_borders(picture: Array) -> Iterator[Case]:
@@ -125,42 +110,25 @@ def _sample_borders(picture: Array) -> Iterator[Case]:
             )
             wanted.append((sums * sample_um**2).ravel())
             found.append(integrate_pixels(picture, sample_um, pitch * sample_um, side * sample_um).ravel())
-    yield compare(
-        "photodiode edges on the borders of samples of 0.001 to π µm",
-        np.concatenate(wanted),
-        np.concatenate(found),
-        ROUNDED * SIDE,
-        "plain sums over the samples; roundings of a running sum",
-    )
+    name = "photodiode edges on the borders of samples of 0.001 to π µm"
+    source = "plain sums over the samples; roundings of a running sum"
+    yield compare(name, np.concatenate(wanted), np.concatenate(found), ROUNDED * SIDE, source)
 
 
 def _small_and_large(picture: Array) -> Iterator[Case]:
     tiny = [np.random.default_rng(3).uniform(0.5, 1.5, shape) for shape in ((1, 1), (2, 2), (3, 3), (SIDE, SIDE))]
-    yield compare(
-        "one pixel that covers the picture, 1×1 to 64×64 samples",
-        [each.sum() for each in tiny],
-        [integrated(each, len(each)).item() for each in tiny],
-        KEPT * SIDE,
-        "the sum of the samples",
-    )
+    name, source = "one pixel that covers the picture, 1×1 to 64×64 samples", "the sum of the samples"
+    yield compare(name, [each.sum() for each in tiny], [integrated(each, len(each)).item() for each in tiny], KEPT * SIDE, source)
     long = np.random.default_rng(4).uniform(0.5, 1.5, (LONG, 3))
-    yield compare(
-        "20 000×3 samples of 0.1 µm in pixels of 0.3 µm: electrons of all",
-        long[1:-1].sum() * 0.01,
-        integrate_pixels(long, 0.1, 0.3, 0.3).sum(),
-        KEPT * LONG,
-        "conservation: 6666 pixels, centred, leave out one sample at either end",
-    )
+    name = "20 000×3 samples of 0.1 µm in pixels of 0.3 µm: electrons of all"
+    source = "conservation: 6666 pixels, centred, leave out one sample at either end"
+    yield compare(name, long[1:-1].sum() * 0.01, integrate_pixels(long, 0.1, 0.3, 0.3).sum(), KEPT * LONG, source)
     small = 1e-6
     got = integrated(sampled_plane((SIDE, SIDE), SIDE), math.pi, small) / small**2
     at = centres_um(len(got), math.pi, SIDE)
-    yield compare(
-        "a photodiode of a millionth of a sample's width, linear picture",
-        plane(at, at, SIDE),
-        got,
-        ROUNDED * SIDE / small,
-        "limit: the value at its centre; roundings of a running sum over the width",
-    )
+    name = "a photodiode of a millionth of a sample's width, linear picture"
+    source = "limit: the value at its centre; roundings of a running sum over the width"
+    yield compare(name, plane(at, at, SIDE), got, ROUNDED * SIDE / small, source)
     order, side = 5, 0.6 * math.pi
     wave = np.cos(np.pi * order * (np.arange(SIDE) + 0.5) / SIDE) * np.sinc(order / (2 * SIDE))  # exact means of the samples
     found = integrated(1 + wave[:, None] * np.ones(SIDE), math.pi, side)[:, 3]
@@ -183,10 +151,5 @@ def _dots(picture: Array) -> Iterator[Case]:
             means = average_axis(picture, 1.0, 0.0, edges_um, degree, axis=0)
             found.append((means * np.diff(edges_um)[:, None]).sum(axis=0))
             wanted.append(picture.sum(axis=0))
-    yield compare(
-        "light of 64 pixels shown on 1 to 4096 dots, steps or straight lines between pixels",
-        wanted,
-        found,
-        KEPT * SIDE,
-        "conservation",
-    )
+    name = "light of 64 pixels shown on 1 to 4096 dots, steps or straight lines between pixels"
+    yield compare(name, wanted, found, KEPT * SIDE, "conservation")
