@@ -34,7 +34,7 @@ from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
 from pixsim.studies import budget as probes
-from pixsim.studies.budget import SOURCES, Setup, pitch_range_um, pitches_around_optimum_um, probe
+from pixsim.studies.budget import SOURCES, Setup, brighter, pitch_range_um, pitches_around_optimum_um, probe
 from pixsim.viewer.score import bench_of
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
@@ -147,20 +147,15 @@ def test_a_survey_of_a_chart_with_a_formula(tmp_path):
     assert films[-1].error_e < films[0].error_e
 
 
-@pytest.mark.parametrize("name", ["flat", "slanted_edge"])
+@pytest.mark.parametrize(("name", "analytic"), [("flat", True), ("slanted_edge", True), ("macbeth", False)])
 @pytest.mark.usefixtures("letters_where_they_fall")
-def test_a_survey_of_other_charts(name, tmp_path):
-    found = surveyed(name, NO_TIME, scene={"resolution": 32, "spp": 4})
-    assert check(found, tmp_path / "out")["analytic"] is True
+def test_a_survey_of_a_scene_with_and_without_a_formula(name, analytic, tmp_path):
+    found = surveyed(name, NO_TIME, scene={"resolution": 32 if analytic else 16, "spp": 4})
+    summary = check(found, tmp_path / "out")
+    assert summary["analytic"] is analytic
+    assert analytic or "times the work, other seeds" in summary["reference"]
     if name == "flat":  # its electrons are right but for the fall-off and the bands
         assert found.shipped.error_e < 1e-3
-
-
-def test_a_survey_of_a_scene_without_a_formula(tmp_path):
-    found = surveyed("macbeth", NO_TIME, scene={"resolution": 16, "spp": 4})
-    summary = check(found, tmp_path / "out")
-    assert summary["analytic"] is False
-    assert "times the work, other seeds" in summary["reference"]
 
 
 @pytest.mark.usefixtures("letters_where_they_fall")
@@ -258,8 +253,6 @@ def test_a_probe_is_the_same_each_time_and_changes_as_little_as_its_picture():
     alone = probe(image, replace(setup, sensors=1))
     np.testing.assert_array_equal(alone.sweep_delta_e, one.of_first_sensor.sweep_delta_e)
     np.testing.assert_array_equal(alone.delta_e, one.of_first_sensor.delta_e)
-    from pixsim.studies.budget import brighter
-
     near = probe(brighter(image, 1 + 1e-6), setup)
     assert abs(near.mean_delta_e - one.mean_delta_e) < 1e-3
     assert 0 < one.score_seconds <= one.seconds
