@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.thin_lens import field_factor
+from pixsim.scene import variant as variants
 from pixsim.scene.bands import Pulse
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import Plan, make_render_plan
@@ -22,54 +24,67 @@ from pixsim.studies.budget import Probe, Setup, finer, minimum_um, probe, relati
 
 BAND_NM = 10.0
 CENTRES_NM = np.arange(365.0, 826.0, BAND_NM)
-
-
-def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: int) -> Callable[[], Callable[[int], SpectralImage]]:
-    """47 bands of 10 nm, all of 360-830 nm, in one specfilm, the scene's own lamps, `path`, a sampled lens: seed -> irradiance."""
-
-    def loaded() -> Callable[[int], SpectralImage]:
-        job = Renderer(scene, camera, plan, 0)
-        flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
-        height = job.size[0]
-        factor = field_factor(job.size, job.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-        with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
-            config = mi.parser.ParserConfig(scene.choice.variant)
-            state = scene.for_camera(camera)
-            mi.parser.transform_all(config, state)
-            built = mi.parser.instantiate(config, state)
-            world = next(each for each in (built if isinstance(built, list) else [built]) if isinstance(each, mi.Scene))
-            lens: dict[str, Any] = job.sensor | {
-                "type": "thinlens",
-                "aperture_radius": camera.aperture_radius_m,
-                "focus_distance": camera.object_distance_m,
-                "sampler": {"type": sampler, "sample_count": spp},
-                "film": film([film_response(each) for each in flat], job.size, 0, height),
-            }
-            sensor, integrator = mi.load_dict(lens), world.integrator() or mi.load_dict({"type": "path"})
-        header = {"camera": camera.model_dump()} | (
-            {} if plan.white_cd_per_m2 is None else {"luminance_cd_per_m2": plan.white_cd_per_m2}
-        )
-        lamps = [light.lamp.spectrum for light in plan.lights]
-        if len(lamps) == 1 and lamps[0] is not None:
-            edges = np.append(CENTRES_NM - BAND_NM / 2, CENTRES_NM[-1] + BAND_NM / 2)
-            header["lamp_w_per_m2_sr_nm"] = lamps[0].cell_means(edges).tolist()
-
-        def picture(seed: int) -> SpectralImage:
-            with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
-                radiance = np.asarray(mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed), np.float32)
-            irradiance = radiance * (factor * camera.transmittance / BAND_NM)[:, :, None].astype(np.float32)
-            return SpectralImage(CENTRES_NM, np.full(CENTRES_NM.size, BAND_NM), job.pitch_um, data=irradiance, header=header)
-
-        return picture
-
-    return loaded
-
-
-Picture = Callable[[int], SpectralImage]  # seed -> irradiance
+SCALAR = "scalar_spectral"
+SAMPLERS = "multijitter", "stratified", "ldsampler", "independent"
+SAMPLES = 1, 4, 16, 64, 256, 1024
 LONG_S = 3.0
 # Times the work of a pass of the shipped plan, roughly: a lens and paths for a pinhole and one bounce; 47 bands in one film;
 # a scalar variant. Only to tell beforehand whether a rung fits into the time.
 FULL_WORK, PLAIN_WORK, SCALAR_WORK = 3.0, 3.5, 12.0
+LONG_WORK = 8.0  # times that of the shipped settings: such methods come last
+Picture = Callable[[int], SpectralImage]  # seed -> irradiance
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How much is measured: seconds in all, those that ladders have at least where the rest took long, and those for a rendered
+    reference; independent renders of each rung; settings."""
+
+    seconds: float
+    ladders_s: float
+    reference_s: float
+    runs: int
+    pitches: int
+    spp: int
+    films: tuple[int, ...]  # by powers of two from the scene's own
+    bands: tuple[int, ...]
+    lens: tuple[int, ...]
+    plain: tuple[int, ...]
+    pool: int
+    seeds_move_the_optimum: bool
+    dots: tuple[float, ...]  # times the display's
+
+
+FULL = Depth(
+    seconds=265.0,
+    ladders_s=60.0,
+    reference_s=90.0,
+    runs=2,
+    pitches=6,
+    spp=64,
+    films=(-4, -3, -2, -1, 1),
+    bands=(1, 2, 4, 8, 16, 96),
+    lens=(1, 4, 16, 64),
+    plain=(4, 16, 64),
+    pool=16,
+    seeds_move_the_optimum=True,
+    dots=(1 / 8, 1 / 4, 1 / 2, 2, 4),
+)
+QUICK = Depth(
+    seconds=46.0,
+    ladders_s=12.0,
+    reference_s=12.0,
+    runs=1,
+    pitches=5,
+    spp=16,
+    films=(-2, -1),
+    bands=(2, 8),
+    lens=(4,),
+    plain=(4,),
+    pool=4,
+    seeds_move_the_optimum=False,
+    dots=(1 / 4, 1 / 2, 2),
+)
 
 
 @dataclass(frozen=True)
@@ -131,6 +146,8 @@ class Subject:
     """What is measured, and against what.
 
     image : of the shipped settings, rendered in render_s; white : header entries that every picture of the scene is to share
+    reference : what is right, in words; analytic : whether by a formula
+    notes : what was made smaller to afford the reference
     """
 
     scene: Scene
@@ -141,27 +158,62 @@ class Subject:
     render_s: float
     truth: Probe = field(default=NOTHING, repr=False)
     white: dict[str, float] = field(default_factory=dict)
+    reference: str = ""
+    analytic: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Step:
-    """A rung to be measured: how to make its picture, and how many times the work of the one before it is."""
+    """A rung to be measured: how to make its picture, and how many times the work of the shipped setting it is."""
 
     setting: str
     value: float
     picture: Callable[[], Picture]
-    work: float  # of the shipped setting's
+    work: float = 1.0
     shipped: bool = False
 
 
-def rendered(scene: Scene, camera: Camera, plan: Plan) -> Callable[[], Picture]:
+def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: int) -> Picture:
+    """47 bands of 10 nm, all of 360-830 nm, in one specfilm, the scene's own lamps, `path`, a sampled lens."""
+    job = Renderer(scene, camera, plan, 0)
+    flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
+    factor = field_factor(job.size, job.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
+    with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+        config = mi.parser.ParserConfig(scene.choice.variant)
+        state = scene.for_camera(camera)
+        mi.parser.transform_all(config, state)
+        built = mi.parser.instantiate(config, state)
+        world = next(each for each in (built if isinstance(built, list) else [built]) if isinstance(each, mi.Scene))
+        lens: dict[str, Any] = job.sensor | {
+            "type": "thinlens",
+            "aperture_radius": camera.aperture_radius_m,
+            "focus_distance": camera.object_distance_m,
+            "sampler": {"type": sampler, "sample_count": spp},
+            "film": film([film_response(each) for each in flat], job.size, 0, job.size[0]),
+        }
+        sensor, integrator = mi.load_dict(lens), world.integrator() or mi.load_dict({"type": "path"})
+    header: dict[str, Any] = {"camera": camera.model_dump()}
+    if plan.white_cd_per_m2 is not None:
+        header["luminance_cd_per_m2"] = plan.white_cd_per_m2
+    lamps = [light.lamp.spectrum for light in plan.lights]
+    if len(lamps) == 1 and lamps[0] is not None:
+        edges = np.append(CENTRES_NM - BAND_NM / 2, CENTRES_NM[-1] + BAND_NM / 2)
+        header["lamp_w_per_m2_sr_nm"] = lamps[0].cell_means(edges).tolist()
+
+    def picture(seed: int) -> SpectralImage:
+        with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+            radiance = np.asarray(mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed), np.float32)
+        irradiance = radiance * (factor * camera.transmittance / BAND_NM)[:, :, None].astype(np.float32)
+        return SpectralImage(CENTRES_NM, np.full(CENTRES_NM.size, BAND_NM), job.pitch_um, data=irradiance, header=header)
+
+    return picture
+
+
+def rendered(scene: Scene, camera: Camera, plan: Plan) -> Picture:
     """How the renderer makes a picture of a plan."""
-
-    def loaded() -> Picture:
-        job = Renderer(scene, camera, plan, 0)
-        return lambda seed: job.image(*job.run(seed))
-
-    return loaded
+    job = Renderer(scene, camera, plan, 0)
+    return lambda seed: job.image(*job.run(seed))
 
 
 def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
@@ -196,88 +248,51 @@ def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, sh
             yield Rung(ladder, step.setting, step.value, left_out=f"about {expected:.0f} s")
 
 
-def sample_steps(subject: Subject, most: int) -> list[Step]:
-    plan = subject.plan
-    counts = sorted({1, 4, 16, 64, 256, 1024, plan.spp})
-    return [
-        Step(
-            f"{n} spp",
-            n,
-            rendered(subject.scene, subject.camera, replace(plan, spp=n)),
-            n / plan.spp,
-            n == plan.spp,
-        )
-        for n in counts
-        if n <= most
-    ]
+def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
+    """The ladders of the render, one setting moved on each; those that take longest come last.
 
-
-def film_steps(subject: Subject, widths: Sequence[int]) -> list[Step]:
-    """Films of other widths, where the scene lets its resolution be set."""
-    if "resolution" not in subject.scene.names:
-        return []
-    own = subject.image.shape[1]
-    steps = []
-    for width in sorted({*widths, own}):
-        scene = subject.scene.with_parameters(resolution=width)
-        steps.append(Step(f"{width} wide", width, rendered(scene, subject.camera, subject.plan), (width / own) ** 2, width == own))
-    return steps
-
-
-def band_steps(subject: Subject, counts: Sequence[int]) -> list[Step]:
-    """Bands of equal width, and those that the plan places."""
-    own = subject.plan.bands.width_nm.size
-    steps = [Step(f"{own} bands, as planned", own, rendered(subject.scene, subject.camera, subject.plan), 1.0, True)]
-    for count in counts:
-        plan = make_render_plan(subject.scene, subject.camera, subject.setup.pixel, band_count=count)
-        plan = replace(plan, spp=subject.plan.spp)
-        work = plan.passes / subject.plan.passes
-        steps.append(Step(f"{count} equal bands", count, rendered(subject.scene, subject.camera, plan), work))
-    return steps
-
-
-def sampler_steps(subject: Subject) -> list[Step]:
-    plan = subject.plan
-    names = ("multijitter", "stratified", "ldsampler", "independent")
-    return [
-        Step(name, k, rendered(subject.scene, subject.camera, replace(plan, sampler=name)), 1.0 + 0.01 * k, name == plan.sampler)
-        for k, name in enumerate(names)
-    ]
-
-
-def lens_steps(subject: Subject, counts: Sequence[int]) -> list[Step]:
-    """A pinhole, and a lens of so many samples."""
-    plan = subject.plan
-    steps = [
-        Step(
-            f"lens, {n} samples",
-            n,
-            rendered(subject.scene, subject.camera, replace(plan, lens="thinlens", spp=n)),
-            n / plan.spp,
-            plan.lens == "thinlens" and n == plan.spp,
-        )
-        for n in counts
-    ]
-    pinhole = replace(plan, lens="perspective")
-    return [*steps, Step("pinhole", 1, rendered(subject.scene, subject.camera, pinhole), 1.0, plan.lens == "perspective")]
-
-
-def method_steps(subject: Subject, counts: Sequence[int], other: Scene | None) -> list[Step]:
-    """Whole ways to the picture: plain Mitsuba, pixsim with nothing left out, pixsim as shipped, and its other variant."""
-    scene, camera, plan = subject.scene, subject.camera, subject.plan
+    film : other widths, where the scene lets its resolution be set. bands : of equal width, and those that the plan places.
+    lens : a pinhole, and a lens of so many samples. methods : whole ways to the picture: plain Mitsuba, pixsim with nothing
+    left out, pixsim as shipped, and its other variant.
+    """
+    scene, camera, plan, width = subject.scene, subject.camera, subject.plan, subject.image.shape[1]
     full = make_render_plan(scene, camera, subject.setup.pixel, full=True)
-    work = full.passes * full.spp / (plan.passes * plan.spp)
-    steps = [
-        Step("pixsim, pruned", plan.spp, rendered(scene, camera, plan), 1.0, True),
-        Step("pixsim, --full", full.spp, rendered(scene, camera, full), FULL_WORK * work),
+    films = {width, *(max(8, int(width * 2.0**k)) for k in depth.films)} if "resolution" in scene.names else ()
+    planned = plan.bands.width_nm.size
+
+    def step(setting: str, value: float, work: float = 1.0, *, of: Scene = scene, to: Plan = plan, **moved: Any) -> Step:
+        shipped = of is scene and to is plan and all(getattr(plan, key) == each for key, each in moved.items())
+        return Step(setting, value, partial(rendered, of, camera, replace(to, **moved)), work, shipped)
+
+    def equal_bands(count: int) -> Step:
+        even = make_render_plan(scene, camera, subject.setup.pixel, band_count=count)
+        return step(f"{count} equal bands", count, even.passes / plan.passes, to=even, spp=plan.spp)
+
+    methods = [
+        step("pixsim, pruned", plan.spp),
+        step("pixsim, --full", full.spp, FULL_WORK * (full.passes * full.spp / (plan.passes * plan.spp)), to=full),
     ]
-    for count in counts:
+    for n in depth.plain:
         for sampler in ("independent", "multijitter"):
-            made = plain_picture(scene, camera, plan, sampler, count)
-            steps.append(Step(f"Mitsuba, {sampler}, {count} spp", count, made, PLAIN_WORK * count / plan.spp))
-    if other is not None:
-        steps.append(Step(f"pixsim, pruned, {other.choice.variant}", plan.spp, rendered(other, camera, plan), SCALAR_WORK))
-    return steps
+            made = partial(plain_picture, scene, camera, plan, sampler, n)
+            methods.append(Step(f"Mitsuba, {sampler}, {n} spp", n, made, PLAIN_WORK * n / plan.spp))
+    if scene.choice.variant != SCALAR:
+        methods.append(step(f"pixsim, pruned, {SCALAR}", plan.spp, SCALAR_WORK, of=replace(scene, choice=variants.choose(SCALAR))))
+    return {
+        "spp": [step(f"{n} spp", n, n / plan.spp, spp=n) for n in sorted({*SAMPLES, plan.spp}) if n <= depth.spp],
+        "film": [
+            step(f"{n} wide", n, (n / width) ** 2, of=scene if n == width else scene.with_parameters(resolution=n))
+            for n in sorted(films)
+        ],
+        "methods": [each for each in methods if each.work < LONG_WORK],
+        "bands": [step(f"{planned} bands, as planned", planned), *map(equal_bands, depth.bands)],
+        "sampler": [step(name, k, 1.0 + 0.01 * k, sampler=name) for k, name in enumerate(SAMPLERS)],
+        "lens": [
+            *(step(f"lens, {n} samples", n, n / plan.spp, lens="thinlens", spp=n) for n in depth.lens),
+            step("pinhole", 1, lens="perspective"),
+        ],
+        "long methods": [each for each in methods if each.work >= LONG_WORK],
+    }
 
 
 FEWEST_SENSORS, FEWEST_GROUPS = 4, 4  # so few means still tell their scatter to a third

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera
+from pixsim.base.progress import Told
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.charts import SLANT_DEG, csf_contrast, csf_value
 from pixsim.scene.plan import Plan, make_render_plan
@@ -23,15 +23,6 @@ FEWEST_PARTS = 4096  # across a chart, for those nodes: far smaller than a cycle
 REFERENCE_WORK = 64  # times the samples of a default render
 REFERENCE_BANDS = 470  # of 1 nm
 REFERENCE_SEED = 7919  # beside the user's seed
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A picture to measure errors against, and what it is in words."""
-
-    image: SpectralImage = field(repr=False)
-    told: str
-    analytic: bool
 
 
 def cell_means(value: Callable[[Array], Array], count: int) -> Array:
@@ -76,19 +67,21 @@ def formula_of(scene: Scene, plan: Plan) -> str | None:
     return name if shipped and plan.chart is not None and "chart" not in scene.parameters else None
 
 
-def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, shape: tuple[int, int]) -> Reference:
-    """The chart's formula as irradiance: exact cell means, bands of 1 nm, the lens's fall-off at every sample."""
+def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, shape: tuple[int, int]) -> tuple[SpectralImage, str]:
+    """The chart's formula as irradiance, and in words: exact cell means, bands of 1 nm, the lens's fall-off at every sample."""
     plan = make_render_plan(scene, camera, setup.pixel, band_count=REFERENCE_BANDS)
     picture = FORMULAS[name](*shape)
     job = Renderer(scene.with_parameters(resolution=shape[1]), camera, plan, 0)
     pictures = [np.repeat(picture[:, :, None], len(light.pulses), axis=2) for light in plan.lights]
     told = f"analytic, the formula of the {name} chart: {shape[1]} × {shape[0]} exact cell means, bands of 1 nm"
-    return Reference(job.image(pictures, 0), told, True)
+    return job.image(pictures, 0), told
 
 
-def rendered_reference(scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, told: Any = None) -> Reference:
-    """A render with nothing left out, other seeds, and at least `work` times the samples of the plan's, on a film twice as
-    fine where the scene lets its resolution be set."""
+def rendered_reference(
+    scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, told: Told | None = None
+) -> tuple[SpectralImage, str]:
+    """A render, and in words: with nothing left out, other seeds, and at least `work` times the samples of the plan's, on a
+    film twice as fine where the scene lets its resolution be set."""
     width = Renderer(scene, camera, plan, 0).size[1]
     free = "resolution" in scene.names
     finer = scene.with_parameters(resolution=2 * width) if free else scene
@@ -99,4 +92,4 @@ def rendered_reference(scene: Scene, camera: Camera, setup: Setup, plan: Plan, w
     image = heavy.image(*heavy.run(0, told))
     times = full.passes * spp * cells / (plan.spp * plan.passes)
     size = " × ".join(str(n) for n in heavy.size[::-1])
-    return Reference(image, f"a render of {times:.0f} times the work, other seeds: {size}, {full.passes} passes of {spp}", False)
+    return image, f"a render of {times:.0f} times the work, other seeds: {size}, {full.passes} passes of {spp}"

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.result import METRICS, Accuracy, pareto
+from pixsim.accuracy.result import METRICS, Accuracy, pareto, plain
 from pixsim.accuracy.solvers import response_plate
 from pixsim.base.files import output_folder, versions, write_json
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, new_figure, plain_powers
 from pixsim.show.pages import Column, Plate, write_page, write_plates, write_table
-from pixsim.studies.budget import Effect
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,11 +22,12 @@ if TYPE_CHECKING:
 SHORT = {"error_e": "electrons", "error_delta_e": "mean ΔE", "error_optimum_um": "optimum"}
 
 
-def number(value: float, unit: str = "") -> str:
-    return f"{value:.2g}{unit}" if math.isfinite(value) else "–"
+def number(value: float) -> str:
+    return f"{value:.2g}" if math.isfinite(value) else "–"
 
 
 def errors_told(found: Accuracy) -> str:
+    """Of the shipped settings."""
     own = found.shipped
     parts = [f"{number(100 * own.error_e)} % of mean electrons", f"{number(own.error_delta_e)} of mean ΔE"]
     if math.isfinite(own.error_optimum_um):
@@ -43,10 +43,6 @@ def verdict(found: Accuracy, metric: str) -> str:
     return f"beaten by '{rival.setting}' ({rival.seconds:.2g} s, {number(getattr(rival, metric))})"
 
 
-def effect_told(each: Effect) -> str:
-    return f"{number(each.delta_e)} ΔE, {number(each.optimum_um)} µm of the optimum"
-
-
 def accuracy_lines(found: Accuracy) -> list[str]:
     lines = [f"reference: {found.reference}", f"as shipped: {errors_told(found)}, in {found.shipped.seconds:.2g} s warm"]
     lines += [f"  {SHORT[metric]:10} {verdict(found, metric)}" for metric in METRICS if found.rivals(metric)]
@@ -55,7 +51,8 @@ def accuracy_lines(found: Accuracy) -> list[str]:
         orders = [f"{SHORT[metric]} {order}" for metric in METRICS if (order := found.order(name, metric))]
         lines += [f"  {name:10} {', '.join(orders)}"] if orders else []
     lines.append("error budget as shipped, one sensor:")
-    lines += [f"  {name:21} {effect_told(each)}" for name, each in found.budget.items()]
+    budget = found.budget.items()
+    lines += [f"  {name:21} {number(each.delta_e)} ΔE, {number(each.optimum_um)} µm of the optimum" for name, each in budget]
     slowest = max(found.stage_seconds, key=lambda name: found.stage_seconds[name])
     lines.append("stages: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in found.stage_seconds.items()))
     lines.append(f"  speed up next: {slowest}")
@@ -80,7 +77,7 @@ AXES = {
 }
 SETTINGS = {
     "spp": "samples a film cell", "film": "film width (samples)", "lens": "lens samples", "bands": "bands",
-    "seeds": "sensors averaged", "raster": "display dots across",
+    "seeds": "sensors averaged", "raster": "display dots across"
 }  # fmt: skip
 
 
@@ -92,8 +89,9 @@ def plates_of(found: Accuracy) -> list[Plate]:
     return [*(make(found) for make in (work_precision, *climbed, *viewed, stages, budget)), *response]
 
 
-def shown_metrics(found: Accuracy) -> list[str]:
-    return [metric for metric in METRICS if found.rivals(metric)]
+def points(rungs: list[Rung], metric: str, x: str = "seconds") -> tuple[list[float], list[float]]:
+    """What is drawn: an axis of the rungs, and their error."""
+    return [getattr(each, x) for each in rungs], [getattr(each, metric) for each in rungs]
 
 
 def look(name: str, names: list[str]) -> Look:
@@ -117,14 +115,16 @@ def kinds(found: Accuracy) -> dict[str, list[Rung]]:
 
 def work_precision(found: Accuracy) -> Plate:
     """Error against wall time of every setting of the render, with the Pareto front and the shipped one."""
-    metrics, groups = shown_metrics(found), kinds(found)
+    metrics, groups = [metric for metric in METRICS if found.rivals(metric)], kinds(found)
     figure = new_figure(3.6 * len(metrics), 4.6)
     for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
-        draw_front(axes, found, metric)
+        seconds, errors = points(found.rivals(metric), metric)
+        front = pareto(seconds, errors)
+        beyond: dict[str, Any] = {"color": "0.75", "lw": 5, "zorder": 0, "label": "Pareto front"}
+        axes.step([seconds[k] for k in front], [errors[k] for k in front], where="post", **beyond)
         for name, rungs in groups.items():
-            own = finite(rungs, metric)
             style = look(name, list(groups)).line | ({} if name in JOINED or "Mitsuba" in name else {"ls": ""})
-            axes.plot([each.seconds for each in own], [getattr(each, metric) for each in own], label=name, lw=0.7, ms=5, **style)
+            axes.plot(*points(finite(rungs, metric), metric), label=name, lw=0.7, ms=5, **style)
         if math.isfinite(value := getattr(found.shipped, metric)):
             axes.plot(found.shipped.seconds, value, "*", ms=15, mfc="white", mec="black", mew=1.3, label="as shipped", zorder=5)
         log_axes(axes, "seconds, render and score, warm", AXES[metric])
@@ -139,24 +139,13 @@ def work_precision(found: Accuracy) -> Plate:
     return Plate("work_precision", caption, figure, table(found, [name for name in RENDERED if name in found.names]))
 
 
-def draw_front(axes: Axes, found: Accuracy, metric: str) -> None:
-    rivals = found.rivals(metric)
-    seconds, errors = [each.seconds for each in rivals], [getattr(each, metric) for each in rivals]
-    front = pareto(seconds, errors)
-    axes.step(
-        [seconds[k] for k in front], [errors[k] for k in front], where="post", color="0.75", lw=5, zorder=0, label="Pareto front"
-    )
-
-
 def log_axes(axes: Axes, x: str, y: str, ticks: list[float] | None = None) -> None:
     """Logarithmic, with plain numbers at 1, 2 and 5 along x, or at `ticks`."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import NullFormatter
 
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    plain_powers(axes.xaxis)
     axes.yaxis.set_minor_formatter(NullFormatter())
     if ticks:
         axes.set_xticks(ticks, [f"{each:g}" for each in ticks])
@@ -169,22 +158,18 @@ def log_axes(axes: Axes, x: str, y: str, ticks: list[float] | None = None) -> No
 def convergence(found: Accuracy) -> Plate:
     """Error against the setting itself, with the fitted orders."""
     names = [name for name in SETTINGS if len(found.ladder(name)) > 1]
-    columns = 3
-    rows = -(-len(names) // columns)
+    rows, columns = -(-len(names) // 3), 3
     figure = new_figure(3.5 * columns, 2.9 * rows)
-    grid = np.atleast_1d(figure.subplots(rows, columns, squeeze=False).ravel())
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, name in zip(grid, names, strict=False):
         for metric, drawn in zip(METRICS, LOOKS, strict=False):
-            marker = drawn.marker
             own = finite(found.ladder(name), metric)
             order = found.order(name, metric)
             label = AXES[metric].removeprefix("error of ").split(" (")[0] + (f": order {order}" if order else "")
             if own:
-                axes.plot(
-                    [e.value for e in own], [getattr(e, metric) for e in own], marker, ms=4.5, color=drawn.colour, label=label
-                )
-                shipped = [e for e in own if e.shipped]
-                axes.plot([e.value for e in shipped], [getattr(e, metric) for e in shipped], marker, ms=9, mfc="none", mec="black")
+                axes.plot(*points(own, metric, "value"), drawn.marker, ms=4.5, color=drawn.colour, label=label)
+                shipped = points([each for each in own if each.shipped], metric, "value")
+                axes.plot(*shipped, drawn.marker, ms=9, mfc="none", mec="black")
             if order:
                 line = np.array(sorted(e.value for e in own))
                 axes.plot(line, [order.at(x) for x in line], lw=0.8, **drawn.stroke)
@@ -209,15 +194,11 @@ def viewing(found: Accuracy) -> Plate:
     for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
         for name in names:
             own = sorted(finite(found.ladder(name), metric), key=lambda each: each.seconds)
-            axes.plot(
-                [e.seconds for e in own], [getattr(e, metric) for e in own], lw=0.7, ms=5, label=name, **look(name, names).line
-            )
+            axes.plot(*points(own, metric), lw=0.7, ms=5, label=name, **look(name, names).line)
             for each in own:
-                axes.annotate(
-                    each.setting, (each.seconds, getattr(each, metric)), xytext=(4, 3), textcoords="offset points", fontsize=7
-                )
-            shipped = [each for each in own if each.shipped]
-            axes.plot([e.seconds for e in shipped], [getattr(e, metric) for e in shipped], "*", ms=13, mfc="white", mec="black")
+                at = each.seconds, getattr(each, metric)
+                axes.annotate(each.setting, at, xytext=(4, 3), textcoords="offset points", fontsize=7)
+            axes.plot(*points([each for each in own if each.shipped], metric), "*", ms=13, mfc="white", mec="black")
         log_axes(axes, "seconds, render and score, warm", AXES[metric])
         axes.legend(fontsize=8, frameon=False, handlelength=LEGEND_LINE)
     caption = (
@@ -267,9 +248,8 @@ def budget(found: Accuracy) -> Plate:
         "individual sensors lie so near their mean. Display raster: what a display of twice the dots would change. Display "
         "interpolation: what the next finer one would change, linear for nearest, cubic for linear, quintic for cubic."
     )
-    return Plate(
-        "budget", caption, figure, {"source": names, **{key: [getattr(found.budget[n], key) for n in names] for key in columns}}
-    )
+    effects: dict[str, Column] = {key: [getattr(each, key) for each in found.budget.values()] for key in columns}
+    return Plate("budget", caption, figure, {"source": names, **effects})
 
 
 def table(found: Accuracy, names: list[str]) -> dict[str, Column]:
@@ -283,11 +263,10 @@ def write_accuracy(found: Accuracy, out: Path) -> Path:
     plates = plates_of(found)
     with output_folder(out) as folder:
         shown = write_plates(folder, plates)
-        rungs = [vars(each) for each in found.rungs]
-        write_table(folder / "ladders.csv", rungs)
+        write_table(folder / "ladders.csv", [vars(each) for each in found.rungs])
         write_table(folder / "stability.csv", [case.as_dict() for case in found.cases])
         if found.solvers:
-            write_table(folder / "solvers.csv", [each.as_dict() for each in found.solvers])
+            write_table(folder / "solvers.csv", [plain(vars(each)) for each in found.solvers])
         write_json(folder / "summary.json", found.as_dict())
         metrics = [metric for metric in METRICS if found.rivals(metric)]
         orders = [(name, metric, found.order(name, metric)) for name in found.names for metric in METRICS]
@@ -298,7 +277,6 @@ def write_accuracy(found: Accuracy, out: Path) -> Path:
             "orders": [(name, SHORT[metric], order) for name, metric, order in orders if order],
             "number": number,
             "plates": shown,
-            "lines": accuracy_lines(found),
             "versions": versions(),
         }
         return write_page(folder / "report.html", "accuracy.html.j2", page)

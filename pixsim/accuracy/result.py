@@ -118,20 +118,6 @@ USUAL_SENSORS = 8  # of a study: what their mean cannot see does not tell settin
 
 
 @dataclass(frozen=True)
-class Discharge:
-    """One solver on one discharge of the pixel's photodiode."""
-
-    light: str
-    photocurrent_e_per_s: float
-    integration_s: float
-    solved: Solved
-
-    def as_dict(self) -> dict[str, Any]:
-        own = {name: value for name, value in vars(self).items() if name != "solved"}
-        return _plain(own | asdict(self.solved))
-
-
-@dataclass(frozen=True)
 class Accuracy:
     """What was measured. `notes` say what was made smaller to stay within the time."""
 
@@ -144,7 +130,7 @@ class Accuracy:
     calibration: Calibration
     budget: dict[str, Effect]
     cases: tuple[Case, ...] = field(repr=False)
-    solvers: tuple[Discharge, ...] = field(repr=False)
+    solvers: tuple[Solved, ...] = field(repr=False)
     header: dict[str, Any] = field(repr=False)
     setup: Setup = field(repr=False)
     notes: tuple[str, ...]
@@ -186,25 +172,26 @@ class Accuracy:
         return None if index is None else rivals[index]
 
     def as_dict(self) -> dict[str, Any]:
-        """summary.json; JSON knows no NaN."""
+        """summary.json."""
         return {
             "scene": self.name,
             "reference": self.reference,
             "analytic": self.analytic,
-            "shipped": _plain(asdict(self.shipped)),
-            "ladders": {name: [_plain(asdict(each)) for each in self.rungs if each.ladder == name] for name in self.names},
+            "shipped": plain(asdict(self.shipped)),
+            "ladders": {name: [plain(asdict(each)) for each in self.rungs if each.ladder == name] for name in self.names},
             "orders": {
                 name: {metric: asdict(order) for metric in METRICS if (order := self.order(name, metric))} for name in self.names
             },
             "shipped_on_front": {metric: self.beaten(metric) is None for metric in METRICS if self.rivals(metric)},
             "stage_seconds": self.stage_seconds,
-            "error_budget": {name: _plain(asdict(each)) for name, each in self.budget.items()},
-            "stability": [_plain(case.as_dict()) for case in self.cases],
-            "solvers": [each.as_dict() for each in self.solvers],
+            "error_budget": {name: plain(asdict(each)) for name, each in self.budget.items()},
+            "stability": [plain(case.as_dict()) for case in self.cases],
+            "solvers": [plain(asdict(each)) for each in self.solvers],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
 
 
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
+def plain(values: dict[str, Any]) -> dict[str, Any]:
+    """None for what is not a finite number: JSON knows no NaN."""
     return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}

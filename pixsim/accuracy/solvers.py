@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel
 from pixsim.sensor.photodiode import collected_charge_e, kept_level_e
-from pixsim.sensor.pixel import E_PER_FC, Diode, PixelPhysics, derive
+from pixsim.sensor.pixel import E_PER_FC, Diode, derive
 from pixsim.show.figures import LEGEND_LINE, LOOKS, new_figure
 from pixsim.show.pages import Column, Plate
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 MOST_EVALUATIONS = 20_000  # of the explicit solver: a second; saturated pixels need up to 1e17
 RELATIVE_TOLERANCE = 1e-10
@@ -35,6 +30,9 @@ class CapReached(Exception):
 class Solved:
     """What one solver makes of a discharge. `charge_e` and `relative_error` are NaN, and `failure` says why, where it fails."""
 
+    light: str
+    photocurrent_e_per_s: float
+    integration_s: float
     name: str
     charge_e: float
     relative_error: float
@@ -43,17 +41,19 @@ class Solved:
     failure: str = ""
 
 
-def discharge(
-    diode: Diode, photocurrent_e_per_s: float, most: int
-) -> tuple[Callable[[float, Array], Array], Callable[[float], float], list[float]]:
-    """(dV/du of u and V, u of t, the times in s at which it was asked for); `CapReached` beyond `most`.
+def solve_ode(
+    diode: Diode, photocurrent_e_per_s: float, integration_s: float, method: str, most: int = MOST_EVALUATIONS
+) -> tuple[float, int, str]:
+    """(charge in e-, evaluations, why it failed) by one of scipy's solvers of C dV/dt, for V as it stands.
 
-    u = ln(1 + t/τ), τ = C V_T/a at reset: seconds and hours are a few steps apart, for every solver alike.
+    It is solved over u = ln(1 + t/τ), τ = C V_T/a at reset: seconds and hours are a few steps apart, for every solver alike.
     """
-    v_t, saturation = diode.thermal_v, diode.saturation_current_e_per_s
+    from scipy.integrate import solve_ivp
+
+    v_t, reset_v, saturation = diode.thermal_v, diode.reset_voltage_v, diode.saturation_current_e_per_s
     total = max(photocurrent_e_per_s + saturation, np.finfo(float).tiny)
-    tau_s = E_PER_FC * float(diode.capacitance_ff(diode.reset_voltage_v)) * v_t / total
-    asked: list[float] = []
+    tau_s = E_PER_FC * float(diode.capacitance_ff(reset_v)) * v_t / total
+    asked: list[float] = []  # times in s
 
     def slope(u: float, bias_v: Array) -> Array:
         if len(asked) >= most:
@@ -63,21 +63,10 @@ def discharge(
         volts_per_s = -(photocurrent_e_per_s + diode_e_per_s) / (E_PER_FC * diode.capacitance_ff(bias_v))
         return volts_per_s * tau_s * math.exp(u)
 
-    return slope, lambda t_s: math.log1p(t_s / tau_s), asked
-
-
-def solve_ode(
-    diode: Diode, photocurrent_e_per_s: float, integration_s: float, method: str, most: int = MOST_EVALUATIONS
-) -> tuple[float, int, str]:
-    """(charge in e-, evaluations, why it failed) by one of scipy's solvers of C dV/dt, for V as it stands."""
-    from scipy.integrate import solve_ivp
-
-    slope, u_of, asked = discharge(diode, photocurrent_e_per_s, most)
-    reset_v = diode.reset_voltage_v
-    tolerances = {"rtol": RELATIVE_TOLERANCE, "atol": RELATIVE_TOLERANCE * diode.thermal_v}
+    tolerances = {"rtol": RELATIVE_TOLERANCE, "atol": RELATIVE_TOLERANCE * v_t}
     try:
         with np.errstate(all="ignore"):
-            found = solve_ivp(slope, (0.0, u_of(integration_s)), [reset_v], method=method, **tolerances)
+            found = solve_ivp(slope, (0.0, math.log1p(integration_s / tau_s)), [reset_v], method=method, **tolerances)
     except CapReached:
         reached_s, step_s = max(asked), (asked[-1] - asked[-1 - SIX_STAGES]) if most > SIX_STAGES else 0.0
         told = f"{most} evaluations end at {reached_s:.2g} s of {integration_s:.2g} s; steps: {abs(step_s):.1g} s"
@@ -94,14 +83,15 @@ def solvers(diode: Diode, photocurrent_e_per_s: float, integration_s: float, mos
     at 1e15 e-/s, and an explicit solver's steps stay below about three of them, however long the exposure: with at most
     `most` evaluations it fails, and says where.
     """
+    of = "", photocurrent_e_per_s, integration_s
     start = time.perf_counter()
     exact = float(collected_charge_e(photocurrent_e_per_s, integration_s, diode))
-    rows = [Solved("quadrature", exact, 0.0, 0, time.perf_counter() - start)]
+    rows = [Solved(*of, "quadrature", exact, 0.0, 0, time.perf_counter() - start)]
     for name, method in (("Radau, implicit", "Radau"), ("RK45, explicit", "RK45")):
         start = time.perf_counter()
         charge, evaluations, failure = solve_ode(diode, photocurrent_e_per_s, integration_s, method, most)
         error = abs(charge / exact - 1) if exact else abs(charge)
-        rows.append(Solved(name, charge, error, evaluations, time.perf_counter() - start, failure))
+        rows.append(Solved(*of, name, charge, error, evaluations, time.perf_counter() - start, failure))
     return rows
 
 
@@ -127,22 +117,17 @@ def dn_against_light(pixel: Pixel, integration_s: float = 0.03, points: int = 60
 
     The straight line is what `Frame.electrons` assumes. PixsimError for a pinned photodiode.
     """
-    swing_e = derive(pixel.model_copy(update={"well_limit": "swing", "conversion": "linear"})).full_well_e
-    generated_e = np.linspace(0.0, wells * swing_e, points)
-    return [
-        response(derive(pixel.model_copy(update={"well_limit": limit, "conversion": conversion})), generated_e, integration_s)
-        for limit in ("swing", "diode")
-        for conversion in ("linear", "junction")
-    ]
-
-
-def response(physics: PixelPhysics, generated_e: Array, integration_s: float) -> Response:
-    """One of `dn_against_light`."""
-    pixel, black, top = physics.pixel, physics.pixel.black_level_dn, 2.0**physics.pixel.bits - 1
-    dn = np.minimum(kept_level_e(generated_e, integration_s, physics) * physics.dn_per_e + black, top)
-    line = np.minimum(generated_e * physics.dn_per_e + black, top)
-    deviation = 100 * (dn - line) / (top - black)
-    return Response(pixel.well_limit, pixel.conversion, physics.full_well_e, generated_e, dn, deviation)
+    ways = [(limit, conversion) for limit in ("swing", "diode") for conversion in ("linear", "junction")]
+    pixels = [derive(pixel.model_copy(update={"well_limit": limit, "conversion": conversion})) for limit, conversion in ways]
+    generated_e = np.linspace(0.0, wells * pixels[0].full_well_e, points)
+    black, top = pixel.black_level_dn, 2.0**pixel.bits - 1
+    found = []
+    for (limit, conversion), physics in zip(ways, pixels, strict=True):
+        dn = np.minimum(kept_level_e(generated_e, integration_s, physics) * physics.dn_per_e + black, top)
+        line = np.minimum(generated_e * physics.dn_per_e + black, top)
+        deviation = 100 * (dn - line) / (top - black)
+        found.append(Response(limit, conversion, physics.full_well_e, generated_e, dn, deviation))
+    return found
 
 
 def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
@@ -163,36 +148,25 @@ def response_plate(pixel: Pixel, integration_s: float = 0.03) -> Plate:
         axes.set_ylabel(told)
         axes.set_xlim(0, found[0].generated_e[-1] / 1e3)
         axes.grid(alpha=0.25)
-    draw_corner(corner, found[2], pixel)
+    # Limits of the enlarged corner, and the straight line that a soft saturation leaves.
+    well_ke, top = found[2].full_well_e / 1e3, 2.0**pixel.bits - 1
+    corner.plot([0, well_ke, 2 * well_ke], [pixel.black_level_dn, top, top], lw=0.7, color="0.6")
+    corner.set_xlim(0.93 * well_ke, 1.05 * well_ke)
+    corner.set_ylim(0.93 * top, 1.01 * top)
+    corner.tick_params(labelsize=7)
+    corner.set_title("the diode's corner; thin: straight", fontsize=7)
     left.set_ylim(0, 1.05 * 2**pixel.bits)
     figure.legend(
         *left.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=8, handlelength=LEGEND_LINE
     )
-    return Plate("dn_against_light", response_caption(found, pixel), figure, response_table(found))
-
-
-def draw_corner(axes: Axes, soft: Response, pixel: Pixel) -> None:
-    """Limits of the enlarged corner, and the straight line that a soft saturation leaves."""
-    well_ke, top = soft.full_well_e / 1e3, 2.0**pixel.bits - 1
-    axes.plot([0, well_ke, 2 * well_ke], [pixel.black_level_dn, top, top], lw=0.7, color="0.6")
-    axes.set_xlim(0.93 * well_ke, 1.05 * well_ke)
-    axes.set_ylim(0.93 * top, 1.01 * top)
-    axes.tick_params(labelsize=7)
-    axes.set_title("the diode's corner; thin: straight", fontsize=7)
-
-
-def response_caption(found: list[Response], pixel: Pixel) -> str:
     worst = {(each.well_limit, each.conversion): float(np.abs(each.deviation_percent).max()) for each in found}
-    return (
+    caption = (
         f"Digital numbers against light without noise ({pixel.technology}, {pixel.pitch_um:g} µm). The junction's V(Q) bends "
         f"the response at every level, by up to {worst['swing', 'junction']:.1f} % of the swing. Soft saturation (the diode "
         f"turns forward) shows only where the well is the diode's: {worst['diode', 'linear']:.1f} % at its corner."
     )
-
-
-def response_table(found: list[Response]) -> dict[str, Column]:
     table: dict[str, Column] = {"generated_e": found[0].generated_e.tolist()}
     for each in found:
         name = f"{each.well_limit}_{each.conversion}"
         table |= {f"{name}_dn": each.dn.tolist(), f"{name}_deviation_percent": each.deviation_percent.tolist()}
-    return table
+    return Plate("dn_against_light", caption, figure, table)

@@ -23,31 +23,35 @@ from pixsim.measure.estimators import (
     QUANTISATION_DN2,
     SATURATION_SPEED_LX_S,
     SIGNAL_TO_NOISE,
-    DarkCurrent,
     Estimate,
     Linearity,
-    NonUniformity,
+    Pair,
     PhotonTransfer,
+    Series,
     Stack,
     dark_current,
     daylight_e_per_lx_s,
-    deviation,
     doubling_k,
+    dsnu_e,
     exposure_at_snr,
     linearity,
     noise_15739,
-    non_uniformity,
-    of_pixel_type,
+    pair,
     parts,
-    parts_error_dn2,
     photon_transfer,
     prnu,
+    root,
+    saturation_index,
+    series,
     signal_at_snr_e,
+    stack,
 )
-from pixsim.measure.experiment import Experiment, Measured, make_experiment, measure
+from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.photodiode import kept_level_e
 from pixsim.sensor.pixel import PixelPhysics
 
+GREY_FRAMES = 16  # ISO 15739 asks for 8 at least
+GREY_SHARE = 0.13  # of the saturation: the reference level of ISO 15739, section 6.3
 SHOT_NODES, GAIN_NODES, OFFSET_NODES = 65, 37, 19
 WIDEST = 5.0  # σ, of the nodes
 
@@ -108,31 +112,6 @@ def variance_peak_e(physics: PixelPhysics, integration_s: float, brightest_e: fl
     return float(fine[np.argmax(expected_curve(fine, integration_s, physics)[1])])
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What the estimators should find, from the parameters and from the individual's maps."""
-
-    dark_noise_e: float
-    dark_map_e: float
-    gain_map: float
-    saturation_e: float
-    linearity: Linearity
-
-
-def truth(e: Experiment, bright_photons: float, saturated: int) -> Truth:
-    """Of the individual that an experiment exposes; `bright_photons` of its bright stack, `saturated`: index of its peak."""
-    p = e.physics
-    mean, _ = expected_curve(e.photons * e.efficiency, e.integration_s, p)
-    dark, _ = expected_curve(np.zeros(1), e.integration_s, p)
-    return Truth(
-        dark_noise_e=math.sqrt(p.reset_noise_e**2 + p.read_noise_e**2 + p.dark_current_e_per_s * e.integration_s),
-        dark_map_e=float(dark_map_e(e).std(ddof=1)),
-        gain_map=gain_map(e, bright_photons),
-        saturation_e=variance_peak_e(p, e.integration_s, float(e.photons[-1]) * e.efficiency),
-        linearity=linearity(e.photons, mean - dark, saturated),
-    )
-
-
 def gain_map(experiment: Experiment, bright_photons: float) -> float:
     """√(s²_bright - s²_dark)/signal of the individual's own maps: what PRNU1288 stands for, without any noise.
 
@@ -158,10 +137,24 @@ def dark_map_e(experiment: Experiment) -> Array:
 
 @dataclass(frozen=True)
 class DataSheet:
-    """What was measured of one individual, and its estimates."""
+    """All that was measured of one individual, its estimates, and what they should be.
+
+    light : over photons per pixel. dim : the same below the first of them, for S/N. dark : a pair without light.
+    dark_series : over seconds. warm : dark series by temperature. dark_stack, bright_stack : at 0 and 50 % of saturation.
+    grey : (frames, rows, columns) at 13 % of saturation.
+    """
 
     experiment: Experiment = field(repr=False)
-    measured: Measured = field(repr=False)
+    light: Series = field(repr=False)
+    dim: Series = field(repr=False)
+    dark: Pair
+    dark_series: Series = field(repr=False)
+    warm: dict[float, Series] = field(repr=False)
+    dark_stack: Stack = field(repr=False)
+    bright_stack: Stack = field(repr=False)
+    grey: Array = field(repr=False)
+    grey_photons: float
+    bright_photons: float
 
     @property
     def pixels(self) -> int:
@@ -169,37 +162,57 @@ class DataSheet:
 
     @cached_property
     def transfer(self) -> PhotonTransfer:
-        dark = self.measured.dark
-        found = photon_transfer(self.measured.light, dark.mean_dn, dark.variance_dn2, self.pixels)
-        return of_pixel_type(found, prnu(self.measured.dark_stack, self.measured.bright_stack).value, self.pixels)
+        return photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, self.prnu.value)
 
     @property
     def signal_dn(self) -> Array:
         """(n,) mean signals of the light series, above the dark."""
-        return self.measured.light.mean_dn - self.measured.dark.mean_dn
+        return self.light.mean_dn - self.dark.mean_dn
+
+    @property
+    def rising(self) -> Series:
+        """`dim`, then `light` up to its saturation."""
+        end = self.transfer.saturation_index + 1
+        return Series(*(np.concatenate([dim, light[:end]]) for dim, light in zip(self.dim, self.light, strict=True)))
 
     @cached_property
     def linearity(self) -> Linearity:
-        return linearity(self.measured.light.at, self.signal_dn, self.transfer.saturation_index)
+        return linearity(self.light.at, self.signal_dn, self.transfer.saturation_index)
 
     @cached_property
-    def spatial(self) -> NonUniformity:
-        return non_uniformity(self.measured.dark_stack, self.measured.bright_stack, self.transfer.gain_dn_per_e)
+    def dsnu_e(self) -> Estimate:
+        return dsnu_e(self.dark_stack, self.transfer.gain_dn_per_e)
 
     @cached_property
-    def dark_current(self) -> DarkCurrent:
-        return dark_current(self.measured.dark_series, self.transfer.gain_dn_per_e, self.pixels)
+    def prnu(self) -> Estimate:
+        return prnu(self.dark_stack, self.bright_stack)
+
+    @cached_property
+    def dark_currents(self) -> tuple[Estimate, Estimate]:
+        """From the mean and from the variance."""
+        return dark_current(self.dark_series, self.transfer.gain_dn_per_e, self.pixels)
 
     @cached_property
     def warm_currents(self) -> tuple[Array, list[Estimate]]:
         """(temperatures in kelvin, dark currents from the mean); without the error of K, which they have in common."""
         gain = Estimate(self.transfer.gain_dn_per_e.value)
-        found = [dark_current(each, gain, self.pixels).from_mean_e_per_s for each in self.measured.warm.values()]
-        return np.array(list(self.measured.warm)), found
+        return np.array(list(self.warm)), [dark_current(each, gain, self.pixels)[0] for each in self.warm.values()]
+
+    @property
+    def true_dark_noise_e(self) -> float:
+        p = self.experiment.physics
+        return math.sqrt(p.reset_noise_e**2 + p.read_noise_e**2 + p.dark_current_e_per_s * self.experiment.integration_s)
 
     @cached_property
-    def truth(self) -> Truth:
-        return truth(self.experiment, self.measured.bright_photons, self.transfer.saturation_index)
+    def true_prnu(self) -> float:
+        return gain_map(self.experiment, self.bright_photons)
+
+    @cached_property
+    def true_linearity(self) -> Linearity:
+        e = self.experiment
+        mean, _ = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
+        dark, _ = expected_curve(np.zeros(1), e.integration_s, e.physics)
+        return linearity(e.photons, mean - dark, self.transfer.saturation_index)
 
     @property
     def notes(self) -> list[str]:
@@ -213,7 +226,7 @@ class DataSheet:
             )
         if self.transfer.limited:
             told.append(
-                f"quantisation-limited: σ²_y.dark = {self.measured.dark.variance_dn2:.3g} DN² is below 0.24 DN², so σ_d is an "
+                f"quantisation-limited: σ²_y.dark = {self.dark.variance_dn2:.3g} DN² is below 0.24 DN², so σ_d is an "
                 "upper bound, and K and all that is divided by it are off by some per cent: 1/12 DN² no longer holds. "
                 f"More bits than {pixel.bits} show them (pixel.bits)."
             )
@@ -230,13 +243,46 @@ def make_datasheet(pixel: Pixel, exposure: Exposure | None = None, *, stage: Sta
 
     Raises PixsimError as `make_experiment` does.
     """
-    experiment = make_experiment(pixel, exposure, **how)
-    return DataSheet(experiment, measure(experiment, stage))
+    return measure(make_experiment(pixel, exposure, **how), stage)
+
+
+def measure(experiment: Experiment, stage: Stage | None = None) -> DataSheet:
+    """Take every frame. `stage` is told what is being taken."""
+    told = stage or (lambda name: lambda done, note="": None)
+
+    def pairs(name: str, photons: Array) -> Series:
+        tell, found = told(name), []
+        for index, each in enumerate(photons.tolist()):
+            found.append(pair(*experiment.frames(2, each, name, index)))
+            tell((index + 1) / photons.size)
+        return series(photons, found)
+
+    light = pairs("light series", experiment.photons)
+    dim = pairs("dim light", experiment.dim_photons)
+    told("stacks")
+    saturation = float(light.at[saturation_index(light.variance_dn2)])
+    bright, grey = saturation / 2, GREY_SHARE * saturation
+    count = experiment.stack_frames
+    stacks = [stack(experiment.frames(count, each, name)) for each, name in ((0.0, "dark stack"), (bright, "bright stack"))]
+    told("dark series")
+    return DataSheet(
+        experiment,
+        light=light,
+        dim=dim,
+        dark=pair(*experiment.frames(2, 0.0, "dark")),
+        dark_series=experiment.dark_series(),
+        warm={each: experiment.dark_series(each) for each in experiment.temperatures_k},
+        dark_stack=stacks[0],
+        bright_stack=stacks[1],
+        grey=np.stack([*experiment.frames(GREY_FRAMES, grey, "grey")]).astype(float),
+        grey_photons=grey,
+        bright_photons=bright,
+    )
 
 
 EMVA, NOISE, SPEED = "EMVA 1288", "ISO 15739", "ISO 12232"
 ROUNDING = 1e-9
-PARTS = ("of columns", "col", "column_dn2"), ("of rows", "row", "row_dn2"), ("of single pixels", "pixel", "pixel_dn2")
+PARTS = ("of columns", "col"), ("of rows", "row"), ("of single pixels", "pixel")
 
 
 @dataclass(frozen=True)
@@ -298,9 +344,10 @@ def decibel(ratio: Estimate) -> Estimate:
 
 def sensitivity(sheet: DataSheet) -> list[Entry]:
     """Gain, quantum efficiency, dark noise, saturation, SNR, dynamic range and linearity."""
-    t, e, p, true = sheet.transfer, sheet.experiment, sheet.experiment.physics, sheet.truth
+    t, e, p, true = sheet.transfer, sheet.experiment, sheet.experiment.physics, sheet.true_linearity
     eta, dn2 = e.efficiency, p.dn_per_e**2
-    dark_dn2 = true.dark_noise_e**2 * dn2 + QUANTISATION_DN2
+    saturation_e = variance_peak_e(p, e.integration_s, float(e.photons[-1]) * eta)
+    dark_dn2 = sheet.true_dark_noise_e**2 * dn2 + QUANTISATION_DN2
     threshold_e = math.sqrt(dark_dn2 / dn2) + 0.5
     limited = "quantisation-limited: an upper bound" if t.limited else ""
     step = "standard error: one exposure step"
@@ -311,136 +358,113 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
         line(EMVA, "overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, "(2^bits - 1 - black) / full well"),
         line(EMVA, "responsivity", "R", "DN/p", t.responsivity_dn_per_p, p.dn_per_e * eta, "K η"),
         line(EMVA, "quantum efficiency", "η", "%", t.efficiency * 100, 100 * eta, "QE(λ) · fill factor, of the whole pixel"),
-        line(EMVA, "temporal dark noise", "σ_d", "e-", t.dark_noise_e, true.dark_noise_e, "√(reset² + read² + dark)", limited),
+        line(EMVA, "temporal dark noise", "σ_d", "e-", t.dark_noise_e, sheet.true_dark_noise_e, "√(reset² + read² + dark)",
+             limited),
         line(EMVA, "absolute sensitivity threshold", "μ_p.min", "p", t.threshold_p, threshold_e / eta,
              "(√(σ_d² + σ_q²/K²) + ½) / η", limited),
         line(EMVA, "absolute sensitivity threshold", "μ_e.min", "e-", t.threshold_e, threshold_e, "η μ_p.min", limited),
-        line(EMVA, "saturation capacity", "μ_p.sat", "p", t.saturation_p, true.saturation_e / eta, peak, step),
-        line(EMVA, "saturation capacity", "μ_e.sat", "e-", t.saturation_e, true.saturation_e, peak, step),
-        line(EMVA, "maximum signal-to-noise ratio", "SNR_max", "dB", decibel(t.snr_max), 10 * math.log10(true.saturation_e),
+        line(EMVA, "saturation capacity", "μ_p.sat", "p", t.saturation_p, saturation_e / eta, peak, step),
+        line(EMVA, "saturation capacity", "μ_e.sat", "e-", t.saturation_e, saturation_e, peak, step),
+        line(EMVA, "maximum signal-to-noise ratio", "SNR_max", "dB", decibel(t.snr_max), 10 * math.log10(saturation_e),
              "√μ_e.sat"),
-        line(EMVA, "dynamic range", "DR", "dB", decibel(t.dynamic_range), 20 * math.log10(true.saturation_e / threshold_e),
+        line(EMVA, "dynamic range", "DR", "dB", decibel(t.dynamic_range), 20 * math.log10(saturation_e / threshold_e),
              "μ_p.sat / μ_p.min", limited),
-        line(EMVA, "linearity error, mean", "LE", "%", linearity_estimate(sheet, "error"), 100 * true.linearity.error, of_line),
-        line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.linearity.lowest,
-             of_line),
-        line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.linearity.highest,
-             of_line),
+        line(EMVA, "linearity error, mean", "LE", "%", linearity_estimate(sheet, "error"), 100 * true.error, of_line),
+        line(EMVA, "linearity error, lowest", "LE_min", "%", linearity_estimate(sheet, "lowest"), 100 * true.lowest, of_line),
+        line(EMVA, "linearity error, highest", "LE_max", "%", linearity_estimate(sheet, "highest"), 100 * true.highest, of_line)
     ]  # fmt: skip
 
 
 def linearity_estimate(sheet: DataSheet, name: str) -> Estimate:
     """In per cent; the error is that of the mean signals, on average over the fitted range, or the largest in it."""
-    within, light = sheet.linearity.within, sheet.measured.light
+    within, light = sheet.linearity.within, sheet.light
     error = np.sqrt(light.variance_dn2[within] / (2 * sheet.pixels)) / sheet.signal_dn[within]
     return Estimate(100 * getattr(sheet.linearity, name), 100 * float(error.mean() if name == "error" else error.max()))
 
 
 def spatial(sheet: DataSheet) -> list[Entry]:
-    """DSNU1288 and PRNU1288."""
-    e, p, true = sheet.experiment, sheet.experiment.physics, sheet.truth
-    dark_e = p.dark_current_e_per_s * e.integration_s
+    """DSNU1288, what of it belongs to columns, rows and single pixels (0 where the variance is not above zero), and PRNU1288."""
+    p, map_e, k = sheet.experiment.physics, dark_map_e(sheet.experiment), sheet.transfer.gain_dn_per_e
+    dark_e = p.dark_current_e_per_s * sheet.experiment.integration_s
     nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dsnu * dark_e) ** 2)
     dsnu = f"this individual's maps; √(offset² + column² + (σ_DSNU · dark)²) is {nominal:.4g} by the parameters"
     of_gain = f"this individual's maps; {100 * p.prnu:.4g} by the parameters"
+    split = zip(PARTS, parts(sheet.dark_stack), parts(Stack(1, map_e, np.zeros_like(map_e))), strict=True)
     return [
-        line(EMVA, "dark signal non-uniformity", "DSNU_1288", "e-", sheet.spatial.dsnu_e, true.dark_map_e, dsnu),
-        *dsnu_parts(sheet),
-        line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.spatial.prnu * 100, 100 * true.gain_map, of_gain),
-    ]
-
-
-def dsnu_parts(sheet: DataSheet) -> list[Entry]:
-    """What of the DSNU belongs to columns, rows and single pixels; 0 where the variance is estimated below zero."""
-    k, images = sheet.transfer.gain_dn_per_e, sheet.measured.dark_stack
-    found, error_dn2 = parts(images), parts_error_dn2(images)
-    true = parts(Stack(1, dark_map_e(sheet.experiment), np.zeros_like(images.mean_dn)))
-    return [
-        line(EMVA, f"DSNU, {name}", f"DSNU_1288.{short}", "e-", deviation(getattr(found, key), getattr(error_dn2, key)) / k,
-             math.sqrt(max(getattr(true, key), 0.0)), "this individual's maps, split alike")
-        for name, short, key in PARTS
+        line(EMVA, "dark signal non-uniformity", "DSNU_1288", "e-", sheet.dsnu_e, float(map_e.std(ddof=1)), dsnu),
+        *(
+            line(EMVA, f"DSNU, {name}", f"DSNU_1288.{short}", "e-", root(found, 0.0) / k, root(true, 0.0).value,
+                 "this individual's maps, split alike")
+            for (name, short), found, true in split
+        ),
+        line(EMVA, "photo response non-uniformity", "PRNU_1288", "%", sheet.prnu * 100, 100 * sheet.true_prnu, of_gain)
     ]  # fmt: skip
 
 
 def dark(sheet: DataSheet) -> list[Entry]:
     """Dark current from mean and variance, and the temperature step that doubles it."""
-    p, found = sheet.experiment.physics, sheet.dark_current
+    p, (from_mean, from_variance) = sheet.experiment.physics, sheet.dark_currents
     current, unit = p.dark_current_e_per_s, "e-/s"
     at = f"at {p.pixel.temperature_k:g} K, mean of the pixels"
     entries = [
-        line(EMVA, "dark current, from the mean", "μ_I.mean", unit, found.from_mean_e_per_s, current, at),
-        line(EMVA, "dark current, from the variance", "μ_I.var", unit, found.from_variance_e_per_s, current, at),
+        line(EMVA, "dark current, from the mean", "μ_I.mean", unit, from_mean, current, at),
+        line(EMVA, "dark current, from the variance", "μ_I.var", unit, from_variance, current, at),
     ]
     temperatures, warm = sheet.warm_currents
     if warm and current:
         doubling = doubling_k(temperatures, np.array([each.value for each in warm]), np.array([each.error for each in warm]))
-        entries.append(
-            line(
-                EMVA,
-                "doubling temperature of the dark current",
-                "ϑ_d",
-                "K",
-                doubling,
-                p.technology.dark_doubling_k,
-                "the technology's",
-            )
-        )
+        name, true_k = "doubling temperature of the dark current", p.technology.dark_doubling_k
+        entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, "the technology's"))
     return entries
 
 
 def noise(sheet: DataSheet) -> list[Entry]:
     """ISO 15739: noise at 13 % of saturation, S/N there, and dynamic range."""
-    e, m, p = sheet.experiment, sheet.measured, sheet.experiment.physics
-    found, k, signal_e = noise_15739(m.grey), p.dn_per_e, m.grey_photons * e.efficiency
+    e, p, k = sheet.experiment, sheet.experiment.physics, sheet.experiment.physics.dn_per_e
+    (temporal, fixed, total), signal_e = noise_15739(sheet.grey), sheet.grey_photons * e.efficiency
     pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
     dark_e = p.dark_current_e_per_s * e.integration_s
     temporal_dn2 = k**2 * (signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2) + QUANTISATION_DN2
     fixed_dn2 = k**2 * float(pattern_e.var(ddof=1))
-    total = found.total_dn
-    signal = Estimate(float(m.grey.mean()) - m.dark.mean_dn, math.sqrt(temporal_dn2 / sheet.pixels))
+    signal = Estimate(float(sheet.grey.mean()) - sheet.dark.mean_dn, math.sqrt(temporal_dn2 / sheet.pixels))
     dark_dn2 = temporal_dn2 - k**2 * signal_e
-    dark_noise = Estimate(math.sqrt(m.dark_stack.temporal_dn2), math.sqrt(dark_dn2 / 2 / sheet.pixels / (m.dark_stack.frames - 1)))
-    full_dn = Estimate(float(2**p.pixel.bits - 1) - m.dark.mean_dn)
+    dark_noise = Estimate(
+        math.sqrt(sheet.dark_stack.temporal_dn2), math.sqrt(dark_dn2 / 2 / sheet.pixels / (sheet.dark_stack.frames - 1))
+    )
+    full_dn = Estimate(float(2**p.pixel.bits - 1) - sheet.dark.mean_dn)
     at = "injected, at 13 % of saturation"
     return [
-        line(NOISE, "temporal noise", "σ_temp", "DN", found.temporal_dn, math.sqrt(temporal_dn2), at),
-        line(NOISE, "fixed-pattern noise", "σ_fp", "DN", found.fixed_dn, math.sqrt(fixed_dn2), f"{at}: this individual's maps"),
+        line(NOISE, "temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), at),
+        line(NOISE, "fixed-pattern noise", "σ_fp", "DN", fixed, math.sqrt(fixed_dn2), f"{at}: this individual's maps"),
         line(NOISE, "total noise", "σ_total", "DN", total, math.sqrt(temporal_dn2 + fixed_dn2), at),
         line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
              20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "of the injected signal and noise"),
         line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
-             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "top code over temporal noise of the dark"),
+             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "top code over temporal noise of the dark")
     ]  # fmt: skip
 
 
 def speed(sheet: DataSheet) -> list[Entry]:
     """ISO 12232: saturation-based and noise-based speed, in daylight (CIE D65)."""
-    e, m, p = sheet.experiment, sheet.measured, sheet.experiment.physics
+    e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.physics
     per_lx_s = daylight_e_per_lx_s(p)
     lx_s_per_photon = e.efficiency / per_lx_s
-    top = Estimate(float(2**p.pixel.bits - 1) - m.dark.mean_dn)
+    top = Estimate(float(2**p.pixel.bits - 1) - sheet.dark.mean_dn)
     filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon
     dark_e = p.dark_current_e_per_s * e.integration_s
     of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
     entries = [
-        line(SPEED, "saturation-based speed", "S_sat", "", speed_of(SATURATION_SPEED_LX_S, filling),
-             SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}"),
+        line(SPEED, "saturation-based speed", "S_sat", "", Estimate(SATURATION_SPEED_LX_S) / filling,
+             SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}")
     ]  # fmt: skip
-    photons = np.concatenate([m.dim.at, m.light.at[: sheet.transfer.saturation_index]])
-    mean = np.concatenate([m.dim.mean_dn, m.light.mean_dn])[: photons.size] - m.dark.mean_dn
-    deviation = np.sqrt(np.concatenate([m.dim.frame_variance_dn2, m.light.frame_variance_dn2])[: photons.size])
-    dark_dn2 = float(dark_map_e(e).var(ddof=1)) + sheet.truth.dark_noise_e**2 + QUANTISATION_DN2 / p.dn_per_e**2
+    lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
+    deviation = np.sqrt(rising.frame_variance_dn2[:-1])
+    dark_dn2 = float(dark_map_e(e).var(ddof=1)) + sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / p.dn_per_e**2
     for wanted in SIGNAL_TO_NOISE:
-        found = exposure_at_snr(photons * lx_s_per_photon, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
-        true_e = signal_at_snr_e(wanted, dark_dn2, sheet.truth.gain_map)
+        found = exposure_at_snr(lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
+        true_e = signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
         true = NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.full_well_e else math.nan
         note = "" if math.isfinite(found.value) else "not reached below saturation"
-        name = f"noise-based speed, S/N {wanted:g}"
-        entries.append(
-            line(SPEED, name, f"S_noise{wanted:g}", "", speed_of(NOISE_SPEED_LX_S, found), true, f"10 / H_S/N; {of_daylight}", note)
-        )
+        name, speed = f"noise-based speed, S/N {wanted:g}", Estimate(NOISE_SPEED_LX_S) / found
+        entries.append(line(SPEED, name, f"S_noise{wanted:g}", "", speed, true, f"10 / H_S/N; {of_daylight}", note))
     return entries
-
-
-def speed_of(factor_lx_s: float, exposure_lx_s: Estimate) -> Estimate:
-    return Estimate(factor_lx_s) / exposure_lx_s

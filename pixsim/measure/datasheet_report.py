@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import output_folder, versions, write_json
 from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, sheet_summary
-from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, Stack, straight_line
+from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.sensor.technology import file_label, label_of
-from pixsim.show.figures import COLOURS, LOOKS, new_figure
-from pixsim.show.pages import Column, Plate, shown_value, write_page, write_plates, write_table
+from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, plain_powers
+from pixsim.show.pages import Plate, shown_value, write_page, write_plates, write_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 BLUE, ORANGE = COLOURS[:2]
@@ -29,8 +30,19 @@ BINS = 101
 
 
 def datasheet_plates(sheet: DataSheet) -> list[Plate]:
-    makers = [photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate]
-    return [*(make(sheet) for make in makers), histogram_plate(sheet), spectrogram_plate(sheet), profile_plate(sheet)]
+    makers = (photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate)
+    return [make(sheet) for make in (*makers, histogram_plate, spectrogram_plate, profile_plate)]
+
+
+def plate(name: str, caption: str, figure: Figure, table: dict[str, Array]) -> Plate:
+    """With columns of one length: NaN beyond the end of the shorter ones."""
+    longest = max(len(each) for each in table.values())
+    filled = {key: each.tolist() + [math.nan] * (longest - len(each)) for key, each in table.items()}
+    return Plate(name, caption, figure, filled)
+
+
+def photon_axis(sheet: DataSheet) -> str:
+    return f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)"
 
 
 def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = "best") -> None:
@@ -41,19 +53,10 @@ def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = 
         axes.legend(frameon=False, fontsize=8, loc=legend)
 
 
-def plain_powers(axes: Axes) -> None:
-    """Plain numbers at 1, 2 and 5 on a short logarithmic axis."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
-
-
 def photon_transfer_plate(sheet: DataSheet) -> Plate:
     """Temporal variance against mean, both above the dark."""
-    t, light, e = sheet.transfer, sheet.measured.light, sheet.experiment
-    signal, variance = sheet.signal_dn, light.variance_dn2 - sheet.measured.dark.variance_dn2
+    t, light, e = sheet.transfer, sheet.light, sheet.experiment
+    signal, variance = sheet.signal_dn, light.variance_dn2 - sheet.dark.variance_dn2
     mean, expected = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
     dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.physics)
     figure = new_figure(6.4, 4.0)
@@ -71,15 +74,14 @@ def photon_transfer_plate(sheet: DataSheet) -> Plate:
         "Photon transfer. The slope between 0 and 70 % of saturation is the system gain K; the peak of the variance is saturation: "
         "beyond it pixels fill, those of more gain first."
     )
-    table = {"photons_p": light.at.tolist(), "signal_dn": signal.tolist(), "variance_dn2": variance.tolist(),
-             "expected_signal_dn": (mean - dark_mean).tolist(), "expected_variance_dn2": (expected - dark_variance).tolist(),
-             "fitted": [int(each) for each in t.fitted]}  # fmt: skip
-    return Plate("photon_transfer", caption, figure, table)
+    table = {"photons_p": light.at, "signal_dn": signal, "variance_dn2": variance, "expected_signal_dn": mean - dark_mean,
+             "expected_variance_dn2": expected - dark_variance, "fitted": t.fitted.astype(int)}  # fmt: skip
+    return plate("photon_transfer", caption, figure, table)
 
 
 def responsivity_plate(sheet: DataSheet) -> Plate:
     """Mean against photons."""
-    t, light, signal = sheet.transfer, sheet.measured.light, sheet.signal_dn
+    t, light, signal = sheet.transfer, sheet.light, sheet.signal_dn
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
     axes.plot(light.at, signal, "o", ms=3.5, mfc="none", color=BLUE, label="measured")
@@ -88,19 +90,16 @@ def responsivity_plate(sheet: DataSheet) -> Plate:
     axes.plot(reach, r.value * reach, "--", color=ORANGE, lw=1.2, label=f"R = {r.value:.5g} DN/photon")
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="saturation")
     axes.set_ylim(top=1.15 * signal.max())
-    finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "mean gray value above the dark (DN)")
+    finish(axes, photon_axis(sheet), "mean gray value above the dark (DN)")
     caption = "Sensitivity. The slope is the responsivity R; over K it is the quantum efficiency of the whole pixel, η = R/K."
-    return Plate("responsivity", caption, figure, {"photons_p": light.at.tolist(), "signal_dn": signal.tolist()})
+    return plate("responsivity", caption, figure, {"photons_p": light.at, "signal_dn": signal})
 
 
 def snr_plate(sheet: DataSheet) -> Plate:
     """Signal to temporal noise and to total noise against photons, logarithmic."""
-    t, m = sheet.transfer, sheet.measured
-    below = slice(0, t.saturation_index + 1)
-    photons = np.concatenate([m.dim.at, m.light.at[below]])
-    signal = np.concatenate([m.dim.mean_dn, m.light.mean_dn[below]]) - m.dark.mean_dn
-    temporal = np.sqrt(np.concatenate([m.dim.variance_dn2, m.light.variance_dn2[below]]))
-    total = np.sqrt(np.concatenate([m.dim.frame_variance_dn2, m.light.frame_variance_dn2[below]]))
+    t, rising = sheet.transfer, sheet.rising
+    photons, signal = rising.at, rising.mean_dn - sheet.dark.mean_dn
+    snr_temporal, snr_total = signal / np.sqrt(rising.variance_dn2), signal / np.sqrt(rising.frame_variance_dn2)
     seen = signal > 0
     figure = new_figure(6.4, 4.2)
     axes = figure.subplots()
@@ -108,27 +107,22 @@ def snr_plate(sheet: DataSheet) -> Plate:
     model = electrons / np.sqrt(t.dark_noise_e.value**2 + 1 / 12 / t.gain_dn_per_e.value**2 + electrons)
     axes.loglog(photons, np.sqrt(electrons), ":", color="0.4", lw=1, label="ideal sensor of this η: √μ_e")
     axes.loglog(photons, model, "-", color=BLUE, lw=1, label="from K, η and σ_d")
-    axes.loglog(photons[seen], (signal / temporal)[seen], "o", ms=3.5, color=BLUE, label="measured, temporal noise")
-    axes.loglog(
-        photons[seen], (signal / total)[seen], "s", ms=3.5, color=ORANGE, label="measured, total noise (with fixed pattern)"
-    )
+    axes.loglog(photons[seen], snr_temporal[seen], "o", ms=3.5, color=BLUE, label="measured, temporal noise")
+    axes.loglog(photons[seen], snr_total[seen], "s", ms=3.5, color=ORANGE, label="measured, total noise (with fixed pattern)")
     axes.axvline(t.threshold_p.value, color="0.5", lw=1, ls="--", label="μ_p.min, where the SNR is 1")
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls="-.", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
-    finish(
-        axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "SNR, mean over standard deviation", "lower right"
-    )
+    finish(axes, photon_axis(sheet), "SNR, mean over standard deviation", "lower right")
     caption = (
         "Signal-to-noise ratio against light. Between the two thresholds lies the dynamic range; PRNU ends the rise of the total."
     )
-    table = {"photons_p": photons.tolist(), "snr_temporal": (signal / temporal).tolist(), "snr_total": (signal / total).tolist(),
-             "snr_model": model.tolist()}  # fmt: skip
-    return Plate("snr", caption, figure, table)
+    table = {"photons_p": photons, "snr_temporal": snr_temporal, "snr_total": snr_total, "snr_model": model}
+    return plate("snr", caption, figure, table)
 
 
 def linearity_plate(sheet: DataSheet) -> Plate:
     """Relative deviation from the line."""
-    found, light = sheet.linearity, sheet.measured.light
+    found, light = sheet.linearity, sheet.light
     percent, inside = 100 * found.deviation, found.within
     error = 100 * np.sqrt(light.variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn
     figure = new_figure(6.4, 3.6)
@@ -142,20 +136,20 @@ def linearity_plate(sheet: DataSheet) -> Plate:
     axes.plot(light.at[outside], percent[outside], "o", ms=3.5, mfc="none", color=BLUE, label="outside the range")
     widest = 1.3 * float((np.abs(percent) + error)[inside].max())
     axes.set_ylim(-widest, widest)
-    finish(axes, f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)", "deviation from the line (%)")
+    finish(axes, photon_axis(sheet), "deviation from the line (%)")
     caption = "Linearity: relative deviation of the mean signal from the line of least relative deviations. Bars: standard error."
-    table = {"photons_p": light.at.tolist(), "deviation_percent": percent.tolist(), "within": [int(each) for each in inside]}
-    return Plate("linearity", caption, figure, table)
+    table = {"photons_p": light.at, "deviation_percent": percent, "within": inside.astype(int)}
+    return plate("linearity", caption, figure, table)
 
 
 def dark_current_plate(sheet: DataSheet) -> Plate:
     """Mean and variance of the dark against time, and the dark current against temperature."""
-    dark, k = sheet.measured.dark_series, sheet.transfer.gain_dn_per_e.value
-    temperatures, warm = sheet.warm_currents
+    dark, k = sheet.dark_series, sheet.transfer.gain_dn_per_e.value
+    (from_mean, from_variance), (temperatures, warm) = sheet.dark_currents, sheet.warm_currents
     figure = new_figure(9.6 if warm else 6.4, 3.6)
     panels = np.atleast_1d(figure.subplots(1, 3 if warm else 2))
-    columns = (dark.mean_dn / k, "mean with the black level (e⁻)", "μ_I.mean", sheet.dark_current.from_mean_e_per_s), (
-        dark.variance_dn2 / k**2, "variance (e⁻²)", "μ_I.var", sheet.dark_current.from_variance_e_per_s)  # fmt: skip
+    columns = (dark.mean_dn / k, "mean with the black level (e⁻)", "μ_I.mean", from_mean), (
+        dark.variance_dn2 / k**2, "variance (e⁻²)", "μ_I.var", from_variance)  # fmt: skip
     for axes, (values, label, symbol, found) in zip(panels, columns, strict=False):
         axes.plot(dark.at, values, "o", ms=4, color=BLUE)
         slope, start = straight_line(dark.at, values, np.zeros_like(values))
@@ -164,31 +158,25 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
     if warm:
         panels[2].errorbar(temperatures, [each.value for each in warm], [each.error for each in warm], fmt="o", ms=4, color=BLUE)
         panels[2].set_yscale("log")
-        plain_powers(panels[2])
+        plain_powers(panels[2].yaxis)
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
     caption = "Dark current: slopes of the dark's mean and variance over time, which agree where dark charge alone adds noise"
     caption += "; and its growth with temperature." if warm else "."
     table = {
-        "integration_s": dark.at.tolist(),
-        "mean_dn": dark.mean_dn.tolist(),
-        "variance_dn2": dark.variance_dn2.tolist(),
-        "temperature_k": temperatures.tolist(),
-        "dark_current_e_per_s": [each.value for each in warm],
+        "integration_s": dark.at,
+        "mean_dn": dark.mean_dn,
+        "variance_dn2": dark.variance_dn2,
+        "temperature_k": temperatures,
+        "dark_current_e_per_s": np.array([each.value for each in warm]),
     }
-    return Plate("dark_current", caption, figure, filled(table))
-
-
-def filled(table: dict[str, list[float]]) -> dict[str, Column]:
-    """Columns of one length: NaN beyond the end of the shorter ones."""
-    longest = max(len(each) for each in table.values())
-    return {key: each + [float("nan")] * (longest - len(each)) for key, each in table.items()}
+    return plate("dark_current", caption, figure, table)
 
 
 def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
     """(name, label, flat map): the dark image in electrons and the bright one in per cent of the signal, less their means."""
-    m, k = sheet.measured, sheet.transfer.gain_dn_per_e.value
-    dark = (m.dark_stack.mean_dn - m.dark_stack.mean_dn.mean()) / k
-    light = m.bright_stack.mean_dn - m.dark_stack.mean_dn
+    dark_dn = sheet.dark_stack.mean_dn
+    dark = (dark_dn - dark_dn.mean()) / sheet.transfer.gain_dn_per_e.value
+    light = sheet.bright_stack.mean_dn - dark_dn
     return [
         ("DSNU", "dark, deviation from the mean (e⁻)", dark),
         ("PRNU", "response, deviation from the mean (%)", 100 * (light / light.mean() - 1)),
@@ -198,7 +186,7 @@ def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
 def histogram_plate(sheet: DataSheet) -> Plate:
     """Logarithmic histograms of the stacks' mean images, with the normal law of the same spread."""
     figure = new_figure(8.6, 3.6)
-    table: dict[str, list[float]] = {}
+    table: dict[str, Array] = {}
     for axes, (name, label, map_), colour in zip(figure.subplots(1, 2), deviations(sheet), COLOURS, strict=False):
         reach = 1.02 * max(float(np.abs(map_).max()), 1e-9)
         counts, edges = np.histogram(map_, np.linspace(-reach, reach, BINS + 1))
@@ -209,15 +197,17 @@ def histogram_plate(sheet: DataSheet) -> Plate:
         axes.set_yscale("log")
         axes.set_ylim(0.5, 3 * counts.max())
         finish(axes, label, "pixels per bin")
-        table |= {
-            f"{name.lower()}_bin": centres.tolist(),
-            f"{name.lower()}_pixels": counts.tolist(),
-            f"{name.lower()}_normal": normal.tolist(),
-        }
+        short = name.lower()
+        table |= {f"{short}_bin": centres, f"{short}_pixels": counts, f"{short}_normal": normal}
     caption = (
         "Logarithmic histograms of the mean dark image and of the mean response; what stands beside the normal law is defective."
     )
-    return Plate("histograms", caption, figure, dict(table))
+    return plate("histograms", caption, figure, table)
+
+
+def draw_many(axes: Axes, x: Array, y: Array, look: Look, size: int, **more: Any) -> None:
+    """A thin line through many points, with a few markers, of which there are MARKED to `size` points."""
+    axes.plot(x, y, lw=0.9, ms=4, **look.line | {"ls": "-", "markevery": max(1, size // MARKED)}, **more)
 
 
 def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
@@ -228,19 +218,13 @@ def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
 
 def spectrogram_plate(sheet: DataSheet) -> Plate:
     """Square roots of the power spectra along rows and columns."""
-    stacks: tuple[tuple[str, Array, Stack], ...] = tuple(
-        (name, map_, images)
-        for (name, _, map_), images in zip(deviations(sheet), (sheet.measured.dark_stack, sheet.measured.bright_stack), strict=True)
-    )
     figure = new_figure(8.6, 3.6)
-    table: dict[str, list[float]] = {}
-    for axes, (name, map_, _) in zip(figure.subplots(1, 2), stacks, strict=True):
+    table: dict[str, Array] = {}
+    for axes, (name, _, map_) in zip(figure.subplots(1, 2), deviations(sheet), strict=True):
         for label, axis, look in (("horizontal", 1, DARK), ("vertical", 0, LIGHT)):
             frequency, power = spectrogram(map_, axis)
-            style = look.line | {"ls": "-", "markevery": max(1, power.size // MARKED)}
-            axes.plot(frequency[1:], np.sqrt(power[1:]), lw=0.9, ms=4, label=f"{name}, {label}", **style)
-            table[f"{name.lower()}_{label}_frequency"] = frequency.tolist()
-            table[f"{name.lower()}_{label}_amplitude"] = np.sqrt(power).tolist()
+            draw_many(axes, frequency[1:], np.sqrt(power[1:]), look, power.size, label=f"{name}, {label}")
+            table |= {f"{name.lower()}_{label}_frequency": frequency, f"{name.lower()}_{label}_amplitude": np.sqrt(power)}
         axes.axhline(float(map_.std()), color="0.5", lw=0.8, ls=":")
         axes.set_ylim(0.0, 1.35 * axes.get_ylim()[1])
         finish(axes, "frequency (periods per pixel)", "standard deviation (" + ("e⁻)" if name == "DSNU" else "%)"))
@@ -248,24 +232,23 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
         "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is "
         "level (dotted: the spread of all pixels); column offsets lift the horizontal one above the vertical one."
     )
-    return Plate("spectrograms", caption, figure, filled(table))
+    return plate("spectrograms", caption, figure, table)
 
 
 def profile_plate(sheet: DataSheet) -> Plate:
     """Means of the columns and of the rows."""
     figure = new_figure(8.6, 3.6)
-    table: dict[str, list[float]] = {}
+    table: dict[str, Array] = {}
     for axes, (name, label, map_) in zip(figure.subplots(1, 2), deviations(sheet), strict=True):
         for words, axis, look in (("columns", 0, DARK), ("rows", 1, LIGHT)):
             mean = map_.mean(axis=axis)
-            style = look.line | {"ls": "-", "markevery": max(1, mean.size // MARKED)}
-            axes.plot(np.arange(mean.size), mean, lw=0.9, ms=4, label=f"{name}, means of {words}", zorder=2 + axis, **style)
-            table[f"{name.lower()}_{words}"] = mean.tolist()
+            draw_many(axes, np.arange(mean.size), mean, look, mean.size, label=f"{name}, means of {words}", zorder=2 + axis)
+            table[f"{name.lower()}_{words}"] = mean
         finish(axes, "number of the column or row", label.replace(", deviation from the mean", ""))
     caption = (
         f"Profiles: means over columns and rows, less the mean. The black level leaves {BLACK_SIGMAS:g} σ of the dark below it."
     )
-    return Plate("profiles", caption, figure, filled(table))
+    return plate("profiles", caption, figure, table)
 
 
 TERMINAL_WIDTH = 132

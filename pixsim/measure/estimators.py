@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,7 @@ from pixsim.sensor.pixel import PixelPhysics
 Frames = NDArray[np.int32]
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """What two frames of the same light tell.
 
     mean_dn : of both. variance_dn2 : temporal. frame_variance_dn2 : of the pixels of one frame, fixed pattern included.
@@ -76,19 +76,17 @@ def stack(frames: Iterable[Frames]) -> Stack:
     return Stack(count, np.asarray(total / count), np.asarray(sum_of_squares / (count - 1)))
 
 
-@dataclass(frozen=True)
-class Series:
+class Series(NamedTuple):
     """(n,) means and variances of pairs of frames, over what was varied (photons, seconds)."""
 
-    at: Array = field(repr=False)
-    mean_dn: Array = field(repr=False)
-    variance_dn2: Array = field(repr=False)
-    frame_variance_dn2: Array = field(repr=False)
+    at: Array
+    mean_dn: Array
+    variance_dn2: Array
+    frame_variance_dn2: Array
 
 
 def series(at: Array, pairs: list[Pair]) -> Series:
-    columns = ("mean_dn", "variance_dn2", "frame_variance_dn2")
-    return Series(np.asarray(at, float), *(np.array([getattr(each, name) for each in pairs]) for name in columns))
+    return Series(np.asarray(at, float), *map(np.array, zip(*pairs, strict=True)))
 
 
 SENSITIVITY_SHARE = 0.7  # of saturation: range of the fits of K and R
@@ -115,10 +113,10 @@ class Estimate:
         return Estimate(self.value * factor, self.error * factor)
 
 
-def root(square: Estimate) -> Estimate:
-    """√ of a variance; NaN where the estimate is below zero, as the standard has it."""
+def root(square: Estimate, of_none: float = math.nan) -> Estimate:
+    """√ of a variance; where the estimate is not above zero, `of_none`: NaN, as EMVA 1288 has it, or 0."""
     if square.value <= 0:
-        return Estimate(math.nan, math.sqrt(square.error))
+        return Estimate(of_none, math.sqrt(square.error))
     value = math.sqrt(square.value)
     return Estimate(value, square.error / (2 * value))
 
@@ -150,7 +148,7 @@ def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimat
 class PhotonTransfer:
     """What the light series tells. Electrons and photons are per pixel.
 
-    gain_dn_per_e : K. responsivity_dn_per_p : R. efficiency : η = R/K. dark_noise_e : σ_d. dark_variance_dn2 : σ²_y.dark.
+    gain_dn_per_e : K. responsivity_dn_per_p : R. efficiency : η = R/K. dark_noise_e : σ_d.
     saturation_p, saturation_e : μ_p.sat, μ_e.sat. threshold_p, threshold_e : μ_p.min, μ_e.min.
     limited : whether the quantiser decides σ_d, which is then an upper bound.
     saturation_index, fitted : index of the variance's peak, and which exposures K and R are fitted to.
@@ -160,7 +158,6 @@ class PhotonTransfer:
     responsivity_dn_per_p: Estimate
     efficiency: Estimate
     dark_noise_e: Estimate
-    dark_variance_dn2: Estimate
     saturation_p: Estimate
     saturation_e: Estimate
     threshold_p: Estimate
@@ -194,8 +191,14 @@ def saturation_index(variance_dn2: Array) -> int:
     return int(np.argmax(v))
 
 
-def photon_transfer(light: Series, dark_mean_dn: float, dark_variance_dn2: float, pixels: int) -> PhotonTransfer:
-    """K, R, η, σ_d, saturation and threshold from a light series and one dark pair of a sensor of so many pixels."""
+def photon_transfer(
+    light: Series, dark_mean_dn: float, dark_variance_dn2: float, pixels: int, gain_spread: float = 0.0
+) -> PhotonTransfer:
+    """K, R, η, σ_d, saturation and threshold from a light series and one dark pair of a sensor of so many pixels.
+
+    gain_spread : PRNU of the pixels, so many of which miss the mean gain of their type by spread/√pixels. It is in the standard
+        errors of R and η, which are those of the type
+    """
     signal, excess = light.mean_dn - dark_mean_dn, light.variance_dn2 - dark_variance_dn2
     saturated = saturation_index(light.variance_dn2)
     fitted = signal <= SENSITIVITY_SHARE * signal[saturated]
@@ -213,12 +216,16 @@ def photon_transfer(light: Series, dark_mean_dn: float, dark_variance_dn2: float
     threshold_e = Estimate(threshold_e.value + 0.5, threshold_e.error)
     # Between two exposures the peak may be anywhere: its standard error is at most their distance.
     saturation_p = Estimate(float(light.at[saturated]), float(np.diff(light.at)[saturated - 1]))
+    missed = gain_spread / math.sqrt(pixels)
+
+    def of_type(found: Estimate) -> Estimate:
+        return Estimate(found.value, math.hypot(found.error, found.value * missed))
+
     return PhotonTransfer(
         gain_dn_per_e=gain,
-        responsivity_dn_per_p=response,
-        efficiency=efficiency,
+        responsivity_dn_per_p=of_type(response),
+        efficiency=of_type(efficiency),
         dark_noise_e=dark_noise,
-        dark_variance_dn2=Estimate(dark_variance_dn2, dark_error),
         saturation_p=saturation_p,
         saturation_e=Estimate(saturation_p.value * efficiency.value, saturation_p.error * efficiency.value),
         threshold_p=threshold_e / efficiency,
@@ -226,16 +233,6 @@ def photon_transfer(light: Series, dark_mean_dn: float, dark_variance_dn2: float
         limited=limited,
         saturation_index=saturated,
         fitted=fitted,
-    )
-
-
-def of_pixel_type(found: PhotonTransfer, gain_spread: float, pixels: int) -> PhotonTransfer:
-    """The same with standard errors of what all such pixels have: so many of them miss the mean gain by spread/√pixels."""
-    r, eta, missed = found.responsivity_dn_per_p, found.efficiency, gain_spread / math.sqrt(pixels)
-    return replace(
-        found,
-        responsivity_dn_per_p=Estimate(r.value, math.hypot(r.error, r.value * missed)),
-        efficiency=Estimate(eta.value, math.hypot(eta.error, eta.value * missed)),
     )
 
 
@@ -265,91 +262,57 @@ def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
     return Linearity(deviation, within, float(np.abs(inside).mean()), float(inside.min()), float(inside.max()))
 
 
-@dataclass(frozen=True)
-class NonUniformity:
-    """DSNU1288 in e-, PRNU1288 as a fraction (section 8.2)."""
-
-    dsnu_e: Estimate
-    prnu: Estimate
+def spatial_error(variance: float, left: float, count: int) -> float:
+    """Standard error of a spatial variance of `count` given pixels, by the temporal variance that is left in each."""
+    return math.sqrt((4 * max(variance, 0.0) * left + 2 * left**2) / count)
 
 
 def spatial_error_dn2(images: Stack) -> float:
-    """Standard error of a stack's spatial variance as one of these pixels, by the temporal noise left in the mean image."""
-    left = images.temporal_dn2 / images.frames
-    return math.sqrt((4 * max(images.spatial_dn2, 0.0) * left + 2 * left**2) / images.mean_dn.size)
+    """`spatial_error` of a stack's mean image."""
+    return spatial_error(images.spatial_dn2, images.temporal_dn2 / images.frames, images.mean_dn.size)
 
 
-def dsnu_dn(dark: Stack) -> Estimate:
-    """Spread of the dark images' mean over the pixels, DN."""
-    return root(Estimate(dark.spatial_dn2, spatial_error_dn2(dark)))
+def dsnu_e(dark: Stack, gain: Estimate) -> Estimate:
+    """DSNU1288 = s_dark/K: spread of the dark images' mean over the pixels, e- (section 8.2)."""
+    return root(Estimate(dark.spatial_dn2, spatial_error_dn2(dark))) / gain
 
 
 def prnu(dark: Stack, bright: Stack) -> Estimate:
-    """√(s²_bright - s²_dark) over the signal, from stacks in the dark and at half of saturation; a fraction."""
+    """PRNU1288 = √(s²_bright - s²_dark) over the signal, from stacks in the dark and at half of saturation; a fraction (8.2)."""
     signal = float(bright.mean_dn.mean() - dark.mean_dn.mean())
     error_dn2 = math.hypot(spatial_error_dn2(bright), spatial_error_dn2(dark))
     return root(Estimate(bright.spatial_dn2 - dark.spatial_dn2, error_dn2)) * (1 / signal)
 
 
-def non_uniformity(dark: Stack, bright: Stack, gain: Estimate) -> NonUniformity:
-    """DSNU1288 = s_dark/K and PRNU1288."""
-    return NonUniformity(dsnu_dn(dark) / gain, prnu(dark, bright))
+def parts(images: Stack) -> tuple[Estimate, Estimate, Estimate]:
+    """Spatial variances of a stack that belong to columns, rows and single pixels, DN² (Release 4.0, section 8.3).
 
-
-@dataclass(frozen=True)
-class Parts:
-    """Spatial variances of a stack that belong to columns, rows and single pixels, DN² (Release 4.0, section 8.3)."""
-
-    column_dn2: float
-    row_dn2: float
-    pixel_dn2: float
-
-
-def parts(images: Stack) -> Parts:
-    """The three add up to the spatial variance; each is cleared of what the others and temporal noise leave in it."""
+    The three add up to the spatial variance; each is cleared of what the others and temporal noise leave in it. Standard errors
+    are those of these pixels, by the temporal noise left in means of columns, rows and pixels.
+    """
     rows, columns = images.mean_dn.shape
     mean, noise = images.mean_dn, images.temporal_dn2 / images.frames
     of_columns = float(mean.mean(axis=0).var()) - noise / rows
     of_rows = float(mean.mean(axis=1).var()) - noise / columns
     all_, rest = images.spatial_dn2, rows * columns - rows - columns
-    return Parts(
-        column_dn2=((rows * columns - rows) * of_columns - columns * (all_ - of_rows)) / rest,
-        row_dn2=((rows * columns - columns) * of_rows - rows * (all_ - of_columns)) / rest,
-        pixel_dn2=rows * columns * (all_ - of_columns - of_rows) / rest,
+    column_dn2 = ((rows * columns - rows) * of_columns - columns * (all_ - of_rows)) / rest
+    row_dn2 = ((rows * columns - columns) * of_rows - rows * (all_ - of_columns)) / rest
+    pixel_dn2 = rows * columns * (all_ - of_columns - of_rows) / rest
+    return (
+        Estimate(column_dn2, spatial_error(column_dn2, noise / rows, columns)),
+        Estimate(row_dn2, spatial_error(row_dn2, noise / columns, rows)),
+        Estimate(pixel_dn2, spatial_error(pixel_dn2, noise, rows * columns)),
     )
 
 
-def parts_error_dn2(images: Stack) -> Parts:
-    """Standard errors of `parts` as those of these pixels, by the temporal noise left in means of columns, rows and pixels."""
-    rows, columns = images.mean_dn.shape
-    found, left = parts(images), images.temporal_dn2 / images.frames
-
-    def error(variance: float, noise: float, count: int) -> float:
-        return math.sqrt((4 * max(variance, 0.0) * noise + 2 * noise**2) / count)
-
-    return Parts(
-        column_dn2=error(found.column_dn2, left / rows, columns),
-        row_dn2=error(found.row_dn2, left / columns, rows),
-        pixel_dn2=error(found.pixel_dn2, left, rows * columns),
-    )
-
-
-@dataclass(frozen=True)
-class DarkCurrent:
-    """e- per second and pixel, from the dark's mean and from its variance."""
-
-    from_mean_e_per_s: Estimate
-    from_variance_e_per_s: Estimate
-
-
-def dark_current(dark: Series, gain: Estimate, pixels: int) -> DarkCurrent:
-    """Slopes over integration time (section 7.1): of the mean over K, of the variance over K²."""
+def dark_current(dark: Series, gain: Estimate, pixels: int) -> tuple[Estimate, Estimate]:
+    """e- per second and pixel, from the mean and from the variance: slopes over integration time over K and K² (section 7.1)."""
     of_mean, _ = straight_line(dark.at, dark.mean_dn, np.sqrt(dark.variance_dn2 / (2 * pixels)))
     of_variance, _ = straight_line(dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels))
     variance = of_variance / gain
     # K enters twice, and with it its error.
     error = math.hypot(of_variance.error / gain.value**2, 2 * variance.value / gain.value * gain.error / gain.value)
-    return DarkCurrent(of_mean / gain, Estimate(variance.value / gain.value, error))
+    return of_mean / gain, Estimate(variance.value / gain.value, error)
 
 
 def doubling_k(temperature_k: Array, current_e_per_s: Array, error_e_per_s: Array) -> Estimate:
@@ -368,17 +331,8 @@ TINY = 1e-300
 DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Standard deviations over a patch, DN; total² = temporal² + fixed²."""
-
-    temporal_dn: Estimate
-    fixed_dn: Estimate
-    total_dn: Estimate
-
-
-def noise_15739(frames: Array) -> Noise:
-    """Temporal, fixed-pattern and total noise from (n, rows, columns) frames of one patch, n ≥ 8 (ISO 15739, section 6.2.3).
+def noise_15739(frames: Array) -> tuple[Estimate, Estimate, Estimate]:
+    """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch, n ≥ 8 (ISO 15739, section 6.2.3).
 
     σ_diff² is the mean variance of what single frames differ from their average, σ_ave² that of the average:
     temporal² = n/(n - 1) σ_diff², fixed² = σ_ave² - σ_diff²/(n - 1). PixsimError for fewer frames.
@@ -393,18 +347,10 @@ def noise_15739(frames: Array) -> Noise:
     difference_dn2 = float(np.mean([(each - average).var() for each in frames]))
     temporal_dn2 = n / (n - 1) * difference_dn2
     fixed_dn2 = float(average.var(ddof=1)) - difference_dn2 / (n - 1)
-    left = temporal_dn2 / n
     temporal_error = temporal_dn2 * math.sqrt(2 / (pixels * (n - 1)))
-    fixed_error = math.sqrt((4 * max(fixed_dn2, 0.0) * left + 2 * left**2) / pixels)
-    total_error = math.hypot(temporal_error, fixed_error)
-    squares = (temporal_dn2, temporal_error), (fixed_dn2, fixed_error), (temporal_dn2 + fixed_dn2, total_error)
-    return Noise(*(deviation(*each) for each in squares))
-
-
-def deviation(variance: float, error: float) -> Estimate:
-    """√ of a variance, 0 where it is not above 0; its standard error stays."""
-    value = math.sqrt(max(variance, 0.0))
-    return Estimate(value, error / (2 * value) if value else math.sqrt(error))
+    fixed_error = spatial_error(fixed_dn2, temporal_dn2 / n, pixels)
+    total = Estimate(temporal_dn2 + fixed_dn2, math.hypot(temporal_error, fixed_error))
+    return root(Estimate(temporal_dn2, temporal_error), 0.0), root(Estimate(fixed_dn2, fixed_error), 0.0), root(total, 0.0)
 
 
 def daylight_e_per_lx_s(physics: PixelPhysics) -> float:

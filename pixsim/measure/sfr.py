@@ -122,30 +122,26 @@ def edge_response(
     (True, 5.0)
     """
     data = cropped(picture, region)
-    if saturation is not None:
-        refuse_saturated(data, saturation)
+    if saturation is not None and (full := float(np.mean(data >= saturation))) > MOST_SATURATED:  # a clipped side is sharper
+        mend = "Expose less (--exposure.well-target, --exposure.integration-s)."
+        raise refuse("edge picture", f"{full:.1%} of its pixels saturated (at the top code)", f"at most {MOST_SATURATED:.1%}", mend)
     data, contrast, turned = upright(data)
     intercept, slope = fit_edge(data, np.sign(contrast))
     rows, half_px = rows_and_window(data.shape, intercept, slope, half_window_px)
     distance_px, spread = edge_spread(data, rows, intercept, slope, half_px)
     frequency, sfr = response(spread)
     shown = frequency <= 1.0
-    angle = float(np.degrees(np.arctan(slope)))
+    angle = float(np.degrees(np.arctan(slope)))  # of x = slope · y, y downwards: anticlockwise; of a transposed picture, clockwise
     return EdgeResponse(
         frequency[shown],
         sfr[shown],
         distance_px,
         spread,
-        angle_deg=clockwise_deg(angle, turned),
+        angle_deg=90.0 + angle if turned else -angle,
         half_window_px=half_px,
         rows_used=rows.size,
         contrast=abs(contrast),
     )
-
-
-def clockwise_deg(angle_deg: float, turned: bool) -> float:
-    """An edge x = slope · y, y downwards, leans anticlockwise; one of a transposed picture, y = slope · x, clockwise."""
-    return 90.0 + angle_deg if turned else -angle_deg
 
 
 def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
@@ -165,14 +161,6 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     if not np.isfinite(data).all():
         raise refuse("edge picture", f"{np.count_nonzero(~np.isfinite(data))} values that are no numbers", "finite ones")
     return data
-
-
-def refuse_saturated(data: Array, saturation: float) -> None:
-    """PixsimError where more than a thousandth of the pixels is full: a clipped side sharpens the edge."""
-    full = float(np.mean(data >= saturation))
-    if full > MOST_SATURATED:
-        mend = "Expose less (--exposure.well-target, --exposure.integration-s)."
-        raise refuse("edge picture", f"{full:.1%} of its pixels saturated (at the top code)", f"at most {MOST_SATURATED:.1%}", mend)
 
 
 def upright(data: Array) -> tuple[Array, float, bool]:
@@ -211,7 +199,9 @@ def fit_edge(data: Array, sign: float) -> tuple[float, float]:
     x = np.arange(data.shape[1], dtype=float)
     derivative = sign * np.gradient(data, axis=1)
     steepest = uniform_filter1d(derivative, EDGE_SEARCH_PX, axis=1)[:, 1:-1].argmax(axis=1) + 1.0
-    intercept, slope = robust_line(row, steepest)
+    half = len(row) // 2  # medians: of the slopes between rows half the picture apart, and of what they leave
+    slope = float(np.median((steepest[half:] - steepest[: len(row) - half]) / half))
+    intercept = float(np.median(steepest - slope * row))
     for _ in range(FIT_ROUNDS):
         away = x - (intercept + slope * row)[:, None]
         weight = np.where(np.abs(away) < CENTROID_HALF_PX, np.cos(np.pi * away / (2 * CENTROID_HALF_PX)) ** 2, 0.0) * derivative
@@ -225,13 +215,6 @@ def fit_edge(data: Array, sign: float) -> tuple[float, float]:
     if residual > MOST_RESIDUAL_PX:
         raise no_edge(f"lines that cross it {residual:.2g} px (RMS) from a straight line")
     return float(intercept), float(slope)
-
-
-def robust_line(row: Array, x: Array) -> tuple[float, float]:
-    """Intercept and slope from medians: of the slopes between rows half the picture apart, and of what they leave."""
-    half = len(row) // 2
-    slope = float(np.median((x[half:] - x[: len(x) - half]) / (row[half:] - row[: len(row) - half])))
-    return float(np.median(x - slope * row)), slope
 
 
 def no_edge(got: str) -> PixsimError:
@@ -248,12 +231,12 @@ def rows_and_window(shape: tuple[int, int], intercept: float, slope: float, half
     row = np.arange(height, dtype=float)
     edge = intercept + slope * row
     room = np.minimum(edge, width - 1 - edge) * cos
-    if abs(slope) * height < 1 or abs(np.degrees(np.arctan(slope))) < LEAST_SLANT_DEG:
-        got = f"an edge {abs(np.degrees(np.arctan(slope))):.2g}° from the pixels' own lines, over {height} of them"
+    slant_deg = abs(np.degrees(np.arctan(slope)))
+    if abs(slope) * height < 1 or slant_deg < LEAST_SLANT_DEG:
+        got = f"an edge {slant_deg:.2g}° from the pixels' own lines, over {height} of them"
         allowed = f"{LEAST_SLANT_DEG:g}° and more, and one pixel sideways at least: 5° is usual"
         raise refuse("edge picture", got, allowed, "Without a slant the edge meets one phase of the pixels only.")
-    half_px = float(min(half_window_px, np.sort(room)[height // 2]))
-    half_px = float(np.floor(half_px * BINS_A_PIXEL) / BINS_A_PIXEL)
+    half_px = float(np.floor(min(half_window_px, np.sort(room)[height // 2]) * BINS_A_PIXEL) / BINS_A_PIXEL)
     if half_px < LEAST_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
         raise refuse("edge picture", got, f"{LEAST_HALF_WINDOW_PX} px and more", "Give a --region with the edge in its middle.")

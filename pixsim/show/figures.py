@@ -15,6 +15,7 @@ from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA, PictureAxes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 
@@ -57,6 +58,15 @@ TERM_NAMES = ("lens (diffraction)", "photodiode", "{} interpolation on the displ
 TERM_LOOKS = LOOKS[4:8]
 MANY_POINTS = 50  # of a line: not each gets a marker
 ISO_SMOOTHING_DOTS = 8.0  # about a cycle of the middle frequencies: ΔE peaks in each dark bar
+
+
+def plain_powers(axis: Axis) -> None:
+    """Plain numbers at 1, 2 and 5 on a short logarithmic axis."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:

@@ -7,16 +7,16 @@ Each command begins with an empty cache of its own; where something stands in "a
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import resource
 import statistics
 import subprocess
 import sys
 import tempfile
-import time
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers.timing import fresh, seconds_of
 
 Words = list[str]
 RUN, STUDY = ["run", "csf"], ["study", "chen2000"]
@@ -43,26 +43,17 @@ def started(words: Words, folder: Path, out: str) -> float:
         study.write_text(known.read_text(encoding="utf-8").replace("[display]", "[display]\ngamma = 1.8"), encoding="utf-8")
         words = ["study", str(study)]
     more = [] if "--help" in words else ["--out", str(folder / out)]
-    start = time.perf_counter()
     environment = os.environ | {"PIXSIM_CACHE_DIR": str(folder / "cache")}
-    subprocess.run([sys.executable, "-m", "pixsim", *words, *more], check=True, stdout=subprocess.DEVNULL, env=environment)
-    return time.perf_counter() - start
-
-
-def prepared(before: Words, folder: Path) -> None:
-    started(before, folder, "before")
+    line = [sys.executable, "-m", "pixsim", *words, *more]
+    return seconds_of(partial(subprocess.run, line, check=True, stdout=subprocess.DEVNULL, env=environment))
 
 
 def measure(words: Words, before: Words) -> tuple[float, float]:
-    """Seconds, and GiB of the largest process; in a process of its own, since rusage only grows."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    """Seconds, and GiB of the largest process."""
+    with tempfile.TemporaryDirectory() as folder:
         if before:
-            process = multiprocessing.get_context("spawn").Process(target=prepared, args=(before, folder))
-            process.start()
-            process.join()
-        seconds = started(words, folder, "result")
-    return seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
+            started(before, Path(folder), "before")
+        return fresh(started, words, Path(folder), "result")
 
 
 def main() -> None:
@@ -70,10 +61,7 @@ def main() -> None:
     medians = {}
     print(f"median of {repeats}; {'command':42} {'s':>7} {'GiB':>6}")
     for name, (words, before) in COMMANDS.items():
-        results = []
-        for _ in range(repeats):
-            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-                results.append(pool.submit(measure, words, before).result())
+        results = [measure(words, before) for _ in range(repeats)]
         medians[name] = statistics.median(seconds for seconds, _ in results)
         print(f"{'':13} {name:42} {medians[name]:7.2f} {max(peak for _, peak in results):6.2f}", flush=True)
     ratio = medians["pixsim run csf --variant scalar_spectral"] / medians["pixsim run csf"]

@@ -24,7 +24,7 @@ SENSORS = 8
 # docs/how_small.md
 GATE_SENSOR = {
     "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3, "quantum_efficiency": 0.62, "bits": 12,
-    "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2, "data_sheet_pitch_um": 3.75,
+    "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2, "data_sheet_pitch_um": 3.75
 }  # fmt: skip
 GATE: dict[str, Any] = {
     "name": "gate",

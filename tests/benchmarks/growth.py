@@ -10,10 +10,7 @@ half; memory is told as it is. Nothing is taken from the cache. 8192² takes som
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import resource
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,11 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers.timing import fresh, seconds_of
+
 import pixsim
 from pixsim.studies.study import render_for, study
 
 CONSTANT = 0.2  # an exponent that is none, within the noise of the machine
-GIB = 1 << 20  # of ru_maxrss, in KiB on Linux
 PITCHES_UM = np.geomspace(5.2, 15.0, 64).round(4).tolist()
 
 
@@ -66,9 +65,7 @@ def bands_run(count: int) -> dict[str, float]:
     rng = np.random.default_rng(0)
     image = pixsim.SpectralImage(np.linspace(400, 700, count), 300 / count, 2.65, data=rng.random((1024, 1024, count), np.float32))
     physics = derive(pixsim.Pixel())
-    start = time.perf_counter()
-    diffracted_rate(image, pixsim.Camera(), physics)
-    return {"optics": time.perf_counter() - start}
+    return {"optics": seconds_of(lambda: diffracted_rate(image, pixsim.Camera(), physics))}
 
 
 def study_run(pitches: int, repeats: int, jobs: int) -> dict[str, float]:
@@ -80,12 +77,10 @@ def study_run(pitches: int, repeats: int, jobs: int) -> dict[str, float]:
         "pitch": {"values_um": PITCHES_UM[:: len(PITCHES_UM) // pitches][:pitches]},
     }
     asked = pixsim.Study.model_validate(table)
-    start = time.perf_counter()
-    render_for(asked)
-    rendered = time.perf_counter()
+    render_s = seconds_of(lambda: render_for(asked))
     with tempfile.TemporaryDirectory() as folder:
-        study(asked, folder, jobs=jobs)
-    return {"evaluate": max(time.perf_counter() - rendered - (rendered - start), 0.0)}
+        study_s = seconds_of(lambda: study(asked, folder, jobs=jobs))
+    return {"evaluate": max(study_s - render_s, 0.0)}
 
 
 Axis = tuple[str, Callable[[int], dict[str, float]], tuple[int, ...]]
@@ -99,12 +94,14 @@ AXES: dict[str, Axis] = {
 }
 
 
+def point(axis: str, value: int) -> dict[str, float]:
+    return AXES[axis][1](value)
+
+
 def measured(axis: str, value: int) -> dict[str, float]:
-    """In a process of its own, without the cache: seconds of each stage, and memory in GiB."""
-    command = [sys.executable, __file__, "--point", axis, str(value)]
-    environment = os.environ | {"PIXSIM_CACHE_GIB": "0"}
-    found = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
-    return json.loads(found.stdout.splitlines()[-1])
+    """In a process of its own: seconds of each stage, and memory in GiB."""
+    seconds, gib = fresh(point, axis, value)
+    return seconds | {"GiB": gib}
 
 
 def exponent(values: list[int], seconds: list[float]) -> float:
@@ -142,12 +139,8 @@ def main() -> None:
     parser.add_argument("axes", nargs="*", choices=[*AXES, []], default=[])
     parser.add_argument("--largest", type=int, default=8192)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--point", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.point:
-        found = AXES[options.point[0]][1](int(options.point[1]))
-        print(json.dumps(found | {"GiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / GIB}))
-        return
+    os.environ["PIXSIM_CACHE_GIB"] = "0"
     results = {}
     for name in options.axes or AXES:
         values = [value for value in AXES[name][2] if value <= options.largest]

@@ -9,7 +9,6 @@ sensors each. The rounds are those of a study with target_ci_um, from other even
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.dense_curves import covers, simulated
+from helpers.dense_curves import covers, simulated, simulation_options
 
 from pixsim.base.parameters import Study
 from pixsim.show.figures import LOOKS, new_figure, save_svg
@@ -82,11 +81,7 @@ def draw(grid: tuple[np.ndarray, np.ndarray], rounds: tuple[np.ndarray, np.ndarr
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--studies", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+    options = simulation_options(100, None)
     study = load_study("chen2000")
     with parallel_config(backend="loky", n_jobs=options.jobs, inner_max_num_threads=1):
         pitches_um = even(study, GRID_PITCHES)

@@ -10,7 +10,6 @@ sensors; the same of a curve that falls to the end of the range (`at_the_end`), 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import sys
 import time
@@ -23,7 +22,7 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.dense_curves import Sensors, SimulatedStudy, covers, simulated, truth_of
+from helpers.dense_curves import Sensors, SimulatedStudy, covers, simulated, simulation_options, truth_of
 
 from pixsim.studies.optimum import FittedCurve
 
@@ -111,11 +110,7 @@ def pooled(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--studies", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args()
+    options = simulation_options(1000, OUT)
     cells = list(product((*CURVES, AT_THE_END), PITCHES, REPEATS))
     few = max(1, round(ROUNDS_SHARE * options.studies))
     # BLAS with threads of its own takes several times as long for matrices this small.

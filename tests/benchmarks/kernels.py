@@ -10,14 +10,17 @@ random numbers, transforms and cube roots alone, of the same sizes, in the faste
 
 from __future__ import annotations
 
-import statistics
-import time
+import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import fftconvolve
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers.timing import median_s, seconds_of
 
 from pixsim import optics
 from pixsim.base.arrays import dct, empty_planes, inverse_dct, stream
@@ -39,22 +42,6 @@ CAMERA, DISPLAY, EXPOSURE = Camera(die_mm=DIE_MM), Display(), Exposure()
 PITCHES_UM = (5.3, 6.5, 15.0)
 MOST_TIMES_PARTS = 2.0
 SPREADS = 3  # of the widest Gaussian that a sampled kernel reaches
-
-
-def median_s(work: Work, repeats: int = 11) -> float:
-    work()
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
-
-
-def once_s(work: Work) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 def chart(n: int) -> SpectralImage:
@@ -136,7 +123,8 @@ def plain_display(picture: np.ndarray, dots: int) -> np.ndarray:
 def plain_evaluation(bench: Bench, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
     """Sensor, display and S-CIELAB of one frame; the ideal picture filtered anew."""
     dn = plain_frame(mean_e, bench.physics, seconds, np.random.default_rng(1))
-    shown = plain_display(dn / bench.physics.dn_per_e / white_e, DISPLAY.dots)
+    rows, columns = bench.ideal.shape  # the edge above and to the left is not scored
+    shown = plain_display(dn / bench.physics.dn_per_e / white_e, DISPLAY.dots)[-rows:, -columns:]
     image = (np.rint(255 * np.clip(shown, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
     return plain_delta_e(bench.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
 
@@ -145,7 +133,7 @@ def plain_evaluation(bench: Bench, mean_e: np.ndarray, white_e: float, seconds: 
 
 
 def row(name: str, target_s: float | None, work: Work, plain: Work, repeats: int = 11) -> None:
-    own, plain_s = median_s(work, repeats), once_s(plain)
+    own, plain_s = median_s(work, repeats), seconds_of(plain)
     met = "" if target_s is None else f"{target_s:7.3f} {'yes' if own <= target_s else 'NO':>4}"
     print(f"{name:48} {own:8.4f} {met:12} {plain_s:8.3f} {plain_s / own:7.1f}", flush=True)
 
@@ -179,7 +167,7 @@ def targets() -> None:
 
     chain = partial(plain_frame, frame.mean_e, physics, frame.integration_s, np.random.default_rng(1))
     row("noise of a sensor and a frame, 512²", 0.03, noise, chain)
-    show = partial(frame_luminance, frame, bench.size_um, white_e, DISPLAY)
+    show = partial(frame_luminance, frame, bench.size_um, white_e, DISPLAY, bench.dot_edges_um)
     row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
 
     def evaluation() -> None:

@@ -14,12 +14,16 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers.timing import fresh
 
 import pixsim
 from pixsim.base.parameters import Pixel
@@ -49,27 +53,21 @@ def plain(name: str, resolution: int, sampler: str) -> Picture:
         "height": resolution,
         "component_format": "float32",
         "rfilter": {"type": "box"},
-        **{
-            f"band{k}": {"type": "regular", "wavelength_min": nm - 5, "wavelength_max": nm + 5, "values": "1, 1"}
-            for k, nm in enumerate(BANDS_NM.tolist())
-        },
     }
+    for k, nm in enumerate(BANDS_NM.tolist()):
+        film[f"band{k}"] = {"type": "regular", "wavelength_min": nm - 5, "wavelength_max": nm + 5, "values": "1, 1"}
     with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
         loaded = mi.load_file(str(scene.path), **scene.parameters)
         sensor = pixsim.scene.sensor_node(scene.parse(), None)[1]
-        lens = {
-            key: sensor.props[key]
-            for key in ("type", "fov", "aperture_radius", "focus_distance", "to_world")
-            if key in sensor.props
-        }
+        names = ("type", "fov", "aperture_radius", "focus_distance", "to_world")
+        lens = {key: sensor.props[key] for key in names if key in sensor.props}
 
     def picture(spp: int, seed: int) -> tuple[np.ndarray, float]:
         with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
             camera = mi.load_dict({"type": "thinlens", **lens, "film": film, "sampler": {"type": sampler, "sample_count": spp}})
             start = time.perf_counter()
-            bands = np.asarray(
-                mi.render(loaded, sensor=camera, integrator=mi.load_dict({"type": "path"}), spp=spp, seed=seed), float
-            )
+            path = mi.load_dict({"type": "path"})
+            bands = np.asarray(mi.render(loaded, sensor=camera, integrator=path, spp=spp, seed=seed), float)
             return (bands * weight).sum(axis=2), time.perf_counter() - start
 
     return picture
@@ -77,8 +75,6 @@ def plain(name: str, resolution: int, sampler: str) -> Picture:
 
 def pruned(name: str, resolution: int) -> tuple[Picture, Plan]:
     """pixsim's render, as planned, with other numbers of samples."""
-    from dataclasses import replace
-
     scene = pixsim.load_scene(name, resolution=resolution)
     camera = scene.camera()
     plan = pixsim.make_plan(scene, camera)
@@ -119,19 +115,8 @@ def seconds_to(target: float, ladder: list[tuple[int, float, float]]) -> tuple[f
     return float(np.exp(t[-1] + (goal - e[-1]) / slope)), f"extrapolated from {np.exp(e[-1]):.2%} with error ∝ time^{slope:.2f}"
 
 
-def memory_gib(name: str, resolution: int, spp: int) -> float:
-    """Largest resident set of a fresh process that renders so many samples."""
-    code = (
-        "import sys, resource, pixsim\n"
-        "name, resolution, spp = sys.argv[1:]\n"
-        "pixsim.render(pixsim.load_scene(name, resolution=int(resolution), spp=int(spp)))\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)\n"
-    )
-    return float(
-        subprocess.run(
-            [sys.executable, "-c", code, name, str(resolution), str(spp)], capture_output=True, text=True, check=True
-        ).stdout
-    )
+def render(name: str, resolution: int, spp: int) -> None:
+    pixsim.render(pixsim.load_scene(name, resolution=resolution, spp=spp))
 
 
 def main() -> None:
@@ -143,8 +128,7 @@ def main() -> None:
         target, asked_independent, asked_multijitter = TARGETS[name]
         own, plan = pruned(name, options.resolution)
         ladders = {"pruned": list(rungs(own))}
-        for sampler in ("independent", "multijitter"):
-            ladders[sampler] = list(rungs(plain(name, options.resolution, sampler)))
+        ladders |= {each: list(rungs(plain(name, options.resolution, each))) for each in ("independent", "multijitter")}
         print(f"{name}, {options.resolution}², target {target:.1%} RMS; {plan}")
         reached = {}
         for side, ladder in ladders.items():
@@ -155,7 +139,7 @@ def main() -> None:
         for sampler, asked in (("independent", asked_independent), ("multijitter", asked_multijitter)):
             ratio = reached[sampler] / reached["pruned"]
             print(f"  {ratio:8.1f} times faster than plain {sampler} (asked for {asked:g}): {'yes' if ratio >= asked else 'NO'}")
-        few, many = (memory_gib(name, options.resolution, spp) for spp in (4, 256))
+        few, many = (fresh(render, name, options.resolution, spp)[1] for spp in (4, 256))
         print(f"  memory of a process: {few:.2f} GiB with 4 samples, {many:.2f} GiB with 256")
 
 

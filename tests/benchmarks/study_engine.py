@@ -11,9 +11,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import tempfile
-import time
+from functools import partial
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers.timing import seconds_of
 
 import pixsim
 from pixsim.studies.evaluations import Lights, bench_at, stream_key
@@ -40,12 +44,14 @@ def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
     irradiance, camera = render_for(study)
     light = Lights(study, irradiance, camera).of("0.35um")
-    start = time.perf_counter()
-    for pitch_um in PITCHES_UM:
-        bench = bench_at(study, light, camera, "0.35um", pitch_um)
-        for repeat in range(TIMED):
-            bench.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
-    return (time.perf_counter() - start) / (TIMED * len(PITCHES_UM))
+
+    def evaluations() -> None:
+        for pitch_um in PITCHES_UM:
+            bench = bench_at(study, light, camera, "0.35um", pitch_um)
+            for repeat in range(TIMED):
+                bench.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
+
+    return seconds_of(evaluations) / (TIMED * len(PITCHES_UM))
 
 
 def main() -> None:
@@ -67,9 +73,7 @@ def main() -> None:
                 os.environ["PIXSIM_CACHE_DIR"] = str(Path(folder) / "cache")
                 if kept == "frames found":
                     pixsim.study(study, Path(folder) / "before", **how)
-                start = time.perf_counter()
-                pixsim.study(study, Path(folder) / "out", **how)
-                taken_ms = 1e3 * (time.perf_counter() - start)
+                taken_ms = 1e3 * seconds_of(partial(pixsim.study, study, Path(folder) / "out", **how))
             each_ms = taken_ms / count
             beyond_ms = each_ms - own_ms / processes
             print(f"{name:12} {kept:13} {taken_ms / 1e3:6.1f} s, {each_ms:5.2f} ms each, beyond the work {beyond_ms:5.2f} ms")

@@ -7,6 +7,7 @@ A simulated study draws the places of its pitches anew, a residual that the sens
 
 from __future__ import annotations
 
+import argparse
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -158,3 +159,12 @@ def covers(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
     above = low is None or (pitch_um[0] <= truth.best_um and low <= truth.best_um)
     below = high is None or (truth.best_um <= pitch_um[-1] and truth.best_um <= high)
     return above and below
+
+
+def simulation_options(studies: int, out: Path | None) -> argparse.Namespace:
+    """The command line of a benchmark of simulated studies."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--studies", type=int, default=studies)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=out)
+    return parser.parse_args()

@@ -24,21 +24,21 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from judges.gates import not_met, verdict
 from scipy.signal.windows import tukey
 
 import pixsim
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
-from pixsim.measure.sfr import BINS_A_PIXEL, HALF_WINDOW_PX, NYQUIST_CY_PER_PX, TAPER, EdgeResponse, edge_response
+from pixsim.measure.sfr import BINS_A_PIXEL, NYQUIST_CY_PER_PX, TAPER, EdgeResponse, edge_response
 from pixsim.scene import charts
 from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
 from pixsim.sensor.pixel import derive
@@ -58,8 +58,7 @@ SIGMAS = 5.0  # Student's t of 15 degrees of freedom at 64 frequencies: 1 in 100
 SCATTER = (0.003, 0.05)  # a frame without noise has none, and one with ten times as much has no MTF to speak of
 
 
-@dataclass(frozen=True)
-class Work:
+class Work(NamedTuple):
     """Texels across the edge and along it, film, samples a cell, and whether each f-number is rendered anew."""
 
     texels: tuple[int, int]
@@ -91,9 +90,9 @@ def rendered(work: Work, angle_deg: float, f_number: float, folder: Path) -> Spe
     return pixsim.render(scene, camera_of(f_number))
 
 
-def irradiance_of(work: Work, angle_deg: float, f_number: float, folder: Path) -> SpectralImage:
+def irradiance_of(work: Work, setting: Setting, folder: Path) -> SpectralImage:
     """Without diffraction the picture of a chart in focus is the same at all f-numbers but for a factor."""
-    return rendered(work, angle_deg, f_number if work.anew else F_NUMBERS[0], folder)
+    return rendered(work, setting.angle_deg, setting.f_number if work.anew else F_NUMBERS[0], folder)
 
 
 def theory(
@@ -110,14 +109,13 @@ def theory(
 
 
 @cache
-def sensed(work: Work, angle_deg: float, f_number: float, pitch_um: float, folder: Path) -> np.ndarray:
+def sensed(work: Work, setting: Setting, folder: Path) -> np.ndarray:
     """Mean electrons a second of every pixel: diffraction and photodiode, no noise."""
-    image = irradiance_of(work, angle_deg, f_number, folder)
-    return mean_signal_rate(image, camera_of(f_number), derive(Pixel(pitch_um=pitch_um)))
+    image = irradiance_of(work, setting, folder)
+    return mean_signal_rate(image, camera_of(setting.f_number), derive(Pixel(pitch_um=setting.pitch_um)))
 
 
-@dataclass(frozen=True)
-class Setting:
+class Setting(NamedTuple):
     angle_deg: float
     f_number: float
     pitch_um: float
@@ -136,14 +134,13 @@ def truth(
 ) -> np.ndarray:
     """The theory of a setting; of another f-number, or of a photodiode `side` times as wide, to see that it would show."""
     pixel = Pixel(pitch_um=setting.pitch_um)
-    image = irradiance_of(work, setting.angle_deg, setting.f_number, folder)
+    image = irradiance_of(work, setting, folder)
     effective = camera_of(f_number or setting.f_number).effective_f_number
     return theory(frequency_cy_per_px, setting.angle_deg, image, effective, pixel, side * derive(pixel).photodiode_side_um)
 
 
-def estimate(setting: Setting, work: Work, folder: Path, half_window_px: float = HALF_WINDOW_PX) -> EdgeResponse:
-    rate = sensed(work, setting.angle_deg, setting.f_number, setting.pitch_um, folder)
-    return edge_response(rate, half_window_px=half_window_px)
+def estimate(setting: Setting, work: Work, folder: Path) -> EdgeResponse:
+    return edge_response(sensed(work, setting, folder))
 
 
 def worst(curve: Curve, setting: Setting, work: Work, folder: Path, **told: float) -> float:
@@ -158,11 +155,10 @@ def curve_of(found: EdgeResponse) -> Curve:
     return found.frequency_cy_per_px, found.sfr
 
 
-def row(judge: str, gate: str, measured: float, met: bool) -> dict[str, Any]:
-    return {"judge": judge, "standard": STANDARD, "gate": gate, "measured": measured, "met": bool(met)}
+row = partial(verdict, STANDARD)
 
 
-def sfr_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
+def sfr_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     """Largest difference from the theory, and the angle, at each setting."""
     found = []
     for setting in SETTINGS:
@@ -178,8 +174,8 @@ def sfr_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
 # --- a second estimator, written by others ----------------------------------------------------------------------------
 
 
-def second_curve(rate: np.ndarray, half_window_px: float) -> tuple[Curve, float]:
-    """e-SFR and angle by quickMTF (after C. Asplund's slanted edge code): its own edge, distances, bins and derivative.
+def second_curve(rate: np.ndarray, half_window_px: float) -> Curve:
+    """e-SFR by quickMTF (after C. Asplund's slanted edge code): its own edge, distances, bins and derivative.
 
     Two things of it are replaced: a Hann window of ±5 px, which costs 0.06 at f/8, by a Tukey one as
     wide as ours; and the correction of the derivative, which version 2023.3.3 clips to 1, so that there is none. Neither has it
@@ -193,18 +189,17 @@ def second_curve(rate: np.ndarray, half_window_px: float) -> tuple[Curve, float]
         return tukey(2 * half, TAPER), 0, [peak - half, peak + half]
 
     estimator.filter_window = wide
-    mtf, status = estimator.calc_sfr(rate, oversampling=BINS_A_PIXEL)
+    mtf, _ = estimator.calc_sfr(rate, oversampling=BINS_A_PIXEL)
     frequency = mtf[:, 0]
-    return (frequency, mtf[:, 1] / np.sinc(frequency / 4) / np.sinc(frequency / 2)), float(status["angle"])
+    return frequency, mtf[:, 1] / np.sinc(frequency / 4) / np.sinc(frequency / 2)
 
 
-def second_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
+def second_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     """The same gate for the others' estimator against the theory, and both against each other."""
     found = []
     for setting in SETTINGS:
-        rate = sensed(work, setting.angle_deg, setting.f_number, setting.pitch_um, folder)
         own = estimate(setting, work, folder)
-        curve, _ = second_curve(rate, own.half_window_px)
+        curve = second_curve(sensed(work, setting, folder), own.half_window_px)
         off = worst(curve, setting, work, folder)
         found.append(row(f"quickMTF - MTF, {setting.name}", f"±{GATE} to Nyquist", off, abs(off) <= GATE))
         kept = curve[0] <= NYQUIST_CY_PER_PX
@@ -216,12 +211,11 @@ def second_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
 # --- with noise -------------------------------------------------------------------------------------------------------
 
 
-def noise_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
+def noise_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     """Frames of as many sensors, quantised: their mean e-SFR is that without noise, as far as their own scatter tells."""
     setting = Setting(5.0, 2.8, 6.5)
     physics = derive(Pixel(pitch_um=setting.pitch_um, black_level_dn=16))
-    rate = sensed(work, setting.angle_deg, setting.f_number, setting.pitch_um, folder)
-    image, camera = irradiance_of(work, setting.angle_deg, setting.f_number, folder), camera_of(setting.f_number)
+    rate, image, camera = sensed(work, setting, folder), irradiance_of(work, setting, folder), camera_of(setting.f_number)
     curves = []
     for seed in range(FRAMES):
         sensor = draw_sensor(physics, rate.shape, np.random.default_rng([1, seed]))
@@ -238,11 +232,11 @@ def noise_rows(work: Work, folder: Path) -> list[dict[str, Any]]:
         same,
         row("noisy frames - noiseless", f"±{SIGMAS} σ of their mean at {kept.sum()} frequencies", float(z[np.abs(z).argmax()]),
             np.abs(z).max() <= SIGMAS),
-        row("noise of one frame's e-SFR", f"{SCATTER[0]} to {SCATTER[1]}", scatter, SCATTER[0] <= scatter <= SCATTER[1]),
+        row("noise of one frame's e-SFR", f"{SCATTER[0]} to {SCATTER[1]}", scatter, SCATTER[0] <= scatter <= SCATTER[1])
     ]  # fmt: skip
 
 
-def rows(work: Work = BOUNDED, folder: Path | None = None) -> list[dict[str, Any]]:
+def rows(work: Work = BOUNDED, folder: Path | None = None) -> list[dict[str, object]]:
     """All that this judge measures, a dict each: judge, standard, gate, measured, met."""
     if folder is None:
         with TemporaryDirectory() as own:
@@ -262,23 +256,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     texels_of.cache_clear()
 
 
-def missed(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [each for each in found if not each["met"]]
-
-
 def test_the_edge_has_the_mtf_of_diffraction_and_photodiode(folder: Path) -> None:
     found = sfr_rows(BOUNDED, folder)
     assert len(found) == 24
-    assert not missed(found)
+    assert not not_met(found)
 
 
 def test_noise_and_quantisation_leave_the_mtf_as_it_is(folder: Path) -> None:
-    assert not missed(noise_rows(BOUNDED, folder))
+    assert not not_met(noise_rows(BOUNDED, folder))
 
 
 def test_a_second_estimator_agrees(folder: Path) -> None:
     pytest.importorskip("quickMTF", reason="the second estimator, quickMTF, is in the test extra")
-    assert not missed(second_rows(BOUNDED, folder))
+    assert not not_met(second_rows(BOUNDED, folder))
 
 
 @pytest.mark.parametrize(
@@ -296,30 +286,12 @@ def test_five_percent_of_the_f_number_or_three_of_the_photodiode_would_show(
     assert abs(worst(curve_of(estimate(setting, BOUNDED, folder)), setting, BOUNDED, folder, **told)) > GATE
 
 
-def test_an_estimator_without_its_corrections_would_show(folder: Path) -> None:
-    setting = Setting(5.0, 2.8, 6.5)
-    frequency, sfr = curve_of(estimate(setting, BOUNDED, folder))
-    for own in (np.sinc(frequency / 4), np.sinc(frequency / 2)):
-        assert worst((frequency, sfr * own), setting, BOUNDED, folder) < -GATE
-
-
 def test_the_packaged_texture_would_show(folder: Path) -> None:
     setting = Setting(5.0, 2.8, 6.5)
     coarse = Work((1024, 1024), 1024, 4, False)
     assert worst(curve_of(estimate(setting, coarse, folder)), setting, coarse, folder) < -10 * GATE
 
 
-def test_a_window_of_20_pixels_would_show(folder: Path) -> None:
-    """Under a window without a flat middle, as ISO 12233:2017 has it; it loses 0.015, ours 0.010."""
-    setting = Setting(5.0, 8.0, 5.3)
-    edge = estimate(setting, BOUNDED, folder, 20.0)
-    line = np.gradient(edge.edge_spread) * np.hamming(edge.edge_spread.size)
-    frequency = np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL)
-    sfr = np.abs(np.fft.rfft(line)) / abs(line.sum()) / np.sinc(frequency / 4) / np.sinc(frequency / 2)
-    assert worst((frequency, sfr), setting, BOUNDED, folder) > GATE
-    assert abs(worst(curve_of(estimate(setting, BOUNDED, folder, 48.0)), setting, BOUNDED, folder)) < GATE
-
-
 @pytest.mark.judges_full
 def test_in_full(folder: Path) -> None:
-    assert not missed(rows(FULL, folder))
+    assert not not_met(rows(FULL, folder))

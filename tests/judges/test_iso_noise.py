@@ -19,26 +19,24 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
+from judges.gates import not_met, verdict
 
 from pixsim.base.parameters import Pixel
-from pixsim.measure.datasheet import SPEED, dark_map_e, entries, make_datasheet
+from pixsim.measure.datasheet import NOISE, SPEED, dark_map_e, entries, make_datasheet
 from pixsim.measure.estimators import daylight_e_per_lx_s, noise_15739
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.pixel import derive
 
 NOISE_GATE, LIGHT_GATE, SATURATION_GATE, SPEED_GATE = 0.005, 0.002, 0.002, 0.02
-NOISE_STANDARD, SPEED_STANDARD = "ISO 15739", "ISO 12232"
 SIDE = 400
 WELL_SHARES = 0.02, 0.13, 0.6
-CASES: tuple[tuple[str, float, int, int], ...] = (("0.35um", 5.3, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.2, 12, 64))
-MORE_CASES: tuple[tuple[str, float, int, int], ...] = (("0.35um", 6.5, 12, 16), ("0.5um", 9.0, 12, 16),
-                                                       ("0.25um", 5.0, 12, 16), ("0.18um", 3.0, 12, 16),
-                                                  ("4t-fsi", 2.2, 12, 128))  # fmt: skip
-Case = tuple[str, float, int, int]
+Case = tuple[str, float, int, int]  # technology, pitch in µm, bits, frames
+CASES: tuple[Case, ...] = (("0.35um", 5.3, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.2, 12, 64))
+MORE_CASES: tuple[Case, ...] = (("0.35um", 6.5, 12, 16), ("0.5um", 9.0, 12, 16), ("0.25um", 5.0, 12, 16),
+                                ("0.18um", 3.0, 12, 16), ("4t-fsi", 2.2, 12, 128))  # fmt: skip
 
 
 def pixel_of(case: Case) -> Pixel:
@@ -63,12 +61,9 @@ def noise_offs(case: Case) -> list[tuple[str, float]]:
     for share in WELL_SHARES:
         signal_e = share * experiment.physics.full_well_e
         frames = np.stack([*experiment.frames(case[3], signal_e / experiment.efficiency, "iso", share)])
-        noise, (temporal, fixed) = noise_15739(frames), injected_dn(experiment, signal_e)
-        for name, got, true in (
-            ("temporal", noise.temporal_dn, temporal),
-            ("fixed-pattern", noise.fixed_dn, fixed),
-            ("total", noise.total_dn, math.hypot(temporal, fixed)),
-        ):
+        injected = injected_dn(experiment, signal_e)
+        names = "temporal", "fixed-pattern", "total"
+        for name, got, true in zip(names, noise_15739(frames), (*injected, math.hypot(*injected)), strict=True):
             found.append((f"{name} noise at {100 * share:g} % of the well", got.value / true - 1))
     return found
 
@@ -96,39 +91,31 @@ def speed_offs(case: Case) -> list[tuple[str, float]]:
     return [(each.symbol, each.off) for each in entries(sheet) if each.standard == SPEED and math.isfinite(each.off)]
 
 
-def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, Any]]:
+def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     """A row for each pixel and quantity, for tables."""
     table = []
     for case in cases:
-        name = f"{case[0]}, {case[1]:g} µm"
-        for quantity, off in noise_offs(case):
-            table.append(row(NOISE_STANDARD, f"{quantity}: {name}", NOISE_GATE, off))
-        table.append(row(SPEED_STANDARD, f"electrons per lx·s of D65 by colour-science: {name}", LIGHT_GATE, light_off(case)))
+        found = [(NOISE, quantity, NOISE_GATE, off) for quantity, off in noise_offs(case)]
+        found.append((SPEED, "electrons per lx·s of D65 by colour-science", LIGHT_GATE, light_off(case)))
         for symbol, off in speed_offs(case):
-            table.append(row(SPEED_STANDARD, f"{symbol}: {name}", SATURATION_GATE if symbol == "S_sat" else SPEED_GATE, off))
+            found.append((SPEED, symbol, SATURATION_GATE if symbol == "S_sat" else SPEED_GATE, off))
+        for standard, quantity, gate, off in found:
+            judge, told = f"{quantity}: {case[0]}, {case[1]:g} µm", f"within {100 * gate:g} % of what is injected"
+            table.append(verdict(standard, judge, told, f"{100 * off:+.2f} %", abs(off) <= gate))
     return table
-
-
-def row(standard: str, judge: str, gate: float, off: float) -> dict[str, Any]:
-    gate_told, measured = f"within {100 * gate:g} % of what is injected", f"{100 * off:+.2f} %"
-    return {"judge": judge, "standard": standard, "gate": gate_told, "measured": measured, "met": bool(abs(off) <= gate)}
-
-
-def missed(table: list[dict[str, Any]]) -> list[str]:
-    return [f"{each['judge']}: {each['measured']}, {each['gate']}" for each in table if not each["met"]]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]}-{case[1]}")
 def test_noise_and_speed_are_those_injected(case: Case) -> None:
     table = rows((case,))
     assert len(table) >= 11
-    assert not missed(table)
+    assert not not_met(table)
 
 
 @pytest.mark.judges_full
 @pytest.mark.parametrize("case", MORE_CASES, ids=lambda case: f"{case[0]}-{case[1]}")
 def test_noise_and_speed_of_other_pixels_are_those_injected(case: Case) -> None:
-    assert not missed(rows((case,)))
+    assert not not_met(rows((case,)))
 
 
 def test_two_per_cent_more_noise_is_found_out() -> None:
@@ -136,9 +123,9 @@ def test_two_per_cent_more_noise_is_found_out() -> None:
     frames = np.stack([*experiment.frames(8, 0.0, "iso", "more")])
     noisier = frames.mean(axis=0) + 1.02 * (frames - frames.mean(axis=0))
     temporal, fixed = injected_dn(experiment, 0.0)
-    right, wrong = noise_15739(frames), noise_15739(noisier)
-    assert abs(right.temporal_dn.value / temporal - 1) < NOISE_GATE < abs(wrong.temporal_dn.value / temporal - 1)
-    assert abs(noise_15739(frames + 0.02 * frames.mean(axis=0)).fixed_dn.value / fixed - 1) > NOISE_GATE
+    right, wrong = (abs(noise_15739(each)[0].value / temporal - 1) for each in (frames, noisier))
+    assert right < NOISE_GATE < wrong
+    assert abs(noise_15739(frames + 0.02 * frames.mean(axis=0))[1].value / fixed - 1) > NOISE_GATE
 
 
 def test_another_light_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pytest
+from judges.gates import not_met, verdict
 
 from pixsim.base.arrays import stream
 from pixsim.base.parameters import Pixel
@@ -114,44 +114,33 @@ def quantiser_cost_db(bits: int = 10) -> tuple[float, float]:
     return 10 * math.log10(seen_dn2 / true_dn2), 10 * math.log10(1 + 1 / 12 / true_dn2)
 
 
-def rows(side: int = SIDE) -> list[dict[str, Any]]:
+def rows(side: int = SIDE) -> list[dict[str, object]]:
     """A row for each technology, one for all, one for the quantiser, for tables."""
     table = []
     for technology, own in deviations(side).items():
         worst = max(own.values(), key=abs)
         measured = f"worst {worst:+.1f} errors of {error_db(side):.3f} dB, {len(own)} values"
-        table.append(row(technology, f"no value off by more than {WORST:g} statistical errors", measured, abs(worst) <= WORST))
-    rms = rms_of(side)
-    table.append(row("all technologies", f"RMS of {RMS[0]} to {RMS[1]} statistical errors", f"{rms:.2f}", RMS[0] <= rms <= RMS[1]))
+        gate = f"no value off by more than {WORST:g} statistical errors"
+        table.append(verdict(STANDARD, technology, gate, measured, abs(worst) <= WORST))
+    every = np.array([value for own in deviations(side).values() for value in own.values()])
+    rms, gate = float(np.sqrt(np.mean(every**2))), f"RMS of {RMS[0]} to {RMS[1]} statistical errors"
+    table.append(verdict(STANDARD, "all technologies", gate, f"{rms:.2f}", RMS[0] <= rms <= RMS[1]))
     cost, expected = quantiser_cost_db()
     met = abs(cost - expected) <= DECIBEL_COST_GATE and 5.5 <= cost <= 7
     gate = f"within {DECIBEL_COST_GATE} dB of LSB²/12, which is {expected:.2f} dB"
-    return [*table, row("10 bits at 15 µm", gate, f"{cost:.2f} dB", met)]
-
-
-def rms_of(side: int) -> float:
-    every = np.array([value for own in deviations(side).values() for value in own.values()])
-    return float(np.sqrt(np.mean(every**2)))
-
-
-def row(judge: str, gate: str, measured: str, met: bool) -> dict[str, Any]:
-    return {"judge": judge, "standard": STANDARD, "gate": gate, "measured": measured, "met": bool(met)}
-
-
-def missed(table: list[dict[str, Any]]) -> list[str]:
-    return [f"{each['judge']}: {each['measured']}, {each['gate']}" for each in table if not each["met"]]
+    return [*table, verdict(STANDARD, "10 bits at 15 µm", gate, f"{cost:.2f} dB", met)]
 
 
 def test_measured_range_and_snr_are_those_of_the_equations() -> None:
     table = rows()
     assert len(table) == len(PITCHES_UM) + 2
-    assert not missed(table)
+    assert not not_met(table)
 
 
 @pytest.mark.judges_full
 def test_measured_range_and_snr_are_those_of_the_equations_to_a_hundredth_of_a_decibel() -> None:
     assert error_db(FULL_SIDE) < 0.01
-    assert not missed(rows(FULL_SIDE))
+    assert not not_met(rows(FULL_SIDE))
 
 
 def test_pixsims_own_equations_are_the_papers() -> None:

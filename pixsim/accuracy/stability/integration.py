@@ -12,7 +12,6 @@ from pixsim.base.arrays import Array
 from pixsim.sensor.integration import integrate_pixels
 from pixsim.viewer.display import average_axis
 
-SAMPLE_UM = 1.0
 ALMOST = 1e-12
 RATIOS = (1.0, 7 / 3, math.pi, 1 / 3, 0.3)  # pitch over grid
 NAMED = "1, 7/3, π, 1/3, 0.3"
@@ -27,11 +26,13 @@ KEPT = 4 * EPS  # the same for sums over all pixels, where the spline's part can
 
 def cases() -> Iterator[Case]:
     picture = np.random.default_rng(0).uniform(0.5, 1.5, (SIDE, SIDE))
-    yield from _conservation(picture)
-    yield from _pictures()
-    yield from _sample_borders(picture)
-    yield from _small_and_large(picture)
-    yield from _dots(picture)
+    for each in (_conservation, _pictures, _sample_borders, _small_and_large, _dots):
+        yield from each(picture)
+
+
+def integrated(picture: Array, pitch_um: float, side_um: float | None = None) -> Array:
+    """Of samples of 1 µm; photodiodes without gaps unless told otherwise."""
+    return integrate_pixels(picture, 1.0, pitch_um, pitch_um if side_um is None else side_um)
 
 
 def plane(rows_um: Array, columns_um: Array, length_um: float) -> Array:
@@ -39,8 +40,8 @@ def plane(rows_um: Array, columns_um: Array, length_um: float) -> Array:
     return 1 + rows_um[:, None] / length_um + 2 * columns_um / length_um
 
 
-def sampled_plane(shape: tuple[int, int], sample_um: float, length_um: float) -> Array:
-    rows, columns = ((np.arange(n, dtype=float) + 0.5) * sample_um for n in shape)
+def sampled_plane(shape: tuple[int, int], length_um: float) -> Array:
+    rows, columns = (np.arange(n, dtype=float) + 0.5 for n in shape)
     return plane(rows, columns, length_um)
 
 
@@ -50,15 +51,10 @@ def centres_um(count: int, pitch_um: float, length_um: float) -> Array:
 
 def _conservation(picture: Array) -> Iterator[Case]:
     for name, ratio in (("1", 1.0), ("1 + 1e-12", 1 + ALMOST), ("1/3", 1 / 3), ("4/7", 4 / 7)):
-        got = integrate_pixels(picture, SAMPLE_UM, ratio * SAMPLE_UM, ratio * SAMPLE_UM)
-        yield compare(
-            f"electrons of all photodiodes without gaps, pitch/grid {name}",
-            picture.sum(),
-            got.sum(),
-            KEPT * SIDE,
-            "conservation; roundings of sums",
-        )
-    got = integrate_pixels(picture, SAMPLE_UM, (1 - ALMOST) * SAMPLE_UM, (1 - ALMOST) * SAMPLE_UM)
+        got = integrated(picture, ratio)
+        name = f"electrons of all photodiodes without gaps, pitch/grid {name}"
+        yield compare(name, picture.sum(), got.sum(), KEPT * SIDE, "conservation; roundings of sums")
+    got = integrated(picture, 1 - ALMOST)
     left_out = SIDE * ALMOST / 2 * sum(picture[at].sum() for at in ((0,), (-1,), (slice(None), 0), (slice(None), -1)))
     yield compare(
         "electrons of all photodiodes without gaps, pitch/grid 1 - 1e-12",
@@ -68,43 +64,33 @@ def _conservation(picture: Array) -> Iterator[Case]:
         "conservation, less the border of 3.2e-11 samples that the array leaves out: 2e-12 of the whole, known to within itself",
     )
     thirds = np.random.default_rng(1).uniform(0.5, 1.5, (63, 70))
-    got = integrate_pixels(thirds, SAMPLE_UM, 7 / 3, 7 / 3)
+    got = integrated(thirds, 7 / 3)
     yield compare("electrons of all photodiodes without gaps, pitch/grid 7/3", thirds.sum(), got.sum(), KEPT * 70, "conservation")
     for sign in (1, -1):
-        got = integrate_pixels(picture, SAMPLE_UM, 1 + sign * ALMOST, 1 + sign * ALMOST)
-        yield compare(
-            f"every pixel, pitch/grid 1 {'+' if sign > 0 else '-'} 1e-12",
-            picture,
-            got,
-            4 * SIDE * ALMOST,
-            "limit: the samples themselves; along either axis, borders move by 3.2e-11 samples between values 2 apart at most",
-            scale=1.0,
-        )
+        got = integrated(picture, 1 + sign * ALMOST)
+        name = f"every pixel, pitch/grid 1 {'+' if sign > 0 else '-'} 1e-12"
+        source = "limit: the samples themselves; along either axis, borders move by 3.2e-11 samples between values 2 apart at most"
+        yield compare(name, picture, got, 4 * SIDE * ALMOST, source, scale=1.0)
 
 
-def _pictures() -> Iterator[Case]:
+def _pictures(_: Array) -> Iterator[Case]:
     shapes = ((SIDE, SIDE), (5, 60), (60, 4), (LONG, 4))
     for name, flat in (("even", True), ("linear", False)):
         wanted, found, unit = [], [], []
         for shape in shapes:
-            length_um = max(shape) * SAMPLE_UM
-            picture = np.full(shape, 3.7) if flat else sampled_plane(shape, SAMPLE_UM, length_um)
+            length_um = max(shape)
+            picture = np.full(shape, 3.7) if flat else sampled_plane(shape, length_um)
             for ratio in RATIOS:
-                side_um = 0.6 * ratio * SAMPLE_UM
-                got = integrate_pixels(picture, SAMPLE_UM, ratio * SAMPLE_UM, side_um)
-                y, x = (centres_um(k, ratio * SAMPLE_UM, n * SAMPLE_UM) for k, n in zip(got.shape, shape, strict=True))
+                side_um = 0.6 * ratio
+                got = integrated(picture, ratio, side_um)
+                y, x = (centres_um(k, ratio, n) for k, n in zip(got.shape, shape, strict=True))
                 truth = np.full(got.shape, 3.7) if flat else plane(y, x, length_um)
                 wanted.append((truth * side_um**2).ravel())
                 found.append(got.ravel())
                 unit.append(np.full(got.size, truth.max() * side_um * max(shape)))
-        yield compare(
-            f"{name} pictures of 64×64 to 20 000×4 samples, pitch/grid {NAMED}",
-            np.concatenate(wanted),
-            np.concatenate(found),
-            ROUNDED,
-            "closed form; roundings of a running sum of n samples, relative to n samples",
-            scale=np.concatenate(unit),
-        )
+        name = f"{name} pictures of 64×64 to 20 000×4 samples, pitch/grid {NAMED}"
+        source = "closed form; roundings of a running sum of n samples, relative to n samples"
+        yield compare(name, np.concatenate(wanted), np.concatenate(found), ROUNDED, source, scale=np.concatenate(unit))
 
 
 def _sample_borders(picture: Array) -> Iterator[Case]:
@@ -124,45 +110,28 @@ def _sample_borders(picture: Array) -> Iterator[Case]:
             )
             wanted.append((sums * sample_um**2).ravel())
             found.append(integrate_pixels(picture, sample_um, pitch * sample_um, side * sample_um).ravel())
-    yield compare(
-        "photodiode edges on the borders of samples of 0.001 to π µm",
-        np.concatenate(wanted),
-        np.concatenate(found),
-        ROUNDED * SIDE,
-        "plain sums over the samples; roundings of a running sum",
-    )
+    name = "photodiode edges on the borders of samples of 0.001 to π µm"
+    source = "plain sums over the samples; roundings of a running sum"
+    yield compare(name, np.concatenate(wanted), np.concatenate(found), ROUNDED * SIDE, source)
 
 
 def _small_and_large(picture: Array) -> Iterator[Case]:
     tiny = [np.random.default_rng(3).uniform(0.5, 1.5, shape) for shape in ((1, 1), (2, 2), (3, 3), (SIDE, SIDE))]
-    yield compare(
-        "one pixel that covers the picture, 1×1 to 64×64 samples",
-        [each.sum() for each in tiny],
-        [integrate_pixels(each, SAMPLE_UM, len(each) * SAMPLE_UM, len(each) * SAMPLE_UM).item() for each in tiny],
-        KEPT * SIDE,
-        "the sum of the samples",
-    )
+    name, source = "one pixel that covers the picture, 1×1 to 64×64 samples", "the sum of the samples"
+    yield compare(name, [each.sum() for each in tiny], [integrated(each, len(each)).item() for each in tiny], KEPT * SIDE, source)
     long = np.random.default_rng(4).uniform(0.5, 1.5, (LONG, 3))
-    yield compare(
-        "20 000×3 samples of 0.1 µm in pixels of 0.3 µm: electrons of all",
-        long[1:-1].sum() * 0.01,
-        integrate_pixels(long, 0.1, 0.3, 0.3).sum(),
-        KEPT * LONG,
-        "conservation: 6666 pixels, centred, leave out one sample at either end",
-    )
+    name = "20 000×3 samples of 0.1 µm in pixels of 0.3 µm: electrons of all"
+    source = "conservation: 6666 pixels, centred, leave out one sample at either end"
+    yield compare(name, long[1:-1].sum() * 0.01, integrate_pixels(long, 0.1, 0.3, 0.3).sum(), KEPT * LONG, source)
     small = 1e-6
-    got = integrate_pixels(sampled_plane((SIDE, SIDE), SAMPLE_UM, SIDE), SAMPLE_UM, math.pi, small) / small**2
-    at = centres_um(len(got), math.pi, SIDE * SAMPLE_UM)
-    yield compare(
-        "a photodiode of a millionth of a sample's width, linear picture",
-        plane(at, at, SIDE),
-        got,
-        ROUNDED * SIDE / small,
-        "limit: the value at its centre; roundings of a running sum over the width",
-    )
+    got = integrated(sampled_plane((SIDE, SIDE), SIDE), math.pi, small) / small**2
+    at = centres_um(len(got), math.pi, SIDE)
+    name = "a photodiode of a millionth of a sample's width, linear picture"
+    source = "limit: the value at its centre; roundings of a running sum over the width"
+    yield compare(name, plane(at, at, SIDE), got, ROUNDED * SIDE / small, source)
     order, side = 5, 0.6 * math.pi
     wave = np.cos(np.pi * order * (np.arange(SIDE) + 0.5) / SIDE) * np.sinc(order / (2 * SIDE))  # exact means of the samples
-    found = integrate_pixels(1 + wave[:, None] * np.ones(SIDE), SAMPLE_UM, math.pi, side)[:, 3]
+    found = integrated(1 + wave[:, None] * np.ones(SIDE), math.pi, side)[:, 3]
     at = centres_um(len(found), math.pi, SIDE)
     yield compare(
         "a grating of 26 samples' period in photodiodes of 0.6 π samples at a pitch of π",
@@ -178,14 +147,9 @@ def _dots(picture: Array) -> Iterator[Case]:
     wanted, found = [], []
     for degree in (0, 1):
         for dots in (1, 3, 37, 64, 200, 4096):
-            edges_um = np.linspace(0.0, SIDE * SAMPLE_UM, dots + 1)
-            means = average_axis(picture, SAMPLE_UM, 0.0, edges_um, degree, axis=0)
+            edges_um = np.linspace(0.0, SIDE, dots + 1)
+            means = average_axis(picture, 1.0, 0.0, edges_um, degree, axis=0)
             found.append((means * np.diff(edges_um)[:, None]).sum(axis=0))
             wanted.append(picture.sum(axis=0))
-    yield compare(
-        "light of 64 pixels shown on 1 to 4096 dots, steps or straight lines between pixels",
-        wanted,
-        found,
-        KEPT * SIDE,
-        "conservation",
-    )
+    name = "light of 64 pixels shown on 1 to 4096 dots, steps or straight lines between pixels"
+    yield compare(name, wanted, found, KEPT * SIDE, "conservation")

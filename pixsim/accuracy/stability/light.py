@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, poisson
 
-from pixsim.accuracy.stability import Case, compare
+from pixsim.accuracy.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
@@ -18,9 +18,6 @@ from pixsim.sensor import readout as sensors
 from pixsim.sensor.integration import mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 
-SIGMAS = 5.0
-STATISTICAL = "fixed seed; gate 5σ, 6e-7 false alarms with another seed"
-ROUNDING = 1e-12  # a few hundred operations in float64
 STORED = 2e-7  # the irradiance is stored in float32
 LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
 ELECTRON_MEANS = np.array([1e-6, 1e-3, 1.0, 30.0, 1e4, 0.99e9, 1.01e9, 1e12, 1e15])
@@ -30,23 +27,18 @@ PHOTONS_PER_J = 555e-9 / (6.62607015e-34 * 299792458.0)
 PITCH_UM, TIME_S = 5.0, 0.01
 CAMERA = Camera(die_mm=0.08)
 # No noise but that of photons, QE ½, photodiode of half the pixel, a code for each of 2^16 - 1 electrons.
-CLEAN: dict[str, Any] = {
+CLEAN: dict[str, Any] = QUIET | {
     "quantum_efficiency": 0.5,
     "fill_factor": 0.5,
     "full_well_e": 65_535,
     "bits": 16,
     "pitch_um": PITCH_UM,
-    **dict.fromkeys(("dark_current_e_per_s", "read_noise_e", "reset_noise_factor", "prnu", "dsnu", "offset_fpn", "column_fpn"), 0),
 }
 
 
 def cases() -> Iterator[Case]:
-    yield from _shot_noise()
-    yield from _levels()
-    yield from _automatic_exposure()
-    yield from _contrast()
-    yield from _darkness()
-    yield from _saturation()
+    for each in (_shot_noise, _levels, _automatic_exposure, _contrast, _darkness, _saturation):
+        yield from each()
 
 
 def scene(picture: Array, luminance_cd_per_m2: float, diffraction: bool = False) -> SpectralImage:
@@ -66,9 +58,8 @@ def electrons(luminance_cd_per_m2: Any, time_s: float = TIME_S) -> Any:
 
 def taken(image: SpectralImage, physics: PixelPhysics, exposure: Exposure, seed: int = 0) -> sensors.Frame:
     rate = mean_signal_rate(image, CAMERA, physics)
-    return sensors.capture_rate(
-        rate, sensors.draw_sensor(physics, rate.shape, np.random.default_rng(seed)), exposure, np.random.default_rng(seed + 1)
-    )
+    sensor = sensors.draw_sensor(physics, rate.shape, np.random.default_rng(seed))
+    return sensors.capture_rate(rate, sensor, exposure, np.random.default_rng(seed + 1))
 
 
 def _shot_noise() -> Iterator[Case]:
@@ -81,14 +72,14 @@ def _shot_noise() -> Iterator[Case]:
         variances.append((np.mean((counts - mean_e) ** 2) - mean_e) / math.sqrt((mean_e + 2 * mean_e**2) / n))
     name = "electrons 1e-6 … 1e15, 200 000 pixels each: {}, in standard errors"
     # A mean of 1e-6 gives 0.2 electrons in all pixels together: three or more of them are beyond the gate.
-    rare = f"{STATISTICAL}, 1e-3 at a mean of 1e-6"
-    yield compare(name.format("mean"), 0.0, means, SIGMAS, f"the Poisson mean; {rare}", scale=1.0)
-    yield compare(name.format("variance"), 0.0, variances, SIGMAS, f"the Poisson variance is the mean; {rare}", scale=1.0)
+    rare = ", 1e-3 at a mean of 1e-6"
+    yield compare_drawn(name.format("mean"), 0.0, means, 1.0, "the Poisson mean", rare)
+    yield compare_drawn(name.format("variance"), 0.0, variances, 1.0, "the Poisson variance is the mean", rare)
     counts = sensors.shot_noise(np.full(n, 3.0), np.random.default_rng(77))
     found = np.array([np.mean(counts == k) for k in range(12)])
     exact = poisson.pmf(np.arange(12), 3.0)
-    source = f"exp(-3) 3^k / k!; {STATISTICAL}, each of 12"
-    yield compare("shares of 0 … 11 electrons at a mean of 3", exact, found, SIGMAS, source, scale=np.sqrt(exact * (1 - exact) / n))
+    error = np.sqrt(exact * (1 - exact) / n)
+    yield compare_drawn("shares of 0 … 11 electrons at a mean of 3", exact, found, error, "exp(-3) 3^k / k!", ", each of 12")
 
 
 def _levels() -> Iterator[Case]:
@@ -102,10 +93,8 @@ def _levels() -> Iterator[Case]:
     # Counts beyond the well read the top code; the mean of min(n, well) is summed over all counts, or is the well.
     clipped = np.array([_mean_of_clipped(mean_e, 65_535) for mean_e in expected])
     spread = np.sqrt(np.minimum(expected, 65_535) / 256) + 1e-9
-    source = f"Σ min(n, well) P(n) over Poisson counts; {STATISTICAL}, each of 22"
-    yield compare(
-        "mean code of the same, one code an electron", clipped, [f.dn.mean() for f in frames], SIGMAS, source, scale=spread
-    )
+    name, source = "mean code of the same, one code an electron", "Σ min(n, well) P(n) over Poisson counts"
+    yield compare_drawn(name, clipped, [f.dn.mean() for f in frames], spread, source, ", each of 22")
 
 
 def _mean_of_clipped(mean_e: float, top: int) -> float:
@@ -124,9 +113,8 @@ def _automatic_exposure() -> Iterator[Case]:
     yield compare("automatic exposure: the brightest pixel of 1e-9 … 1e12 cd/m²", 0.95, full, ROUNDING, source)
     times = [frame.integration_s for frame in frames]
     expected = 0.95 * 1000 / electrons(LUMINANCES_CD_PER_M2, 1.0)
-    yield compare(
-        "automatic exposure: the time it takes", expected, times, STORED, "well_target · well / electrons a second; float32"
-    )
+    source = "well_target · well / electrons a second; float32"
+    yield compare("automatic exposure: the time it takes", expected, times, STORED, source)
     capped = [taken(scene(np.ones((16, 16)), each), physics, Exposure(max_integration_s=0.1)) for each in (0.0, 1e-9, 1.0)]
     found = [frame.integration_s for frame in capped]
     yield compare("automatic exposure: dim or no light takes the longest time", 0.1, found, 0.0, "max_integration_s, exactly")
@@ -159,22 +147,19 @@ def _contrast() -> Iterator[Case]:
 
 
 def _darkness() -> Iterator[Case]:
-    options = CLEAN | {"read_noise_e": 40.0, "black_level_dn": 1000, "full_well_e": 64_535}
     black = taken(scene(np.zeros((16, 16)), 1.0), derive(Pixel(**CLEAN | {"black_level_dn": 7})), Exposure())
     yield compare("total darkness, no noise: every code", 7.0, black.dn, 0.0, "the black level, exactly")
-    physics = derive(Pixel(**options))
-    dn = sensors.expose(
-        np.zeros((400, 500)), TIME_S, sensors.draw_sensor(physics, (400, 500), np.random.default_rng(3)), np.random.default_rng(4)
-    )
+    physics = derive(Pixel(**CLEAN | {"read_noise_e": 40.0, "black_level_dn": 1000, "full_well_e": 64_535}))
+    sensor = sensors.draw_sensor(physics, (400, 500), np.random.default_rng(3))
+    dn = sensors.expose(np.zeros(sensor.shape), TIME_S, sensor, np.random.default_rng(4))
     codes = np.arange(2**16)
     edges = norm.cdf((codes[:, None] + [-0.5, 0.5] - 1000) / 40)
     share = np.diff(edges, axis=1)[:, 0]
     mean = float((share * codes).sum())
     variance = float((share * (codes - mean) ** 2).sum())
-    source = f"exact sum over codes of a rounded normal, σ² + 1/12; {STATISTICAL}"
-    yield compare("total darkness, read noise 40 e-: mean", mean, dn.mean(), SIGMAS, source, scale=math.sqrt(variance / dn.size))
-    spread = variance * math.sqrt(2 / dn.size)
-    yield compare("total darkness, read noise 40 e-: variance", variance, dn.var(), SIGMAS, source, scale=spread)
+    name, source = "total darkness, read noise 40 e-: {}", "exact sum over codes of a rounded normal, σ² + 1/12"
+    yield compare_drawn(name.format("mean"), mean, dn.mean(), math.sqrt(variance / dn.size), source)
+    yield compare_drawn(name.format("variance"), variance, dn.var(), variance * math.sqrt(2 / dn.size), source)
 
 
 def _saturation() -> Iterator[Case]:

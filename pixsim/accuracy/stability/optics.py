@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from pixsim.accuracy.stability import Case, compare
+from pixsim.accuracy.stability import Case, compare, flat
 from pixsim.base.arrays import Array
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffract, diffraction_otf
 from pixsim.optics.thin_lens import irradiance_factor
@@ -45,32 +45,17 @@ def _irradiance() -> Iterator[Case]:
     digits = [foote_in_digits(*each) for each in zip(n, field, m, strict=True)]
     yield compare(f"E/L of a lens in {DIGITS} digits, {SWEEP}", digits, found, ROUNDED, f"Foote 1915 in {DIGITS} digits; roundings")
     on_axis = np.pi / (1 + 4 * (n * (1 + np.abs(m))) ** 2)
-    yield compare(
-        "E/L on the axis, f/0.5 to f/1000, magnification 0 to -2",
-        on_axis,
-        irradiance_factor(n, 0.0, m),
-        ROUNDED,
-        "π sin²α; roundings",
-    )
+    source = "π sin²α; roundings"
+    yield compare("E/L on the axis, f/0.5 to f/1000, magnification 0 to -2", on_axis, irradiance_factor(n, 0.0, m), ROUNDED, source)
     slow = np.array([1e5, 1e9, 1e50, 1e150])[:, None]
     angles = np.radians(FIELDS_DEG)
     limit = np.pi * np.cos(angles) ** 4 / (4 * slow * slow)
-    yield compare(
-        "E/L of slow lenses, f/1e5 to f/1e150, 0 to 80°",
-        limit,
-        irradiance_factor(slow, np.tan(angles)),
-        1e-10,
-        "π cos⁴θ/4N²; the next term is 1/4N² = 2.5e-11 of it",
-    )
+    source = "π cos⁴θ/4N²; the next term is 1/4N² = 2.5e-11 of it"
+    yield compare("E/L of slow lenses, f/1e5 to f/1e150, 0 to 80°", limit, irradiance_factor(slow, np.tan(angles)), 1e-10, source)
     lens = np.array([1.0, 0.5, 1e-2, 5e-4])
     powers = [power_on_the_plane(0.5 / each) for each in lens]
-    yield compare(
-        "power from a lens on the whole plane behind it, f/0.5 to f/1000",
-        np.pi * lens**2,
-        powers,
-        1e-13,
-        "conservation: all that the lens sends out, πL · its area, arrives; quadrature 1e-14",
-    )
+    source = "conservation: all that the lens sends out, πL · its area, arrives; quadrature 1e-14"
+    yield compare("power from a lens on the whole plane behind it, f/0.5 to f/1000", np.pi * lens**2, powers, 1e-13, source)
 
 
 @cache
@@ -117,13 +102,8 @@ def _otf() -> Iterator[Case]:
     beyond = [diffraction_otf(steps * cutoff_cy_per_mm(nm, n), nm, n) for n in (0.5, 4.0, 1000.0, 1e100)]
     yield compare("OTF at the cut-off and up to 1e200 times it, f/0.5 to f/1e100", 0.0, beyond, 0.0, "nothing passes: exactly 0")
     extremes = (1e-320, 1e-300, 0.5, 1e300, 1e308, np.inf)
-    yield compare(
-        "OTF of an even field, cut-off from infinity to 0",
-        1.0,
-        [diffraction_otf(0.0, 550.0, each) for each in extremes],
-        0.0,
-        "the mean always passes: exactly 1",
-    )
+    name = "OTF of an even field, cut-off from infinity to 0"
+    yield compare(name, 1.0, [diffraction_otf(0.0, 550.0, each) for each in extremes], 0.0, "the mean always passes: exactly 1")
     below = np.concatenate([np.geomspace(1e-16, 0.5, 60), 1 - np.geomspace(1e-300, 0.5, 60)])
     x = 1 - below
     yield compare(
@@ -161,15 +141,15 @@ def _pictures() -> Iterator[Case]:
     )
     yield compare(
         "pictures whose lens passes nothing of them but the mean, f/1e6 to a pinhole",
-        np.tile(_flat([np.full(each.shape, each.mean()) for each in pictures]), 4),
-        _flat([each for n in (1e6, 1e100, 1e306, np.inf) for each in blurred(n)]),
+        np.tile(flat([np.full(each.shape, each.mean()) for each in pictures]), 4),
+        flat([each for n in (1e6, 1e100, 1e306, np.inf) for each in blurred(n)]),
         TRANSFORMED,
         "cut-off below the lowest frequency; roundings of the transform",
     )
     yield compare(
         "pictures with a cut-off far above the grid, 1e15 cy/mm to infinity",
-        np.tile(_flat(pictures), 3),
-        _flat([each for n in (1e-12, 1e-300, 1e-320) for each in blurred(n)]),
+        np.tile(flat(pictures), 3),
+        flat([each for n in (1e-12, 1e-300, 1e-320) for each in blurred(n)]),
         TRANSFORMED + 4 / np.pi * 1e3 / 1e15,
         "unchanged: the OTF is 1 - 4f/(π cut-off), f up to 1e3 cy/mm",
         scale=2.0,
@@ -178,18 +158,8 @@ def _pictures() -> Iterator[Case]:
     wave = np.cos(np.pi * np.array(orders)[:, None] * (np.arange(32) + 0.5) / 32)
     at_cutoff = [_wave_behind(each, k, share) for share in (1.0, 0.5) for k, each in zip(orders, wave, strict=True)]
     otf = np.repeat([0.0, 2 / 3 - np.sqrt(3) / (2 * np.pi)], len(orders))
-    yield compare(
-        "contrast of a grating at the cut-off, and at half of it",
-        otf,
-        at_cutoff,
-        TABLE,
-        "0, and 2/3 - √3/2π; interpolation in the table of the OTF",
-        scale=1.0,
-    )
-
-
-def _flat(pictures: list[Array]) -> Array:
-    return np.concatenate([each.ravel() for each in pictures])
+    source = "0, and 2/3 - √3/2π; interpolation in the table of the OTF"
+    yield compare("contrast of a grating at the cut-off, and at half of it", otf, at_cutoff, TABLE, source, scale=1.0)
 
 
 def _wave_behind(wave: Array, order: int, share: float) -> float:

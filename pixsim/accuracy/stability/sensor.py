@@ -10,41 +10,29 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, poisson
 
-from pixsim.accuracy.stability import Case, compare
+from pixsim.accuracy.stability import QUIET, ROUNDING, Case, compare, compare_drawn
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure, Pixel
 from pixsim.sensor import readout as sensors
 from pixsim.sensor.integration import integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.technology import Technology, load_technology
+from pixsim.sensor.technology import Junction, Technology, load_technology
 
-SIGMAS = 5.0
-STATISTICAL = "fixed seed; gate 5σ, 6e-7 false alarms with another seed"
-ROUNDING = 1e-12
 PITCHES_UM = (0.3, 1.0, 6.5, 40.0, 100.0)
 TIMES_S = 10.0 ** np.array([-9.0, -6.0, -3.0, 0.0, 3.0, math.log10(36_000)])
 TEMPERATURES_K = np.array([77.0, 150.0, 250.0, 300.15, 350.0, 400.0])
 # SI 2019, exact; by hand, not pixsim's constants.
 BOLTZMANN_J_PER_K, ELECTRON_C = 1.380649e-23, 1.602176634e-19
-CLEAN: dict[str, Any] = dict.fromkeys(
-    ("dark_current_e_per_s", "read_noise_e", "reset_noise_factor", "prnu", "dsnu", "offset_fpn", "column_fpn"), 0
-)
 
 
 def cases() -> Iterator[Case]:
-    yield from _pitches()
-    yield from _fill_factors()
-    yield from _grids()
-    yield from _times()
-    yield from _dark_current()
-    yield from _saturated()
-    yield from _converters()
-    yield from _temperatures()
-    yield from _fixed_patterns()
+    physical = _pitches, _fill_factors, _grids, _times, _dark_current, _saturated
+    for each in (*physical, _converters, _temperatures, _fixed_patterns):
+        yield from each()
 
 
 def physics_of(**options: Any) -> PixelPhysics:
-    return derive(Pixel(**{"fill_factor": 0.5, **CLEAN, **options}))
+    return derive(Pixel(**{"fill_factor": 0.5, **QUIET, **options}))
 
 
 def frame(
@@ -57,20 +45,14 @@ def frame(
 
 def _pitches() -> Iterator[Case]:
     got = [integrate_pixels(np.full((8, 8), 3.0), pitch / 2, pitch, math.sqrt(0.4) * pitch).sum() for pitch in PITCHES_UM]
+    expected = [16 * 3 * 0.4 * pitch**2 for pitch in PITCHES_UM]
     source = "16 pixels · 3 · FF · pitch²; rounding"
-    yield compare(
-        "electrons of even light, pitch 0.3 … 100 µm", [16 * 3 * 0.4 * pitch**2 for pitch in PITCHES_UM], got, ROUNDING, source
-    )
+    yield compare("electrons of even light, pitch 0.3 … 100 µm", expected, got, ROUNDING, source)
     # A pinned photodiode's well goes with its area, a junction's capacitance is a sum of area, sidewall and node.
     pinned = load_technology("4t-bsi").full_well_e_per_um2 or 0.0
     wells = [physics_of(technology="4t-bsi", pitch_um=pitch).full_well_e for pitch in PITCHES_UM]
-    yield compare(
-        "well of a pinned photodiode, pitch 0.3 … 100 µm",
-        [pinned * 0.5 * p**2 for p in PITCHES_UM],
-        wells,
-        ROUNDING,
-        "density · area",
-    )
+    expected = [pinned * 0.5 * p**2 for p in PITCHES_UM]
+    yield compare("well of a pinned photodiode, pitch 0.3 … 100 µm", expected, wells, ROUNDING, "density · area")
     junction = load_technology("0.35um")
     wells = [physics_of(pitch_um=pitch).full_well_e for pitch in PITCHES_UM]
     expected = [_junction_well_e(0.5 * pitch**2, junction) for pitch in PITCHES_UM]
@@ -82,9 +64,12 @@ def _junction_well_e(area_um2: float, technology: Technology) -> float:
     j = technology.junction
     assert j is not None
     v = np.linspace(j.reset_voltage_v - j.voltage_swing_v, j.reset_voltage_v, 2001)
+    return float(np.trapezoid(_junction_ff(j, area_um2, v), v) * 1e-15 / ELECTRON_C)
+
+
+def _junction_ff(j: Junction, area_um2: float, v: Any) -> Any:
     c_ff = j.cj_ff_per_um2 * area_um2 * (1 + v / j.pb_v) ** -j.mj + j.node_capacitance_ff
-    c_ff += j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
-    return float(np.trapezoid(c_ff, v) * 1e-15 / ELECTRON_C)
+    return c_ff + j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
 
 
 def _fill_factors() -> Iterator[Case]:
@@ -111,7 +96,7 @@ def _grids() -> Iterator[Case]:
     physics = physics_of(pitch_um=0.3, technology="4t-bsi", full_well_e=1000, bits=12)
     codes = frame(physics, 500.0, shape=(1, 1))
     spread = math.sqrt(500.0) * physics.dn_per_e
-    yield compare("1 × 1 pixel: its code", 4095 / 2, codes, SIGMAS, f"half the well ± shot noise; {STATISTICAL}", scale=spread)
+    yield compare_drawn("1 × 1 pixel: its code", 4095 / 2, codes, spread, "half the well ± shot noise")
     strip = np.random.default_rng(1).uniform(0.5, 1.5, (20_000, 3))
     got = integrate_pixels(strip, 0.3, 0.3, 0.3)
     source = "the samples themselves, at pixels of a sample; a running sum of 20 000 rounds at 4e-12"
@@ -120,7 +105,7 @@ def _grids() -> Iterator[Case]:
     alone = np.random.default_rng(0).standard_normal((1, 3))[0] * 20.0
     expected = (500 + alone) * physics.dn_per_e
     error = math.sqrt(500.0 / 20_000) * physics.dn_per_e
-    yield compare("20 000 × 3 pixels: mean of each column", expected, column, SIGMAS, f"its own offset; {STATISTICAL}", scale=error)
+    yield compare_drawn("20 000 × 3 pixels: mean of each column", expected, column, error, "its own offset")
 
 
 def _times() -> Iterator[Case]:
@@ -141,9 +126,8 @@ def _dark_current() -> Iterator[Case]:
     yield compare("dark charge a thousand wells: every code", 1023.0, frame(physics, 0.0), 0.0, "the top code, exactly")
     lowered = replace(sensors.draw_sensor(physics, (4, 4), np.random.default_rng(0)), offset_e=np.full((4, 4), -400.0))
     moved = sensors.expose(np.zeros((4, 4)), 1.0, lowered, np.random.default_rng(1))
-    yield compare(
-        "the same, offset by -0.4 wells: every code", 614.0, moved, 0.0, "0.6 · 1023, rounded: the well clips before the offset"
-    )
+    source = "0.6 · 1023, rounded: the well clips before the offset"
+    yield compare("the same, offset by -0.4 wells: every code", 614.0, moved, 0.0, source)
     exposed = sensors.integration_time_s(Exposure(max_integration_s=10.0), physics, 0.0)
     yield compare("automatic exposure in the dark: dark charge over the well", 0.95, exposed * 1e6 / 1000, ROUNDING, "well_target")
     # Dark charge at the well: codes are min(n, well) of Poisson counts, one code each with a gain of 1.
@@ -153,14 +137,11 @@ def _dark_current() -> Iterator[Case]:
     mean = float(poisson.sf(counts, 1023).sum())
     square = float(((2 * counts + 1) * poisson.sf(counts, 1023)).sum())
     error = math.sqrt((square - mean**2) / codes.size)
-    source = f"Σ P(n > k) over Poisson counts; {STATISTICAL}"
-    yield compare("dark charge that just fills the well: mean code", mean, codes.mean(), SIGMAS, source, scale=error)
+    source = "Σ P(n > k) over Poisson counts"
+    yield compare_drawn("dark charge that just fills the well: mean code", mean, codes.mean(), error, source)
     full = poisson.sf(1022, 1023)
-    source = f"P(n ≥ well); {STATISTICAL}"
-    share = np.mean(codes == 1023)
-    yield compare(
-        "the same: share of saturated pixels", full, share, SIGMAS, source, scale=math.sqrt(full * (1 - full) / codes.size)
-    )
+    share, error = np.mean(codes == 1023), math.sqrt(full * (1 - full) / codes.size)
+    yield compare_drawn("the same: share of saturated pixels", full, share, error, "P(n ≥ well)")
 
 
 def _saturated() -> Iterator[Case]:
@@ -186,9 +167,8 @@ def _saturated() -> Iterator[Case]:
         lowered = np.full((200, 500), -0.05 * well_e)
         share = float(poisson.sf(math.ceil(well_e) - 1, well_e))
         scale = math.sqrt(share * (1 - share) / lowered.size)
-        alone = _saturated_of(physics, well_e, lowered)
-        source = f"P(N ≥ well) of Poisson counts; {STATISTICAL}"
-        yield compare(f"{name}, light that just fills the well, below the top code", share, alone, SIGMAS, source, scale=scale)
+        alone, source = _saturated_of(physics, well_e, lowered), "P(N ≥ well) of Poisson counts"
+        yield compare_drawn(f"{name}, light that just fills the well, below the top code", share, alone, scale, source)
         # With the usual offsets, noise lifts some of the others to the top code.
         counts = np.arange(math.ceil(well_e))
         top_e = (2**physics.pixel.bits - 1.5 - physics.pixel.black_level_dn) / physics.dn_per_e
@@ -196,8 +176,8 @@ def _saturated() -> Iterator[Case]:
         share += float((poisson.pmf(counts, well_e) * norm.sf((top_e - counts) / noise_e)).sum())
         scale = math.sqrt(share * (1 - share) / lowered.size)
         both = _saturated_of(replace(physics, column_fpn_e=0.0), well_e)
-        source = f"P(N ≥ well) + Σ P(N = n < well) P(noise lifts n to the top code); {STATISTICAL}"
-        yield compare(f"{name}, light that just fills the well", share, both, SIGMAS, source, scale=scale)
+        source = "P(N ≥ well) + Σ P(N = n < well) P(noise lifts n to the top code)"
+        yield compare_drawn(f"{name}, light that just fills the well", share, both, scale, source)
 
 
 def _saturated_of(physics: PixelPhysics, mean_e: float, offset_e: Array | None = None) -> float:
@@ -233,13 +213,11 @@ def _converters() -> Iterator[Case]:
     wide = physics_of(full_well_e=1e12, bits=24, black_level_dn=1000)
     codes = frame(wide, 0.5e12)
     error = math.sqrt((0.5e12 * wide.dn_per_e**2 + 1 / 12) / codes.size)
-    source = f"black + half of what is above it; {STATISTICAL}"
-    yield compare("zero read noise, 24 bits: mean code", 1000 + (2**24 - 1001) / 2, codes.mean(), SIGMAS, source, scale=error)
+    mean, source = 1000 + (2**24 - 1001) / 2, "black + half of what is above it"
+    yield compare_drawn("zero read noise, 24 bits: mean code", mean, codes.mean(), error, source)
     variance = 0.5e12 * ((2**24 - 1001) / 1e12) ** 2 + 1 / 12
-    source = f"shot noise + 1/12; {STATISTICAL}"
-    yield compare(
-        "zero read noise, 24 bits: variance", variance, codes.var(), SIGMAS, source, scale=variance * math.sqrt(2 / codes.size)
-    )
+    error = variance * math.sqrt(2 / codes.size)
+    yield compare_drawn("zero read noise, 24 bits: variance", variance, codes.var(), error, "shot noise + 1/12")
 
 
 def _temperatures() -> Iterator[Case]:
@@ -255,9 +233,7 @@ def _temperatures() -> Iterator[Case]:
     yield compare("kTC noise at 77 … 400 K over that at 77 K", np.sqrt(TEMPERATURES_K / 77), noise / noise[0], ROUNDING, "√T")
     j = load_technology("0.35um").junction
     assert j is not None
-    v, area = j.reset_voltage_v, 0.5 * 6.5**2
-    c_ff = j.cj_ff_per_um2 * area * (1 + v / j.pb_v) ** -j.mj + j.node_capacitance_ff
-    c_ff += j.cjsw_ff_per_um * 4 * math.sqrt(area) * (1 + v / j.pbsw_v) ** -j.mjsw
+    c_ff = _junction_ff(j, 0.5 * 6.5**2, j.reset_voltage_v)
     ktc = math.sqrt(BOLTZMANN_J_PER_K * 400 * c_ff * 1e-15) / ELECTRON_C
     yield compare("kTC noise at 400 K", ktc, noise[-1], ROUNDING, "√(kTC)/q with C at the reset voltage")
 
@@ -268,13 +244,12 @@ def _fixed_patterns() -> Iterator[Case]:
     spreads = (1e-300, 1e-9, 0.02, 0.3, 1.0)
     means, deviations = [], []
     for seed, dsnu in enumerate(spreads):
-        drawn = sensors.draw_sensor(
-            physics_of(dsnu=dsnu, dark_current_e_per_s=1.0), (400, 500), np.random.default_rng(seed)
-        ).dark_gain
+        physics = physics_of(dsnu=dsnu, dark_current_e_per_s=1.0)
+        drawn = sensors.draw_sensor(physics, (400, 500), np.random.default_rng(seed)).dark_gain
         gain = np.ones((400, 500)) if drawn is None else drawn
         means.append((gain.mean() - 1) / (dsnu / math.sqrt(n) + 1e-15))
         # Fourth moment of a gamma variable of mean 1: (3 + 6 s²) s⁴.
         deviations.append((np.mean((gain - 1) ** 2) - dsnu**2) / (dsnu**2 * math.sqrt((2 + 6 * dsnu**2) / n) + 1e-25))
     name = "DSNU 1e-300 … 1, 200 000 pixels each: {}, in standard errors"
-    yield compare(name.format("mean"), 0.0, means, SIGMAS, f"1; {STATISTICAL}", scale=1.0)
-    yield compare(name.format("variance"), 0.0, deviations, SIGMAS, f"DSNU²; {STATISTICAL}", scale=1.0)
+    yield compare_drawn(name.format("mean"), 0.0, means, 1.0, "1")
+    yield compare_drawn(name.format("variance"), 0.0, deviations, 1.0, "DSNU²")

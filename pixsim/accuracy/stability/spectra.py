@@ -28,25 +28,8 @@ from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.viewer.display import white_rate
 
 # Whole and broken nanometres, borders of bands, ends of the response (400 and 800 nm) and of the range.
-CENTRES_NM = (
-    360.0,
-    360.2,
-    361.0,
-    365.0,
-    365.5,
-    393.7,
-    400.0,
-    400.3,
-    447.31,
-    532.0,
-    555.03,
-    632.8,
-    700.0,
-    799.7,
-    800.0,
-    829.3,
-    830.0,
-)
+CENTRES_NM = (360.0, 360.2, 361.0, 365.0, 365.5, 393.7, 400.0, 400.3, 447.31,
+              532.0, 555.03, 632.8, 700.0, 799.7, 800.0, 829.3, 830.0)  # fmt: skip
 LINE = "360 to 830 nm, on and off the borders of bands"
 SURFACES = np.zeros((0, 471))  # none
 BANDS_TOLERANCE = 2.5e-4  # what bands may cost in a render of the default tolerance
@@ -114,38 +97,25 @@ def _lines() -> Iterator[Case]:
     fits = [(fit(lamp, bands, SURFACES, witnesses, BANDS_TOLERANCE), bands) for lamp, bands in placed]
     told = [math.nan if found is None else float((found.spectra.sum(axis=0) * bands.width_nm).sum()) for found, bands in fits]
     yield compare(f"power of a 1 nm line told by one pulse of the renderer, {LINE}", power, told, SUMMED, "the same area")
-    yield compare(
-        f"electrons from a 1 nm line, QE of the 0.35 µm process, {LINE}",
-        [seen(lamp, electrons) for lamp, _ in placed],
-        [_electrons(image, physics) for image in images],
-        BANDS_TOLERANCE,
-        "∫ QE λ/hc E dλ, by quadrature; what bands may cost",
-    )
-    yield compare(
-        f"illuminance of a 1 nm line, {LINE}",
-        [LUMINOUS_EFFICACY_LM_PER_W * seen(lamp, photopic_efficiency) for lamp, _ in placed],
-        [image.illuminance_lx()[0, 0] for image in images],
-        LUMINANCE_TOLERANCE,
-        "683.002 ∫ ȳ E dλ, by quadrature; what bands may cost",
-    )
+    expected, got = [seen(lamp, electrons) for lamp, _ in placed], [_electrons(image, physics) for image in images]
+    name, source = "electrons from a 1 nm line, QE of the 0.35 µm process", "∫ QE λ/hc E dλ, by quadrature; what bands may cost"
+    yield compare(f"{name}, {LINE}", expected, got, BANDS_TOLERANCE, source)
+    expected = [LUMINOUS_EFFICACY_LM_PER_W * seen(lamp, photopic_efficiency) for lamp, _ in placed]
+    got, source = [image.illuminance_lx()[0, 0] for image in images], "683.002 ∫ ȳ E dλ, by quadrature; what bands may cost"
+    yield compare(f"illuminance of a 1 nm line, {LINE}", expected, got, LUMINANCE_TOLERANCE, source)
     lasers = [nm for nm in CENTRES_NM if LOW_NM + 1 < nm < HIGH_NM - 1 and nm not in (400.0, 800.0)]  # no step within the line
     thin = [line(nm, 0.01) for nm in lasers]
     images = [image_of(lamp, place_bands([lamp], SURFACES, witnesses, BANDS_TOLERANCE)) for lamp in thin]
-    yield compare(
-        "electrons from a laser 0.01 nm wide, QE 0.5, 361 to 829 nm",
-        [0.5 * nm * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S) for nm in lasers],
+    expected = [0.5 * nm * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S) for nm in lasers]
+    got, source = (
         [_electrons(image, flat) for image in images],
-        1 / 64 / LOW_NM,
         "QE λ/hc · power; the wavelength is known to half a cell of 1/32 nm",
     )
-    area_m2 = physics.photodiode_area_um2 * 1e-12
-    yield compare(
-        "electrons of every pixel from a laser, behind the diffracting lens",
-        (electrons(np.array(lasers)) * area_m2)[:, None, None],
-        [mean_signal_rate(image, CAMERA, physics) for image in images],
-        BANDS_TOLERANCE,
-        "QE(λ) λ/hc · power · photodiode area, in all pixels alike; what bands may cost",
-    )
+    yield compare("electrons from a laser 0.01 nm wide, QE 0.5, 361 to 829 nm", expected, got, 1 / 64 / LOW_NM, source)
+    each_pixel = (electrons(np.array(lasers)) * (physics.photodiode_area_um2 * 1e-12))[:, None, None]
+    rates = [mean_signal_rate(image, CAMERA, physics) for image in images]
+    source = "QE(λ) λ/hc · power · photodiode area, in all pixels alike; what bands may cost"
+    yield compare("electrons of every pixel from a laser, behind the diffracting lens", each_pixel, rates, BANDS_TOLERANCE, source)
 
 
 def _electrons(image: SpectralImage, physics: PixelPhysics) -> float:
@@ -160,25 +130,15 @@ def _missing_light() -> Iterator[Case]:
         qe = physics.quantum_efficiency(nm).tolist()
         one = [0.02 * 10 * q * each * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S) for q, each in zip(qe, nm.tolist(), strict=True)]
         wanted = math.fsum(each for each, on in zip(one, lit, strict=True) if on) * physics.photodiode_area_um2 * 1e-12
-        yield compare(
-            f"electrons of every pixel, {name}",
-            wanted,
-            [mean_signal_rate(image, CAMERA, physics) for image in _even_images(nm, spectrum)],
-            1e-7,
-            "sum over the lit bands; irradiance is stored in float32, 6e-8",
-        )
+        rates = [mean_signal_rate(image, CAMERA, physics) for image in _even_images(nm, spectrum)]
+        source = "sum over the lit bands; irradiance is stored in float32, 6e-8"
+        yield compare(f"electrons of every pixel, {name}", wanted, rates, 1e-7, source)
     dark = place_bands([line(555.0) * 0.0], SURFACES, [Witness(photopic_efficiency)], BANDS_TOLERANCE)
     yield compare("shares of light in the bands of a lamp that is off", 1.0, dark.shares.sum(axis=1), 1e-15, "they add up to 1")
-    bright = [
-        _electrons(image, physics) for image in (_even_images(nm, np.full(nm.size, 10.0**k))[0] for k in (-30, -12, 0, 12, 30))
-    ]
-    yield compare(
-        "electrons against irradiance, 1e-30 to 1e30 W m⁻² nm⁻¹",
-        [bright[2] * 10.0**k for k in (-30, -12, 0, 12, 30)],
-        bright,
-        1e-14,
-        "proportional; roundings",
-    )
+    amounts = [10.0**k for k in (-30, -12, 0, 12, 30)]
+    bright = [_electrons(_even_images(nm, np.full(nm.size, each))[0], physics) for each in amounts]
+    name = "electrons against irradiance, 1e-30 to 1e30 W m⁻² nm⁻¹"
+    yield compare(name, [bright[2] * each for each in amounts], bright, 1e-14, "proportional; roundings")
 
 
 def _even_images(nm: Array, spectrum: Array) -> list[SpectralImage]:
@@ -200,12 +160,9 @@ def _blind() -> Iterator[Case]:
         rates = [mean_signal_rate(image, CAMERA, physics) for image in images]
         yield compare(f"electrons of every pixel, light only {name}", 0.0, rates, 0.0, "nothing is collected: exactly 0")
     physics = derive(Pixel(pitch_um=PITCH_UM))
-    refused = [
-        _is_refused(image, physics) for lit in (nm < 400, nm < 0) for image in _even_images(nm, np.where(lit, 0.02, 0.0))[:1]
-    ]
-    yield compare(
-        "white of which the sensor sees nothing, or which is dark", 1.0, refused, 0.0, "refused with a reason, not divided by"
-    )
+    refused = [_is_refused(_even_images(nm, np.where(lit, 0.02, 0.0))[0], physics) for lit in (nm < 400, nm < 0)]
+    source = "refused with a reason, not divided by"
+    yield compare("white of which the sensor sees nothing, or which is dark", 1.0, refused, 0.0, source)
 
 
 def _is_refused(image: SpectralImage, physics: PixelPhysics) -> float:

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from pixsim.accuracy.stability import Case, compare
+from pixsim.accuracy.stability import Case, compare, flat
 from pixsim.base.arrays import Array
 from pixsim.viewer.scielab import CIE_LAB, Filters, delta_e, delta_e_map, filtered_grey_lab, filtered_lab, xyz_to_lab
 
@@ -36,6 +37,11 @@ def cases() -> Iterator[Case]:
     yield from _threshold()
 
 
+def compare_lab(name: str, expected: ArrayLike, got: ArrayLike, source: str) -> Case:
+    """In ΔE, to roundings."""
+    return compare(name, expected, got, LAB_ROUNDED, f"{source}; ΔE, roundings", scale=1.0)
+
+
 def lab_of(relative: Array) -> Array:
     """CIELAB of X/Xn, Y/Yn, Z/Zn, as in CIE 15, branch by branch."""
     f = [[t ** (1 / 3) if t > THRESHOLD else (SLOPE * t + 16) / 116 for t in one] for one in relative.reshape(-1, 3).tolist()]
@@ -49,46 +55,30 @@ def view(samples_per_deg: float, filters: Filters = "published", unit: float = 1
 
 def _views(pictures: list[Array]) -> Iterator[Case]:
     colours = np.array([[1.0, 1.0, 1.0], [0.3, 0.2, 0.9], [1e-3, 2e-3, 1e-4], [0.0, 0.0, 0.0]])
-    flat = [np.broadcast_to(colour * WHITE, (*shape, 3)) for colour in colours for shape in SHAPES]
-    expected = [np.broadcast_to(lab_of(colour), (*shape, 3)).ravel() for colour in colours for shape in SHAPES]
-    yield compare(
-        f"CIELAB of even pictures, {VIEWS}",
-        np.tile(np.concatenate(expected), len(DENSITIES)),
-        np.concatenate([filtered_lab(each, **view(density)).ravel() for density in DENSITIES for each in flat]),
-        LAB_ROUNDED,
-        "the eye's blur changes nothing: CIE 15; ΔE, roundings",
-        scale=1.0,
-    )
+    even = [np.broadcast_to(colour * WHITE, (*shape, 3)) for colour in colours for shape in SHAPES]
+    expected = [np.broadcast_to(lab_of(colour), (*shape, 3)) for colour in colours for shape in SHAPES] * len(DENSITIES)
+    seen = [filtered_lab(each, **view(density)) for density in DENSITIES for each in even]
+    source = "the eye's blur changes nothing: CIE 15"
+    yield compare_lab(f"CIELAB of even pictures, {VIEWS}", flat(expected), flat(seen), source)
     gratings = [(density, order) for density in DENSITIES for order in (1, 5, 15)]
-    yield compare(
-        "CIELAB of coloured gratings, 0.5 to 2000 samples/deg",
-        np.concatenate([lab_of(_blurred_grating(*each)) for each in gratings]),
-        np.concatenate([filtered_lab(_grating(order)[None] * WHITE, **view(density))[0] for density, order in gratings]),
-        LAB_ROUNDED,
-        "Σ w exp(-π² s² f²)/Σ w of each opponent channel, closed form; ΔE, roundings",
-        scale=1.0,
-    )
+    expected = [lab_of(_blurred_grating(*each)) for each in gratings]
+    seen = [filtered_lab(_grating(order)[None] * WHITE, **view(density)) for density, order in gratings]
+    source = "Σ w exp(-π² s² f²)/Σ w of each opponent channel, closed form"
+    yield compare_lab("CIELAB of coloured gratings, 0.5 to 2000 samples/deg", flat(expected), flat(seen), source)
     for filters in BOTH:
         whole, part = [], []
         for density in DENSITIES:
             for each in pictures:
                 mirrored = np.concatenate([each, each[:, ::-1]], axis=1)
                 mirrored = np.concatenate([mirrored, mirrored[::-1]], axis=0)
-                part.append(filtered_lab(each, **view(density, filters)).ravel())
-                whole.append(filtered_lab(mirrored, **view(density, filters))[: each.shape[0], : each.shape[1]].ravel())
-        yield compare(
-            f"pictures smaller than the eye's blur, filters '{filters}', {VIEWS}",
-            np.concatenate(whole),
-            np.concatenate(part),
-            LAB_ROUNDED,
-            "symmetry: a picture and the same one with its mirror images beside it look alike; ΔE, roundings",
-            scale=1.0,
-        )
+                part.append(filtered_lab(each, **view(density, filters)))
+                whole.append(filtered_lab(mirrored, **view(density, filters))[: each.shape[0], : each.shape[1]])
+        name = f"pictures smaller than the eye's blur, filters '{filters}', {VIEWS}"
+        source = "symmetry: a picture and the same one with its mirror images beside it look alike"
+        yield compare_lab(name, flat(whole), flat(part), source)
     far = [filtered_lab(each, **view(1e9)).reshape(-1, 3) for each in pictures]
     mean = [np.broadcast_to(lab_of(each.mean(axis=(0, 1)) / WHITE), one.shape) for each, one in zip(pictures, far, strict=True)]
-    yield compare(
-        "pictures from far away, 1e9 samples/deg", np.concatenate(mean), np.concatenate(far), LAB_ROUNDED, "their mean", 1.0
-    )
+    yield compare("pictures from far away, 1e9 samples/deg", flat(mean), flat(far), LAB_ROUNDED, "their mean", 1.0)
 
 
 def _grating(order: int, samples: int = 16) -> Array:
@@ -109,15 +99,11 @@ def _blurred_grating(samples_per_deg: float, order: int, samples: int = 16) -> A
 
 
 def _amounts(pictures: list[Array]) -> Iterator[Case]:
-    same = [
-        delta_e_map(each * k, each * k, **view(23.0, filters))
-        for filters in BOTH
-        for each in pictures
-        for k in (0, -1, 1e-12, 1e12)
-    ]
-    yield compare("ΔE of pictures with themselves: black, negative, 1e-12 and 1e12 times white", 0.0, _flat(same), 0.0, "exactly 0")
+    scaled = [each * k for each in pictures for k in (0, -1, 1e-12, 1e12)]
+    same = [delta_e_map(each, each, **view(23.0, filters)) for filters in BOTH for each in scaled]
+    yield compare("ΔE of pictures with themselves: black, negative, 1e-12 and 1e12 times white", 0.0, flat(same), 0.0, "exactly 0")
     black = [filtered_lab(np.zeros((*shape, 3)), **view(density)) for shape in SHAPES for density in DENSITIES]
-    yield compare(f"CIELAB of black, XYZ = 0, {VIEWS}", 0.0, _flat(black), 0.0, "exactly 0")
+    yield compare(f"CIELAB of black, XYZ = 0, {VIEWS}", 0.0, flat(black), 0.0, "exactly 0")
     pairs = list(zip(pictures, [each[::-1, ::-1] * 0.9 for each in pictures], strict=True))
     plain = [delta_e_map(*each, **view(23.0)) for each in pairs]
     for name, units, allowed in (
@@ -126,37 +112,22 @@ def _amounts(pictures: list[Array]) -> Iterator[Case]:
     ):
         scaled = [delta_e_map(a * unit, b * unit, **view(23.0, unit=unit)) for unit in units for a, b in pairs]
         source = "the unit of XYZ does not matter" + ("; roundings of the images" if allowed else ": not a bit")
-        yield compare(f"ΔE of images and white times {name}", np.tile(_flat(plain), 2), _flat(scaled), allowed, source, 1.0)
+        yield compare(f"ΔE of images and white times {name}", np.tile(flat(plain), 2), flat(scaled), allowed, source, 1.0)
     faint = np.array([1e-150, 1e-12, 1e-6, 1e-3])
     found = [delta_e_map(np.zeros((4, 4, 3)), np.full((4, 4, 3), k) * WHITE, **view(23.0)) for k in faint]
     yield compare("ΔE of black and grey of 1e-150 to 1e-3 of white", SLOPE * faint[:, None, None], found, 1e-12, "(29/3)³ Y/Yn")
     glare = np.array([1e3, 1e12, 1e100])
     found = [filtered_lab(np.full((4, 4, 3), k) * WHITE, **view(23.0))[..., 0] for k in glare]
-    yield compare(
-        "L* of grey of 1e3 to 1e100 times white", 116 * np.cbrt(glare)[:, None, None] - 16, found, 1e-13, "116 ∛(Y/Yn) - 16"
-    )
+    lightness = 116 * np.cbrt(glare)[:, None, None] - 16
+    yield compare("L* of grey of 1e3 to 1e100 times white", lightness, found, 1e-13, "116 ∛(Y/Yn) - 16")
     noise = np.random.default_rng(9).uniform(-THRESHOLD / 2, THRESHOLD / 2, (24, 24, 3)) * WHITE
-    yield compare(
-        "CIELAB of noise around black, negative XYZ included",
-        -filtered_lab(noise, **view(23.0)),
-        filtered_lab(-noise, **view(23.0)),
-        LAB_ROUNDED,
-        "symmetry: CIELAB is straight through zero, nothing is clipped; ΔE, roundings",
-        scale=1.0,
-    )
+    name = "CIELAB of noise around black, negative XYZ included"
+    source = "symmetry: CIELAB is straight through zero, nothing is clipped"
+    yield compare_lab(name, -filtered_lab(noise, **view(23.0)), filtered_lab(-noise, **view(23.0)), source)
     grey = [each[..., 1] / 100 for each in pictures]
-    yield compare(
-        f"grey pictures by one transform and by three, {VIEWS}",
-        _flat([filtered_lab(each[..., None] * WHITE, **view(density)) for density in DENSITIES for each in grey]),
-        _flat([filtered_grey_lab(each, **view(density)) for density in DENSITIES for each in grey]),
-        LAB_ROUNDED,
-        "the same picture; ΔE, roundings",
-        scale=1.0,
-    )
-
-
-def _flat(arrays: list[Array]) -> Array:
-    return np.concatenate([each.ravel() for each in arrays])
+    three = flat(filtered_lab(each[..., None] * WHITE, **view(density)) for density in DENSITIES for each in grey)
+    one = flat(filtered_grey_lab(each, **view(density)) for density in DENSITIES for each in grey)
+    yield compare_lab(f"grey pictures by one transform and by three, {VIEWS}", three, one, "the same picture")
 
 
 def _threshold() -> Iterator[Case]:
@@ -164,25 +135,17 @@ def _threshold() -> Iterator[Case]:
     threshold = CIE_LAB[0]
     beside = np.array([np.nextafter(threshold, 0), threshold, np.nextafter(threshold, 1)])
     lightness = xyz_to_lab(beside[:, None] * WHITE, WHITE)[:, 0]
-    yield compare(
-        "L* on either side of CIELAB's threshold, Y/Yn = 216/24389", 8.0, lightness, 1e-14, "116 · 6/29 - 16 = 8: no step"
-    )
+    name = "L* on either side of CIELAB's threshold, Y/Yn = 216/24389"
+    yield compare(name, 8.0, lightness, 1e-14, "116 · 6/29 - 16 = 8: no step")
     around = threshold * (1 + np.array([-0.5, -1e-2, -1e-4, -1e-8, 1e-8, 1e-4, 1e-2, 0.5]))[:, None] * np.array([1.0, 1.05, 0.95])
-    found = xyz_to_lab(around * WHITE, WHITE)
-    yield compare(
-        "CIELAB from 0.5 to 1.5 of its threshold", lab_of(around), found, 1e-12, "CIE 15, branch by branch; ΔE", scale=1.0
-    )
+    found, source = xyz_to_lab(around * WHITE, WHITE), "CIE 15, branch by branch; ΔE"
+    yield compare("CIELAB from 0.5 to 1.5 of its threshold", lab_of(around), found, 1e-12, source, scale=1.0)
     step = 1e-6 * threshold
     near = threshold + step * np.array([-1.0, 0.0, 1.0])
     slope = np.diff(xyz_to_lab(near[:, None] * WHITE, WHITE)[:, 0]) / step
-    yield compare(
-        "slope of L* on either side of CIELAB's threshold", SLOPE, slope, 1e-5, "(29/3)³: no kink; the cube root's own bend, 3e-7"
-    )
+    source = "(29/3)³: no kink; the cube root's own bend, 3e-7"
+    yield compare("slope of L* on either side of CIELAB's threshold", SLOPE, slope, 1e-5, source)
     below, above = (filtered_lab(np.full((3, 3, 3), threshold * t) * WHITE, **view(23.0)) for t in (1 - 1e-9, 1 + 1e-9))
-    yield compare(
-        "ΔE of two greys across CIELAB's threshold, 2e-9 of it apart",
-        SLOPE * threshold * 2e-9,
-        delta_e(below, above),
-        1e-5,
-        "slope times distance; roundings of L* = 8, 1e-15, over 1.6e-8",
-    )
+    name = "ΔE of two greys across CIELAB's threshold, 2e-9 of it apart"
+    source = "slope times distance; roundings of L* = 8, 1e-15, over 1.6e-8"
+    yield compare(name, SLOPE * threshold * 2e-9, delta_e(below, above), 1e-5, source)
