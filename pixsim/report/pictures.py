@@ -86,7 +86,7 @@ def crops(score: Score, window: Window, name: str) -> tuple[Picture, ...]:
     """A detail of the ideal image, of the output and of its ΔE map, with what it has of ΔE."""
     inside = window.of(score.delta_e)
     return (
-        Picture.of(grey_codes(window.of(score.ideal)), "ideal image"),
-        Picture.of(grey_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
-        Picture.of(delta_e_colours(inside), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
+        Picture(grey_codes(window.of(score.ideal)), "ideal image"),
+        Picture(grey_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
+        Picture(delta_e_colours(inside), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
     )

@@ -132,8 +132,8 @@ def files_in(folder: Path) -> dict[str, str]:
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     """A whole picture: its file, or, where it is large, the `reduced` one."""
     if factor_for(luminance) == 1:
-        return Picture(name, "", path.read_bytes(), luminance.shape[1], luminance.shape[0])
-    return Picture.of(grey_codes(reduced(luminance)), name)
+        return Picture(grey_codes(luminance), name, png=path.read_bytes())
+    return Picture(grey_codes(reduced(luminance)), name)
 
 
 Stage = Callable[[str], Callable[..., None]]

@@ -20,7 +20,7 @@ from pixsim.report.wording import study_dark_notes, target_notes
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import Technology, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
-from pixsim.show.pages import Column, Drawn, Plate, write_drawn, write_page
+from pixsim.show.pages import Column, Drawn, Plate, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
@@ -193,7 +193,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return Made(section, [Drawn.of(plate) for plate in plates], views, tuple(rows))
+    return Made(section, [plate.drawn() for plate in plates], views, tuple(rows))
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -243,7 +243,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     rows = [row for each in made for row in each.rows]
     views = [each.views for each in made if each.views]
     shown = {
-        heading: write_drawn(folder, [drawn for each in made if each.section.kind in kinds for drawn in each.drawn])
+        heading: write_figures(folder, [drawn for each in made if each.section.kind in kinds for drawn in each.drawn])
         for heading, kinds in HEADINGS.items()
     }
     for each in views:

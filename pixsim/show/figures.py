@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -83,11 +82,6 @@ def literal(text: str) -> str:
     """A name from a file, as Matplotlib shows it letter by letter: between two dollar signs it would read mathematics."""
     printable = "".join(each if each.isprintable() else "\ufffd" for each in text)
     return printable.replace("$", r"\$")
-
-
-def save_svg(figure: Figure, path: Path) -> None:
-    """Write a figure as `svg_text` makes it."""
-    path.write_text(svg_text(figure), encoding="utf-8")
 
 
 def svg_text(figure: Figure) -> str:

@@ -47,7 +47,7 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
 from pixsim.viewer.display import white_header
-from pixsim.viewer.score import Bench, Projection, bench_of, project
+from pixsim.viewer.score import Bench, Lights, bench_of, project
 
 SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
@@ -210,7 +210,7 @@ def few_counts(mean: Array, z: Array) -> Array:
 def score(bench: Bench, setup: Setup, pitch_um: float, sensor: int) -> float:
     """Mean ΔE of an individual sensor, the same for the same set-up, pitch and number."""
     own = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
-    return bench.score_with(own, PairedNoise(own.bit_generator)).mean_delta_e
+    return bench.view(bench.capture_with(own, PairedNoise(own.bit_generator))).mean_delta_e
 
 
 def scores(bench: Bench, setup: Setup, pitch_um: float) -> list[float]:
@@ -219,23 +219,17 @@ def scores(bench: Bench, setup: Setup, pitch_um: float) -> list[float]:
 
 
 def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], Bench]:
-    """A bench of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless it is the optimum's.
-
-    What pitches of one frame share is made once.
-    """
-    shared: dict[float, Projection] = {}
-    own_um = setup.pixel.pitch_um
+    """A bench of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless at the optimum."""
+    lights, own_um = Lights(image, setup.camera, setup.display), setup.pixel.pitch_um
+    widest_um = setup.border_um or max(pitches_um, default=own_um)
 
     def at(pitch_um: float) -> Bench:
         physics = setup.physics(pitch_um)
-        if setup.display.raster == "one_to_one":
-            light = project(image, setup.camera, physics, setup.display)
-            return bench_of(light, physics, setup.exposure, setup.display)
-        alone = pitch_um == own_um and not setup.at_optimum
-        border_um = own_um if alone else setup.border_um or max(pitches_um, default=own_um)
-        if border_um not in shared:
-            shared[border_um] = project(image, setup.camera, physics, setup.display, border_um=border_um)
-        return bench_of(shared[border_um], physics, setup.exposure, setup.display)
+        border_um = own_um if pitch_um == own_um and not setup.at_optimum else widest_um
+        light = lights.of(border_um, physics, border_um)
+        if isinstance(light, SpectralImage):
+            light = project(light, setup.camera, physics, setup.display)
+        return bench_of(light, physics, setup.exposure)
 
     return at
 

@@ -34,7 +34,7 @@ from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.studies.engine import Workers, results_of
-from pixsim.viewer.score import Bench, Projection, Score, bench_of, project
+from pixsim.viewer.score import Bench, Light, Lights, Score, bench_of, project
 
 Row = dict[str, str]
 LARGEST_BYTES = 1 << 28  # a million rows
@@ -163,11 +163,8 @@ COLUMNS = (
 )
 TEXTS = COLUMNS[:2]
 REPEATS_A_TASK = 8  # evaluations after which a worker reports
-LIGHTS_BYTES = 1 << 28  # of lights that are made at once
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order
 Progress = Callable[..., None]  # (fraction done, what to say beside it)
-# What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
-Light = Projection | SpectralImage
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
@@ -187,35 +184,10 @@ def study_pitches_um(study: Study, technology: str) -> Array:
     return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
 
 
-class Lights:
-    """What all pitches of a technology share, made when first asked for, and kept while there is room."""
-
-    def __init__(self, study: Study, irradiance: SpectralImage, camera: Camera) -> None:
-        self.study, self.irradiance, self.camera = study, irradiance, camera
-        self._kept: dict[str, Light] = {}
-
-    def of(self, technology: str) -> Light:
-        if self.study.display.raster == "one_to_one":
-            return self.irradiance
-        if technology not in self._kept:
-            if len(self._kept) >= self.room:
-                self._kept.clear()
-            any_um = float(study_pitches_um(self.study, technology).max())
-            physics = physics_of(self.study, technology, any_um)
-            border_um = self.study.pitch.largest_um
-            self._kept[technology] = project(self.irradiance, self.camera, physics, self.study.display, border_um=border_um)
-        return self._kept[technology]
-
-    @property
-    def room(self) -> int:
-        """How many may be there at once."""
-        planes = 2 * math.prod(self.irradiance.shape) + 4 * self.study.display.dots**2  # light, spline; ideal image, its CIELAB
-        return max(1, LIGHTS_BYTES // (8 * planes))
-
-    def groups(self) -> Iterator[tuple[str, ...]]:
-        """Technologies whose lights there is room for together."""
-        for first in range(0, len(self.study.technologies), self.room):
-            yield self.study.technologies[first : first + self.room]
+def light_of(study: Study, lights: Lights, technology: str) -> Light:
+    """What all pitches of a technology share."""
+    any_um = float(study_pitches_um(study, technology).max())
+    return lights.of(technology, physics_of(study, technology, any_um), study.pitch.largest_um)
 
 
 def bench_at(
@@ -223,9 +195,9 @@ def bench_at(
 ) -> Bench:
     """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
     physics = physics_of(study, technology, pitch_um, process)
-    if not isinstance(light, Projection):
+    if isinstance(light, SpectralImage):
         light = project(light, camera, physics, study.display, border_um=study.pitch.largest_um)
-    return bench_of(light, physics, study.exposure, study.display)
+    return bench_of(light, physics, study.exposure)
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
@@ -254,10 +226,17 @@ class Task:
         return f"{self.technology} at {self.pitch_um:g} µm"
 
 
+_recent = threading.local()  # a thread's last bench: it is dear, and the tasks of a pitch come one after another
+
+
 def evaluate_task(task: Task, light: Light) -> list[Row]:
     """The rows of a task."""
-    bench, rows = _bench(task, light), []
-    for repeat, score in scores_of(bench, task.study, list(task.keys), task.frames_key):
+    own = task.light_key, task.pitch_um
+    if getattr(_recent, "key", None) != own:
+        _recent.bench = bench_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
+        _recent.key = own
+    rows = []
+    for repeat, score in scores_of(_recent.bench, task.study, list(task.keys), task.frames_key):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
         rows.append({"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat), **numbers})
     return rows
@@ -284,20 +263,6 @@ def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -
         cache.keep_arrays("frames", frames_key, frames)
 
 
-_recent = threading.local()  # a thread's last light and last bench: both are dear, and tasks come in their order
-
-
-def _bench(task: Task, light: Light) -> Bench:
-    if getattr(_recent, "light_key", None) != task.light_key:
-        _recent.light_key, _recent.light, _recent.pitch_um = task.light_key, light, None
-    if _recent.pitch_um != task.pitch_um:
-        how = task.technology, task.pitch_um, task.process
-        _recent.bench = bench_at(task.study, _recent.light, task.camera, *how)
-        _recent.pitch_um = task.pitch_um
-    bench: Bench = _recent.bench
-    return bench
-
-
 @dataclass(frozen=True)
 class Content:
     """What the evaluations of a study depend on, as hashes; each is made once."""
@@ -305,7 +270,6 @@ class Content:
     study: Study
     camera: Camera
     irradiance: SpectralImage
-    _ranges_um: dict[str, tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
     _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -348,16 +312,14 @@ class Content:
         technology, pitch_um, repeat = row["technology"], float(row["pitch_um"]), float(row["repeat"])
         if technology not in self.study.technologies or not (repeat >= 0 and repeat.is_integer()):
             return False
-        pitches_um = self._range_um(technology)
-        if not pitches_um[0] <= pitch_um <= pitches_um[1]:
+        pitches_um = self.first_sampling[technology]
+        if not min(pitches_um) <= pitch_um <= max(pitches_um):
             return False
         return self.keys(technology, pitch_um, [int(repeat)])[int(repeat)] == row["key"]
 
-    def _range_um(self, technology: str) -> tuple[float, float]:
-        if technology not in self._ranges_um:
-            pitches_um = study_pitches_um(self.study, technology)
-            self._ranges_um[technology] = float(pitches_um[0]), float(pitches_um[-1])
-        return self._ranges_um[technology]
+    @cached_property
+    def first_sampling(self) -> Sampling:
+        return first_sampling(self.study)
 
     def frames(self, technology: str, pitch_um: float) -> str:
         """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
@@ -365,7 +327,12 @@ class Content:
 
     @cached_property
     def keeps_frames(self) -> bool:
-        return frames_fit(self.study, self.camera)
+        """Whether all frames of the study may be kept without driving out most of the cache."""
+        study, die_um = self.study, 1e3 * self.camera.die_mm
+        code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
+        sensors = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+        pitches = [pitch_um for own in self.first_sampling.values() for pitch_um in own]
+        return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors)
 
 
 def first_sampling(study: Study) -> Sampling:
@@ -373,15 +340,6 @@ def first_sampling(study: Study) -> Sampling:
     return {
         technology: dict.fromkeys(study_pitches_um(study, technology).tolist(), study.repeats) for technology in study.technologies
     }
-
-
-def frames_fit(study: Study, camera: Camera) -> bool:
-    """Whether all frames of a study may be kept without driving out most of the cache."""
-    code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
-    die_um = 1e3 * camera.die_mm
-    sensors = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
-    pitches = [pitch_um for each in study.technologies for pitch_um in study_pitches_um(study, each).tolist()]
-    return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors)
 
 
 def block_key(frames_key: str, block: int) -> str:
@@ -408,9 +366,9 @@ def tasks_of(content: Content, technology: str, sensors: Mapping[float, int], do
 class Evaluations:
     """The rows of a study in results.csv: those of an earlier run that fit are taken, missing ones are appended as they come."""
 
-    def __init__(self, lights: Lights, results: Path, workers: Workers) -> None:
-        self.study, self._lights, self._workers = lights.study, lights, workers
-        self.content = Content(lights.study, lights.camera, lights.irradiance)
+    def __init__(self, study: Study, lights: Lights, results: Path, workers: Workers) -> None:
+        self.study, self._lights, self._workers = study, lights, workers
+        self.content = Content(study, lights.camera, lights.irradiance)
         self._ledger = Ledger(results, COLUMNS, TEXTS)
         self._done: dict[str, Row] = {}
 
@@ -422,7 +380,7 @@ class Evaluations:
             try:
                 yield
             finally:
-                _recent.__dict__.clear()  # of this process; a worker keeps its last light until its next task
+                _recent.__dict__.clear()  # of this process; a worker keeps its last bench until its next task
 
     def of(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
         """The rows of a sampling, in its order.
@@ -433,9 +391,10 @@ class Evaluations:
             technology: list(tasks_of(self.content, technology, sensors, self._done)) for technology, sensors in sampling.items()
         }
         missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
-        for group in self._lights.groups():
-            makers = {technology: partial(self._lights.of, technology) for technology in group}
-            calls = [(task, makers[technology]) for technology in group for task in tasks[technology]]
+        names, room = self.study.technologies, self._lights.room
+        for first in range(0, len(names), room):  # technologies whose lights there is room for together
+            makers = {name: partial(light_of, self.study, self._lights, name) for name in names[first : first + room]}
+            calls = [(task, make) for name, make in makers.items() for task in tasks[name]]
             for rows in results_of(evaluate_task, calls, self._workers):
                 self._ledger.append(rows)
                 self._done |= {row["key"]: row for row in rows}

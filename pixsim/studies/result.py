@@ -17,11 +17,11 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
-from pixsim.show.pages import Column, Plate, _cell
-from pixsim.studies.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, Row, bench_at, block_key, scores_of
+from pixsim.show.pages import Column, Plate, _cell, rows_csv
+from pixsim.studies.evaluations import COLUMNS, REPEATS_A_TASK, Content, Row, bench_at, block_key, light_of, scores_of
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.viewer.display import white_rate
-from pixsim.viewer.score import Score, dark_clip
+from pixsim.viewer.score import Lights, Score, dark_clip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -133,7 +133,7 @@ class StudyResult:
     @cached_property
     def lights(self) -> Lights:
         """The light behind the lens for each response, kept for `scores`."""
-        return Lights(self.study, self.irradiance, self.camera)
+        return Lights(self.irradiance, self.camera, self.study.display)
 
     @cached_property
     def content(self) -> Content:
@@ -165,7 +165,7 @@ class StudyResult:
 
         Raises PixsimError for a pitch that the technology cannot have.
         """
-        bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
+        bench = bench_at(self.study, light_of(self.study, self.lights, technology), self.camera, technology, pitch_um)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.content.frames(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
@@ -189,9 +189,7 @@ class StudyResult:
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """A row for each technology, pitch and sensor, as CSV; also into a file where a `path` is given."""
-        from pixsim.show.pages import csv_text
-
-        return csv_text(study_rows(self), path)
+        return rows_csv(study_rows(self), path)
 
     def _repr_html_(self) -> str:
 

@@ -18,7 +18,7 @@ from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_ha
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.technology import load_technology
 from pixsim.show.figures import COLOURS, literal, new_figure
-from pixsim.show.pages import Column, Plate, write_page, write_plates
+from pixsim.show.pages import Column, Plate, write_figures, write_page
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import Progress
@@ -383,17 +383,14 @@ def differing(case: Case, base: Case) -> list[str]:
 
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
     """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; returns the report's path."""
-    plate = tornado(result)
-    ((_, image, data),) = write_plates(folder, [plate])
+    (drawn,) = write_figures(folder, [tornado(result).drawn()])
     write_json(folder / "summary.json", result.as_dict())
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
     page = {
         "interval": interval_words,
         "sensitivity": result.sensitivity,
-        "plate": plate,
-        "image": image,
-        "data": data,
+        "drawn": drawn,
         "claims": [
             (row, len(turning), turned_words([(case.variation, case.label) for case in turning]))
             for row, turning in ((row, result.turning(row.statement)) for row in result.base_rows)

@@ -19,9 +19,10 @@ from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, Lights, Progress, Sampling, first_sampling, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, Progress, Sampling, first_sampling, study_pitches_um
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import white_cd_per_m2
+from pixsim.viewer.score import Lights
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -175,8 +176,8 @@ def sweep_pitches(
 ) -> StudyResult:
     """Evaluate what is missing in results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
     white_cd_per_m2(irradiance, study.display)  # refuse an unknown white before any file is made
-    lights, sampling = Lights(study, irradiance, camera), first_sampling(study)
-    evaluations = Evaluations(lights, results, workers)
+    lights, sampling = Lights(irradiance, camera, study.display), first_sampling(study)
+    evaluations = Evaluations(study, lights, results, workers)
     with evaluations.alone():
         while True:
             rows = evaluations.of(sampling, progress())

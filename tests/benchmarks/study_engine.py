@@ -16,8 +16,9 @@ import time
 from pathlib import Path
 
 import pixsim
-from pixsim.studies.evaluations import Lights, bench_at, stream_key
+from pixsim.studies.evaluations import bench_at, light_of, stream_key
 from pixsim.studies.study import render_for
+from pixsim.viewer.score import Lights
 
 PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
 TIMED = 100  # evaluations of each pitch that tell what the work costs
@@ -39,7 +40,7 @@ def small_study(repeats: int) -> pixsim.Study:
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
     irradiance, camera = render_for(study)
-    light = Lights(study, irradiance, camera).of("0.35um")
+    light = light_of(study, Lights(irradiance, camera, study.display), "0.35um")
     start = time.perf_counter()
     for pitch_um in PITCHES_UM:
         bench = bench_at(study, light, camera, "0.35um", pitch_um)

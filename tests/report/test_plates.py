@@ -8,7 +8,6 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from pixsim.report.pictures import picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
 from pixsim.report.views import study_pictures
 from pixsim.scene.charts import DIE_MM
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, svg_text
 from pixsim.show.pages import Plate
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.optimum import Optimum
@@ -100,12 +99,9 @@ def plates(evidence: Evidence) -> dict[str, Plate]:
 
 
 @pytest.fixture(scope="module")
-def saved(plates: dict[str, Plate], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def saved(plates: dict[str, Plate]) -> dict[str, str]:
     """Name -> SVG."""
-    folder = tmp_path_factory.mktemp("svg")
-    for name, plate in plates.items():
-        save_svg(plate.figure, folder / f"{name}.svg")
-    return {name: (folder / f"{name}.svg").read_text(encoding="utf-8") for name in plates}
+    return {name: svg_text(plate.figure) for name, plate in plates.items()}
 
 
 def test_the_paper_s_figures_come_in_its_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
@@ -420,10 +416,8 @@ def test_other_pictures_are_labelled_by_position(header: dict[str, object]) -> N
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def test_figures_are_the_same_bytes_each_time(evidence: Evidence, saved: dict[str, str], tmp_path: Path) -> None:
-    for name, plate in every_plate(evidence).items():
-        save_svg(plate.figure, tmp_path / "again.svg")
-        assert (tmp_path / "again.svg").read_text(encoding="utf-8") == saved[name], name
+def test_figures_are_the_same_bytes_each_time(evidence: Evidence, saved: dict[str, str]) -> None:
+    assert {name: svg_text(plate.figure) for name, plate in every_plate(evidence).items()} == saved
 
 
 def test_every_reference_in_a_figure_has_its_target(saved: dict[str, str]) -> None:

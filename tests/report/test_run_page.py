@@ -181,7 +181,7 @@ def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], facto
     if factor == 1:
         assert shown.png == b"the file's own bytes"
     else:
-        assert shown == Picture.of(grey_codes(small), "a name")
+        assert shown == Picture(grey_codes(small), "a name")
     assert (shown.height, shown.width) == small.shape
     assert max(small.shape) <= MOST_DOTS
 

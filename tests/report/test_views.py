@@ -22,7 +22,7 @@ from pixsim.show.pictures import (
     COLUMNS,
     DETAIL_DOTS,
     TITLE,
-    Tile,
+    Picture,
     Window,
     contact_sheet_png,
     delta_e_colours,
@@ -219,7 +219,7 @@ def test_the_bar_of_colours_is_the_maps_scale() -> None:
 
 def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
     rng = np.random.default_rng(1)
-    tiles = [Tile(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
+    tiles = [Picture(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
     sheet = decoded(contact_sheet_png("a title", tiles))
     for number, tile in enumerate(tiles):
         x = MARGIN + number % COLUMNS * (112 + GAP)
@@ -232,7 +232,7 @@ def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
 
 @pytest.mark.parametrize("title", ["two\nlines\tand \x1b[31m", "n" * 5000, "\u202e", ""])
 def test_no_title_breaks_a_sheet_or_widens_it_beyond_bounds(title: str) -> None:
-    tiles = [Tile(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
+    tiles = [Picture(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
     sheet = decoded(contact_sheet_png(title, tiles))
     assert sheet.shape[0] == decoded(contact_sheet_png("plain", tiles)).shape[0]
     assert sheet.shape[1] < 2500

@@ -300,7 +300,7 @@ def test_a_pixel_fewer_leaves_no_seam():
     ends, mean = [], []
     for pitch_um in (6.7840, 6.7847):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = bench_of(project(light, camera, physics, Display(), border_um=15.0), physics, LONG, Display())
+        bench = bench_of(project(light, camera, physics, Display(), border_um=15.0), physics, LONG)
         map_ = bench.score("seam").delta_e
         assert map_.shape[1] == 506
         ends.append([map_[:, 0].mean(), map_[:, -1].mean()])
@@ -382,8 +382,10 @@ def test_ever_smaller_perfect_pixels_show_the_ideal_image(csf, bits, most):
     display, found = Display(bits=bits), {}
     for pitch_um in (5.3, 2.65, 1.325, 0.53):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = bench_of(project(irradiance, camera, physics, display, border_um=15.0), physics, LONG, display)
-        found[pitch_um] = bench.score_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator)).mean_delta_e
+        bench = bench_of(project(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
+        found[pitch_um] = bench.view(
+            bench.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator))
+        ).mean_delta_e
     assert 0 < found[0.53] <= most
     for pitch_um in (5.3, 2.65):
         assert 3.3 < found[pitch_um] / found[pitch_um / 2] < 4.5

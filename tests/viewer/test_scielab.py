@@ -108,7 +108,7 @@ def test_a_cosine_is_scaled_by_the_closed_form(channel, height, width, samples_p
 
 
 def test_the_eye_is_a_band_pass_in_luminance_and_a_low_pass_in_colour():
-    transfer = eye_filters.transfer("published", 1, 4096, 60.0)[:, 0]
+    transfer = eye_filters.transfer(eye_filters.ViewingConditions.of(D65, 60.0, "published"), 1, 4096)[:, 0]
     assert transfer[0].argmax() > 0
     assert 1.1 < transfer[0].max() < 1.2  # (.921 + .105) / .918 where the wide negative Gaussian is gone: 1.118
     assert np.all(np.diff(transfer[1:], axis=1) <= 0)
