@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pixsim.base.files import output_folder, replacing, versions, write_json
-from pixsim.base.parameters import NO_TECHNOLOGY, Record
+from pixsim.base.parameters import NO_TECHNOLOGY, Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import is_csf
@@ -18,7 +18,7 @@ from pixsim.report.settings import FILLED, Light, Row, only_sheets, record_rows,
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
 from pixsim.report.wording import study_dark_notes, target_notes
 from pixsim.sensor.pixel import physics_of
-from pixsim.sensor.technology import Technology, technology_of
+from pixsim.sensor.technology import technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
 from pixsim.show.pages import Column, Drawn, Plate, write_figures, write_page
 from pixsim.show.pictures import scale
@@ -47,9 +47,7 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
         values = curve.mean(name)
         label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("ΔE over its least value of all pixel sizes")
-    axes.set_ylim(0.9, 3.0)
+    axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its least value of all pixel sizes", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = (
@@ -76,10 +74,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     axes.errorbar(feature_um, size_um, bars, fmt="o", color=COLOURS[0], lw=2, capsize=4, label="optimum, 95 % interval")
     proportional = size_um[-1] / feature_um[-1] * feature_um
     axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
-    axes.set_xlabel("feature size (µm)")
-    axes.set_ylabel("optimal pixel size (µm)")
-    axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
+    axes.set(xlabel="feature size (µm)", ylabel="optimal pixel size (µm)", xlim=(0, None), ylim=(0, None))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
     table = {
@@ -121,9 +116,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
         "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
     }  # fmt: skip
     table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
-    lower.set_xlabel("pixel size (µm)")
-    lower.set_ylabel(f"contrast left at {frequency:.3g} lp/mm")
-    lower.set_ylim(0, 1.02)
+    lower.set(xlabel="pixel size (µm)", ylabel=f"contrast left at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
     caption = (
         f"Both sides of the trade-off ({curve.label}). Above: the frequency at which the MTF is one half, from the scene to the "
@@ -154,13 +147,6 @@ class Section:
 
     def __str__(self) -> str:
         return f"figures of {self.technology or self.kind}"
-
-
-def sections_of(result: StudyResult) -> list[Section]:
-    """The figures of a study, in the report's order."""
-    kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
-    kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
-    return [Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)]
 
 
 @dataclass(frozen=True)
@@ -233,7 +219,9 @@ def write_report(
 
 
 def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
-    longest_first = reversed(sections_of(result))
+    kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
+    kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
+    longest_first = reversed([Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
     def itself() -> StudyResult:
         return result
@@ -249,8 +237,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     for each in views:
         with replacing(folder / "figures" / f"contact_sheet_{each.file_label}.png") as partial:
             partial.write_bytes(each.sheet)
-    paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}
-    write_json(folder / "summary.json", result.as_dict() | paper_table)
+    write_json(folder / "summary.json", result.as_dict() | ({"paper": [row.as_dict() for row in rows]} if rows else {}))
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
 
@@ -280,10 +267,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "settings": settings(result, light),
         "filled": FILLED,
         "sheets": NO_TECHNOLOGY in result.study.technologies,
-        "technologies": [
-            (process.name, technology_rows(process))
-            for process in (technology_of(result.study, name) for name in result.study.technologies if name != NO_TECHNOLOGY)
-        ],
+        "technologies": [technology_rows(result.study, name) for name in result.study.technologies if name != NO_TECHNOLOGY],
         "provenance": provenance,
     }
     return write_page(folder / "report.html", "report.html.j2", page)
@@ -300,8 +284,9 @@ def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 
 
-def technology_rows(process: Technology) -> list[tuple[str, float | str, str, str]]:
-    """Name, value, plausible range and source of each number of a process, for the report's table."""
+def technology_rows(study: Study, technology: str) -> tuple[str, list[tuple[str, float | str, str, str]]]:
+    """A process's name; and name, value, plausible range and source of each of its numbers, for the report's table."""
+    process = technology_of(study, technology)
     values = process.content | process.numbers
     ranges = {name: f"{low:g} to {high:g}" for name, (low, high) in process.ranges.items()}
-    return [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]
+    return process.name, [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]

@@ -99,9 +99,7 @@ def draw_iso(
         handles = [axes.plot([], [], lw=widths[i], label=labels[i], **looks[i].stroke)[0] for i in there]
         axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
         points = [(float(px), float(py)) for segments in lines.allsegs for segment in segments for px, py in segment]
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
-    axes.set_aspect("equal")
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     label_axes(axes, where)
     for spine in axes.spines.values():
         spine.set(visible=True, color="0.8")
@@ -156,7 +154,6 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     for place in range(last + 1):
         part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
         tiles.append(Picture(grey_codes(part), *words(curve, place), is_best(curve, place)))
-    named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
     return Views(
         label=curve.label,
         file_label=curve.file_label,
@@ -165,7 +162,10 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
         crops=tuple(crops(scores[place], window, called(curve, place)) for place in ends),
         ideal=Picture(grey_codes(reduced(ideal)), "ideal image"),
         factor=factor_for(ideal),
-        outputs=tuple(Picture(grey_codes(reduced(scores[place].image)), named[place], words(curve, place)[1]) for place in ends),
+        outputs=tuple(
+            Picture(grey_codes(reduced(scores[place].image)), f"{called(curve, place)}, {size}", mean)
+            for place, (size, mean) in ((each, words(curve, each)) for each in ends)
+        ),
         sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1; framed: the best of these", tiles),
     )
 

@@ -116,8 +116,7 @@ def label_axes(axes: Axes, where: PictureAxes) -> None:
     """What lies along the sides of a picture."""
     for spine in axes.spines.values():
         spine.set_visible(False)
-    axes.set_xlabel(where.across.label)
-    axes.set_ylabel(where.down.label)
+    axes.set(xlabel=where.across.label, ylabel=where.down.label)
     if where.fixed:
         axes.set_xticks(*zip(*where.across.ticks, strict=True))
         axes.set_yticks(*zip(*where.down.ticks, strict=True))

@@ -18,7 +18,6 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import replacing
-from pixsim.base.parameters import Record
 from pixsim.show.figures import svg_text
 
 if TYPE_CHECKING:
@@ -46,15 +45,6 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     with replacing(path) as partial:
         partial.write_text(environment.get_template(template).render(**content), encoding="utf-8")
     return path
-
-
-def described(record: Record) -> list[tuple[str, Any, str, bool]]:
-    """Name, value and meaning of each field that is set, for readers, and whether the value is the default."""
-    fields = type(record).model_fields
-    return [
-        (key, shown_value(value), re.sub(r"\bNone: ", "left out: ", fields[key].description or ""), value == fields[key].default)
-        for key, value in record.model_dump(exclude_none=True).items()
-    ]
 
 
 def shown_value(value: Any) -> Any:

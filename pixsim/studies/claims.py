@@ -134,9 +134,9 @@ def unless(agrees: bool, remark: str = "") -> str:
     return remark if agrees else ASSUMED
 
 
-def by_frequency(delta_e: Array, bins: int = FREQUENCY_BINS) -> Array:
+def by_frequency(delta_e: Array) -> Array:
     """Means of a CSF map over bins of equal ratio in frequency, (rows, bins)."""
-    return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, bins, axis=1)], axis=1)
+    return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, FREQUENCY_BINS, axis=1)], axis=1)
 
 
 def chart_places(parts: int, border: float) -> Array:
@@ -144,9 +144,9 @@ def chart_places(parts: int, border: float) -> Array:
     return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
 
 
-def frequency_bins_lp_per_mm(border: float = 0.0, bins: int = FREQUENCY_BINS) -> Array:
+def frequency_bins_lp_per_mm(border: float = 0.0) -> Array:
     """Centres of `by_frequency`, of a map that leaves out a border (as a share of the chart's width) on either side."""
-    return csf_frequency_lp_per_mm(chart_places(bins, border))
+    return csf_frequency_lp_per_mm(chart_places(FREQUENCY_BINS, border))
 
 
 def frequency_contrast_table(delta_e: Array, border: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -61,26 +61,20 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
     if scheduler is None:
         yield workers_here(jobs)
     elif isinstance(scheduler, str):
-        client = _connected(scheduler)
         try:
+            import distributed
+        except ImportError:
+            raise refuse("--scheduler", f"'{scheduler}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
+        try:
+            client = distributed.Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
+            got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
+            raise refuse("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
+        with closing(client):
             yield _checked(client)
-        finally:
-            client.close()
     else:
         yield _checked(scheduler)
-
-
-def _connected(address: str) -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise refuse("--scheduler", f"'{address}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
-    try:
-        return distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
-        got = f"'{address}' ({' '.join(str(error).split()) or type(error).__name__})"
-        raise refuse("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
 
 
 def _checked(client: Any) -> Workers:
@@ -114,62 +108,45 @@ def results_of(
     left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
     deadly: dict[int, Call[Task, Shared]] = {}
     workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
+
+    def attempt(some: dict[int, Call[Task, Shared]]) -> Iterator[Result]:
+        """Results of some calls, which are taken away from them; a worker's death ends it."""
+        try:
+            for index, result in _once(function, some, workers):
+                del some[index]
+                yield result
+        except Exception as error:
+            if not is_death(error):
+                raise
+
     while left:
         before = len(left)
-        try:
-            for index, result in _once(function, left, workers):
-                del left[index]
-                yield result
-        except Exception as error:
-            if not is_death(error):
-                raise
-            warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
-            if len(left) == before:  # one of those that were begun first
-                suspects = {index: left.pop(index) for index in list(left)[: SUSPECTS * workers.jobs]}
-                yield from _one_by_one(function, suspects, workers, deadly)
-            else:
-                left = _later(left)
+        yield from attempt(left)
+        if not left:
+            break
+        warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
+        indices = list(left)
+        if len(left) < before:  # those that were begun first may be what kills: the others go before them
+            half = len(indices) // 2
+            left = {index: left[index] for index in [*indices[half:], *indices[:half]]}
+            continue
+        for index in indices[: SUSPECTS * workers.jobs]:  # one of those that were begun first: each with no other beside it
+            alone = {index: left.pop(index)}
+            yield from attempt(alone)
+            deadly |= alone
     if deadly:
-        raise PixsimError(_told(deadly, workers))
-
-
-def _one_by_one(
-    function: Callable[[Task, Shared], Result],
-    suspects: dict[int, Call[Task, Shared]],
-    workers: Workers,
-    deadly: dict[int, Call[Task, Shared]],
-) -> Iterator[Result]:
-    """Each call with no other beside it: those that end their worker even so are added to `deadly`."""
-    for index, call in suspects.items():
-        try:
-            for _, result in _once(function, {index: call}, workers):
-                yield result
-        except Exception as error:
-            if not is_death(error):
-                raise
-            deadly[index] = call
+        tasks = [str(task) for task, _ in deadly.values()]
+        named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
+        raise PixsimError(
+            f"workers ({workers}): each of these ended its process, even alone: {named}. Often it is the system that is out of "
+            "memory. What is finished is kept, and the same command goes on from there; --jobs 1 shows the error."
+        )
 
 
 def is_death(error: BaseException) -> bool:
     """Whether an error is that of a worker or a cluster, and not of the work; told by name, since neither need be installed."""
     names = {kind.__name__ for kind in type(error).__mro__}
     return bool(names & {"BrokenProcessPool", "KilledWorker", "CommClosedError", "FutureCancelledError", "CancelledError"})
-
-
-def _later(left: dict[int, Call[Task, Shared]]) -> dict[int, Call[Task, Shared]]:
-    """Those that were begun first may be what kills: the others go before them."""
-    indices = list(left)
-    half = len(indices) // 2
-    return {index: left[index] for index in [*indices[half:], *indices[:half]]}
-
-
-def _told(left: dict[int, Call[Task, Shared]], workers: Workers) -> str:
-    tasks = [str(task) for task, _ in left.values()]
-    named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
-    return (
-        f"workers ({workers}): each of these ended its process, even alone: {named}. Often it is the system that is out of memory. "
-        "What is finished is kept, and the same command goes on from there; --jobs 1 shows the error."
-    )
 
 
 def _once(
@@ -199,24 +176,19 @@ def _on_cluster(
     from joblib import Parallel, delayed, parallel_config
 
     shared = {id(make): make() for _, make in calls.values()}
-    if sum(client.ncores().values()) == 1:  # joblib would compute here
-        yield from _on_one_thread(function, calls, shared, client)
+    if sum(client.ncores().values()) == 1:  # joblib would compute here; one thread does them in this order
+        there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
+        futures = [
+            client.submit(_numbered, function, index, task, there[id(make)], pure=False)
+            for index, (task, make) in list(calls.items())
+        ]
+        yield from (future.result() for future in futures)
         return
     with parallel_config("dask", client=client, scatter=list(shared.values())):
         parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
         yield from parallel(
             delayed(_numbered)(function, index, task, shared[id(make)]) for index, (task, make) in list(calls.items())
         )
-
-
-def _on_one_thread(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], shared: dict[int, Shared], client: Any
-) -> Iterator[tuple[int, Result, list[str]]]:
-    there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
-    futures = [
-        client.submit(_numbered, function, index, task, there[id(make)], pure=False) for index, (task, make) in list(calls.items())
-    ]
-    yield from (future.result() for future in futures)  # one thread does them in this order
 
 
 def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result, list[str]]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import errno
-import io
 import math
 import os
 import shutil
@@ -33,6 +32,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.show.pages import csv_text
 from pixsim.studies.engine import Workers, results_of
 from pixsim.viewer.score import Bench, Light, Lights, Score, bench_of, project
 
@@ -140,9 +140,7 @@ class Ledger:
             ) from None
 
     def _text(self, rows: Iterable[Row]) -> bytes:
-        text = io.StringIO(newline="")
-        csv.DictWriter(text, self.columns).writerows(rows)
-        return text.getvalue().encode()
+        return csv_text([row[name] for name in self.columns] for row in rows).encode()
 
 
 COLUMNS = (
@@ -337,9 +335,7 @@ class Content:
 
 def first_sampling(study: Study) -> Sampling:
     """What a study begins with: `repeats` sensors of each of its pitches."""
-    return {
-        technology: dict.fromkeys(study_pitches_um(study, technology).tolist(), study.repeats) for technology in study.technologies
-    }
+    return {each: dict.fromkeys(study_pitches_um(study, each).tolist(), study.repeats) for each in study.technologies}
 
 
 def block_key(frames_key: str, block: int) -> str:

@@ -330,24 +330,6 @@ def evaluate(
     return bench.score("evaluate", seed)
 
 
-def describe(score: Score, irradiance: SpectralImage) -> dict[str, Any]:
-    """score.json: numbers, then what made them.
-
-    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the edge of the picture that is not
-    scored.
-    """
-    white = "the lamps' own" if displays.white_spectrum(irradiance) is not None else "D65: the lamps share no spectrum"
-    return {
-        **score.statistics(),
-        "pixels": list(score.frame.dn.shape),
-        "scored_dots": list(score.delta_e.shape),
-        "border_um": list(score.border_um),
-        "pixel": score.physics.pixel.model_dump(),
-        "white_spectrum": white,
-        "irradiance": irradiance.header,
-    }
-
-
 DSNU_NODES = 64  # of equal weight
 FEW_E = 100.0  # dark charge up to which its Poisson law is summed; above it, 10 σ from 0, a normal one clips nothing by itself
 POISSON_TERMS = 200  # 10 σ above `FEW_E`

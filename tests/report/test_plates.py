@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.looks import grey_look
+from helpers.tiny import PITCHES_UM, TINY
 from matplotlib.axes import Axes
 from matplotlib.image import imread
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -21,7 +22,7 @@ from pixsim.base.parameters import pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
-from pixsim.report.pictures import picture_axes
+from pixsim.report.pictures import MOST_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
 from pixsim.report.views import study_pictures
 from pixsim.scene.charts import DIE_MM
@@ -31,22 +32,12 @@ from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult, delta_e_against_pitch
 
-PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
-STUDY = {
-    "name": "tiny",
-    "repeats": 2,
-    "iso_delta_e": 1.0,
-    "paper": True,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
-    "pitch": {"values_um": PITCHES_UM},
-    "display": {"dots": 120, "samples_per_deg": 10.0},
-}
 OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
-    return pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path_factory.mktemp("plates"), jobs=1)
+def result(tiny_result: StudyResult) -> StudyResult:
+    return tiny_result
 
 
 @pytest.fixture(scope="module")
@@ -233,7 +224,7 @@ def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evide
     y = (1 - np.log(contrast[here] / (975 / 1025)) / np.log(0.01)) * 120 - cut - 0.5
     level = map_coordinates(smooth, [y, x], order=1, mode="nearest")
     # The contour is drawn by lines between samples: off by the curvature within one.
-    np.testing.assert_allclose(level, STUDY["iso_delta_e"], rtol=0.02)
+    np.testing.assert_allclose(level, TINY["iso_delta_e"], rtol=0.02)
 
 
 def test_figure_5_s_map_is_the_mean_of_the_sensors(plates: dict[str, Plate], evidence: Evidence) -> None:
@@ -411,6 +402,17 @@ def test_other_pictures_are_labelled_by_position(header: dict[str, object]) -> N
     assert "mm" in axes.get_xlabel()
     assert "lp/mm" not in axes.get_xlabel()
     assert "contrast" not in axes.get_ylabel()
+
+
+@pytest.mark.parametrize(("die_mm", "texts"), [(2.7136, "0 0.5 1 1.5 2 2.5"), (6.0, "0 1 2 3 4 5 6"), (0.0119, "0 0.002 0.004")])
+def test_other_marks_are_round_numbers(die_mm, texts):
+    axes = picture_axes(SpectralImage([550.0], 10.0, 1e3 * die_mm / 16, data=np.ones((8, 16, 1))))
+    across, down = axes.across, axes.down
+    assert " ".join(text for _, text in across.ticks).startswith(texts)
+    assert all(at == pytest.approx(float(text)) for at, text in across.ticks)
+    assert 3 <= len(across.ticks) <= MOST_TICKS
+    assert across.ticks[-1][0] <= die_mm * (1 + 1e-6)
+    assert down.ticks[-1][0] <= die_mm / 2 * (1 + 1e-6)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
+from helpers.tiny import tiny
 
 import pixsim
 from pixsim.report.settings import Light
@@ -18,16 +19,7 @@ from pixsim.report.study import plates_of_curves, write_report
 from pixsim.studies.result import StudyResult
 
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"
-STUDY = {
-    "name": "tiny",
-    "title": TITLE,
-    "technologies": ["0.35um", "<b>&process.toml"],
-    "repeats": 2,
-    "iso_delta_e": 1.0,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
-    "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
-    "display": {"dots": 96, "samples_per_deg": 10.0},
-}
+OTHER = "<b>&process.toml"
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +29,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         other = process.read_text(encoding="utf-8").replace('name = "0.35um"', 'name = "other"')
-        Path(STUDY["technologies"][1]).write_text(other, encoding="utf-8")
-        result = pixsim.study(pixsim.Study.model_validate(STUDY), folder / "out", jobs=1)
+        Path(OTHER).write_text(other, encoding="utf-8")
+        result = pixsim.study(tiny(title=TITLE, technologies=["0.35um", OTHER]), folder / "out", jobs=1)
         write_report(result, folder / "out", {"render": 1.25})
         yield result, folder / "out"
 
@@ -147,7 +139,7 @@ def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
         path.parent.mkdir()
         text = process.read_text(encoding="utf-8")
         path.write_text(text.replace('name = "0.35um"', f'name = "{path.parent.name}"'), encoding="utf-8")
-    study = pixsim.Study.model_validate(STUDY | {"technologies": [str(path) for path in paths]})
+    study = tiny(title=TITLE, technologies=[str(path) for path in paths])
     result = pixsim.study(study, tmp_path / "out", jobs=1)
     assert [curve.technology for curve in result.curves] == [str(path) for path in paths]
     assert repr(result).count(str(tmp_path)) == 0
@@ -237,7 +229,7 @@ SHEET = {
 
 def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> None:
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
-    result = pixsim.study(pixsim.Study.model_validate(STUDY | more), tmp_path, jobs=1)
+    result = pixsim.study(tiny(**more), tmp_path, jobs=1)
     write_report(result, tmp_path)
     page, words = text_of(tmp_path), words_of(tmp_path)
     rows = re.findall(r"<tr><td>(\w+)</td>", page)
@@ -252,14 +244,14 @@ def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> Non
 
 def text_of_a_process(folder: Path) -> str:
     """The same pages of a process, which uses those settings."""
-    study = pixsim.Study.model_validate(STUDY | {"name": "process", "technologies": ["0.35um"], "title": ""})
+    study = tiny(name="process")
     return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
 
 
 def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_turn_it(tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
-    own = {"name": "paper", "technologies": ["0.35um"], "title": "", "paper": True, "pixel": {"response": "literal"}}
-    result = pixsim.study(pixsim.Study.model_validate(STUDY | own), tmp_path, jobs=1)
+    own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}
+    result = pixsim.study(tiny(**own), tmp_path, jobs=1)
     write_report(result, tmp_path)
     words = words_of(tmp_path)
     assert "read literally, as a quantum efficiency: it peaks at 0.0415. The process 0.35um states 0.37 (A: measured" in words

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import shlex
+import tomllib
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from benchmarks.paper_table import claims_table, counts, tornado_table
 from helpers.browser import BROWSER, assert_fits, assert_prints
+from helpers.tiny import PITCHES_UM, rows, tiny_toml
 
 import pixsim
 from pixsim import cli
@@ -31,7 +33,6 @@ from pixsim.studies.sensitivity import (
     Sensitivity,
     SensitivityResult,
     cases_of,
-    differing,
     file_name,
     moves_of,
     run_sensitivity,
@@ -41,32 +42,14 @@ from pixsim.studies.sensitivity import (
 )
 from pixsim.studies.study import load_study, refuse_bad_pitches
 
-PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
-BASE_TOML = """
-name = "tiny"
-seed = 1
-target_ci_um = 0.5
-technologies = ["0.35um", "0.25um"]
-scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
-display = { dots = 96, samples_per_deg = 10.0 }
-pixel = { prnu = 0.02 }
-"""
-SENSITIVITY = {
-    "name": "tiny-sensitivity",
-    "base": "tiny.toml",
-    "repeats": 2,
-    "pitch": {"values_um": PITCHES_UM},
-    "vary": [
-        {"name": "PRNU", "settings": [{"label": "2 %", "set": {"pixel": {"prnu": 0.02}}}]},
-        {
-            "name": "light",
-            "settings": [
-                {"label": "half", "set": {"scene": {"parameters": {"luminance_cd_per_m2": 50.0}}}},
-                {"label": "f/2.8", "set": {"camera": {"f_number": 2.8}}},
-            ],
-        },
-    ],
-}
+BASE_TOML = tiny_toml(
+    repeats=4,
+    seed=1,
+    target_ci_um=0.5,
+    technologies=["0.35um", "0.25um"],
+    pixel={"prnu": 0.02},
+    pitch={"values_um": [4.0, 5, 6, 7, 8]},
+)
 SENSITIVITY_TOML = """
 name = "tiny-sensitivity"
 base = "tiny.toml"
@@ -84,6 +67,9 @@ settings = [
 """
 
 
+SENSITIVITY = tomllib.loads(SENSITIVITY_TOML)
+
+
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A working folder with both files."""
@@ -98,11 +84,6 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def done(desk: Path) -> tuple[SensitivityResult, Path]:
     return run_sensitivity(Sensitivity.model_validate(SENSITIVITY), desk / "one", jobs=1), desk / "one"
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def cases(folder: Path) -> dict[str, bytes]:
@@ -229,27 +210,6 @@ def case(sizes_um: list[float], best: list[float], variation: str = "v", label: 
 SHRINKS, SLOWER = "The optimum shrinks with technology", "… but slower than the technology"
 WORSE = "The best mean ΔE gets worse as technology shrinks"
 PAPER = [6.5, 5.2, 4.1], [0.5, 0.55, 0.6]  # 18.6, 20.8 and 22.8 features
-
-
-@pytest.mark.parametrize(
-    ("sizes_um", "best", "missed"),
-    [
-        (*PAPER, set()),
-        ([6.5, 6.6, 4.1], PAPER[1], {SHRINKS, SLOWER}),  # 26.4 features in the middle
-        ([6.5, 4.6, 3.0], PAPER[1], {SLOWER}),  # 16.7 features at last
-        (PAPER[0], [0.5, 0.6, 0.4], {WORSE}),
-        (PAPER[0], [0.5, 0.65, 0.6], {WORSE}),  # worse on the whole, better at one step
-        ([6.5, 6.6, 3.0], [0.5, 0.6, 0.4], {SHRINKS, SLOWER, WORSE}),
-    ],
-)
-def test_what_the_optima_say_about_scaling(sizes_um: list[float], best: list[float], missed: set[str]) -> None:
-    found = case(sizes_um, best)
-    assert found.agrees == {name: name not in missed for name in (SHRINKS, SLOWER, WORSE)}
-    assert set(differing(found, case(*PAPER))) == missed
-
-
-def test_one_technology_says_nothing_about_scaling() -> None:
-    assert scaling_rows([curve(0.35, 6.5, 0.5)]) == []
 
 
 def synthetic() -> SensitivityResult:

@@ -1,6 +1,5 @@
 """Studies: what is computed, what is kept, and that neither depends on workers, threads, order or interruptions."""
 
-import csv
 import io
 import json
 import shlex
@@ -13,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
+from helpers.tiny import PITCHES_UM, keys, rows, tiny_toml
+from helpers.tiny import tiny as tiny_study
 
 import pixsim
 from pixsim import cli
@@ -29,40 +30,13 @@ from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study
 from pixsim.viewer.score import Bench
 
-PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+OWN = {"repeats": 3, "seed": 1}
+TINY_TOML = tiny_toml(**OWN)
 FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
-# Dim, so that few and coarse dots show a minimum between noise and blur.
-TINY = {
-    "name": "tiny",
-    "repeats": 3,
-    "seed": 1,
-    "iso_delta_e": 1.0,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
-    "pitch": {"values_um": PITCHES_UM},
-    "display": {"dots": 96, "samples_per_deg": 10.0},
-}
-TINY_TOML = """
-name = "tiny"
-repeats = 3
-seed = 1
-iso_delta_e = 1.0
-scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
-pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
-display = { dots = 96, samples_per_deg = 10.0 }
-"""
 
 
 def tiny(**over: object) -> pixsim.Study:
-    return pixsim.Study.model_validate(merge(TINY, over))
-
-
-def rows(folder: Path) -> list[dict[str, str]]:
-    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def keys(folder: Path) -> list[str]:
-    return [row["key"] for row in rows(folder)]
+    return tiny_study(**OWN | over)
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import shutil
-import tomllib
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -16,6 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.dense_curves import simulated
+from helpers.tiny import keys, tiny_toml
+from helpers.tiny import tiny as tiny_study
 
 import pixsim
 from pixsim import cli
@@ -216,39 +216,25 @@ def test_rounds_narrow_the_interval(seed: int) -> None:
 
 # --- Studies with pictures ---------------------------------------------------------------------------------------------
 
-TOML = """
-name = "tiny"
-repeats = 2
-seed = 1
-target_ci_um = 0.01
-max_evaluations = 30
-scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
-pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
-display = { dots = 96, samples_per_deg = 10.0 }
-"""
+OWN = {"seed": 1, "target_ci_um": 0.01, "max_evaluations": 30}
 EVALUATIONS = 28  # 12 to begin with and two rounds of 8; a third would be more than allowed
 
 
 @pytest.fixture
 def toml(tmp_path: Path) -> Path:
     path = tmp_path / "tiny.toml"
-    path.write_text(TOML, encoding="utf-8")
+    path.write_text(tiny_toml(**OWN), encoding="utf-8")
     return path
 
 
 def tiny(**over: object) -> pixsim.Study:
-    return pixsim.Study.model_validate(tomllib.loads(TOML) | over)
+    return tiny_study(**OWN | over)
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     folder = tmp_path_factory.mktemp("done")
     return pixsim.study(tiny(), folder, jobs=1), folder
-
-
-def keys(folder: Path) -> list[str]:
-    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
-        return [row["key"] for row in csv.DictReader(file)]
 
 
 def summary(result: StudyResult) -> str:
