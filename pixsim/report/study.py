@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -137,8 +138,7 @@ FIGURE_NUMBERS = {
 HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """Figures that are drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
 
     number: int
@@ -149,14 +149,13 @@ class Section:
         return f"figures of {self.technology or self.kind}"
 
 
-@dataclass(frozen=True)
-class Made:
+class Made(NamedTuple):
     """What a section came to: its figures, the pictures that people see, and what it found."""
 
     section: Section
     drawn: list[Drawn]
-    views: Views | None = None
-    rows: tuple[Finding, ...] = ()
+    views: Views | None
+    rows: list[Finding]
 
 
 def draw_section(section: Section, result: StudyResult) -> Made:
@@ -169,8 +168,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     elif section.kind == "pictures":
         curve = by_name[section.technology]
         scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
-        maps = [score.delta_e for score in scores]
-        plates = [study_pictures(result, curve, scores[0], maps, f"pictures_{curve.file_label}")]
+        plates = [study_pictures(result, curve, scores[0], [each.delta_e for each in scores], f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
         plates = [other_statistics(result, first), light_against_detail(result, first)]
@@ -179,7 +177,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return Made(section, [plate.drawn() for plate in plates], views, tuple(rows))
+    return Made(section, [plate.drawn() for plate in plates], views, rows)
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -219,6 +217,7 @@ def write_report(
 
 
 def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
+    study = result.study
     kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
     longest_first = reversed([Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
@@ -227,7 +226,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         return result
 
     calls = [(section, itself) for section in longest_first]
-    made = sorted(results_of(draw_section, calls, workers), key=lambda each: each.section.number)
+    made = sorted(results_of(draw_section, calls, workers))  # numbers differ
     rows = [row for each in made for row in each.rows]
     views = [each.views for each in made if each.views]
     shown = {
@@ -242,16 +241,14 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     write_json(folder / "provenance.json", provenance)
 
     def light_of(curves: Sequence[Curve]) -> Light:
-        times_s = np.concatenate([curve.mean("integration_s") for curve in curves])
-        return Light.of(result.irradiance, result.study.display, times_s)
+        return Light.of(result.irradiance, study.display, np.concatenate([curve.mean("integration_s") for curve in curves]))
 
     def blur_of(curve: Curve) -> str:
-        physics = physics_of(result.study, curve.technology, curve.optimum.pitch_um)
-        return blur_words(result.irradiance, result.camera, physics, result.study.display)
+        physics = physics_of(study, curve.technology, curve.optimum.pitch_um)
+        return blur_words(result.irradiance, result.camera, physics, study.display)
 
-    light = light_of(result.curves)
     page = {
-        "study": result.study,
+        "study": study,
         "interval": interval_words,
         "within": within_words,
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
@@ -261,13 +258,13 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "scale_bar": scale(),
         "findings": rows,
         "notes": [each.removeprefix("note: ") for each in (*target_notes(result), *study_dark_notes(result))],
-        "response_note": response_note(result.study) if result.study.paper else "",
+        "response_note": response_note(study) if study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,
-        "settings": settings(result, light),
+        "settings": settings(result, light_of(result.curves)),
         "filled": FILLED,
-        "sheets": NO_TECHNOLOGY in result.study.technologies,
-        "technologies": [technology_rows(result.study, name) for name in result.study.technologies if name != NO_TECHNOLOGY],
+        "sheets": NO_TECHNOLOGY in study.technologies,
+        "technologies": [technology_rows(study, name) for name in study.technologies if name != NO_TECHNOLOGY],
         "provenance": provenance,
     }
     return write_page(folder / "report.html", "report.html.j2", page)
@@ -276,9 +273,9 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
 def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
     """The parameters with their meaning and source, as the report's tables show them; unset ones come from the technology."""
     study = result.study
-    records: dict[str, Record] = {
-        "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
-    }  # fmt: skip
+    records: dict[str, Record] = {"camera": result.camera} | {
+        name: getattr(study, name) for name in ("pixel", "exposure", "display")
+    }
     sheets = only_sheets(study.technologies)
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]

@@ -132,10 +132,6 @@ class Probe:
     def of_first_sensor(self) -> Probe:
         return replace(self, delta_e=self.delta_e[:1], sweep_delta_e=self.sweep_delta_e[:, :1])
 
-    def optimum_of(self, sensor: int) -> float:
-        """Of one sensor alone."""
-        return minimum_um(self.pitch_um, self.sweep_delta_e[:, sensor])
-
 
 def minimum_um(pitch_um: Array, delta_e: Array) -> float:
     """Minimum of a cubic in log pitch through the points; NaN where it is at an end, and where all points are one level."""
@@ -382,7 +378,9 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     mean = replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
     films, order = film_errors(own, coarse)
-    display, fits = setup.display, setup.display.raster == "fixed_size" and 2 * setup.display.dots <= MOST_DOTS
+    optima = [minimum_um(sensors.pitch_um, each) for each in sensors.sweep_delta_e.T]
+    finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
+    fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MOST_DOTS
     scaled = difference_of(probe(brighter(image, 1 + SCALED_BY), setup), own)
     return Calibration(
         width=job.size[1],
@@ -393,8 +391,8 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
         per_e=scaled.times(1 / SCALED_BY),
         films=films,
         order=order,
-        sensor=Effect(spread(sensors.delta_e), spread(np.array([sensors.optimum_of(k) for k in range(SENSORS)]))),
-        raster=difference_of(probe(image, replace(setup, display=finer(display, 2 * display.dots))), own) if fits else NOT_KNOWN,
+        sensor=Effect(spread(sensors.delta_e), spread(np.array(optima))),
+        raster=difference_of(probe(image, finer_setup), own) if fits else NOT_KNOWN,
         interpolation=interpolation_effect(image, setup, own),
         work=2.0 * spp * plan.passes * job.size[0] * job.size[1],
         planes=len(image.factors[0]) if image.factors else image.wavelength_nm.size,

@@ -93,7 +93,7 @@ class FittedCurve:
     stiffness, residual : the likeliest
     noise : the likeliest variance of one sensor over the square of its mean ΔE
     scale : mean ΔE whose square the design's noise is in units of
-    width_um : photodiode width of pixel pitches; None takes it in proportion to the pitch
+    width_um : photodiode width of pixel pitches; by default in proportion to the pitch
     """
 
     pitch_um: Array = field(repr=False)
@@ -106,7 +106,7 @@ class FittedCurve:
     residual: float = field(repr=False)
     noise: float = field(repr=False)
     scale: float = field(repr=False)
-    width_um: Widths | None = field(repr=False, default=None)
+    width_um: Widths = field(repr=False, default=np.asarray)
 
     def places_of(self, pitch_um: Array) -> Array:
         """Places (n,) of pitches where the curve is smooth: logarithms of photodiode widths over the smallest one."""
@@ -193,21 +193,19 @@ def multiplied(matrix: Array, vectors: Array) -> Array:
     return np.asarray(np.einsum("ij,...j->...i", matrix, vectors))
 
 
-def places_of(pitch_um: Array, first_um: float, width_um: Widths | None) -> Array:
+def places_of(pitch_um: Array, first_um: float, width_um: Widths) -> Array:
     """Logarithms of the photodiode widths of pitches over that of the first one, (n,)."""
-    if width_um is None:
-        return np.asarray(np.log(np.asarray(pitch_um, float) / first_um))
     return np.asarray(np.log(width_um(np.asarray(pitch_um, float)) / width_um(np.array([first_um]))[0]))
 
 
-def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -> FittedCurve:
+def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths = np.asarray) -> FittedCurve:
     """Fit mean ΔE against pitch and find its minimum.
 
     Parameters
     ----------
     pitch_um : (P,) rising, at least 5
     delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. Two sensors at some pitch at least
-    width_um : photodiode width of pixel pitches; None takes it in proportion to the pitch
+    width_um : photodiode width of pixel pitches; by default in proportion to the pitch
 
     Source: the regression of Wahba (1978), as this module's docstring describes it.
     """

@@ -83,11 +83,6 @@ class Curve:
         return np.asarray(np.isfinite(self.delta_e).sum(axis=1))
 
     @property
-    def fewest_sensors(self) -> int:
-        """Of all pitches."""
-        return int(self.sensors.min())
-
-    @property
     def optimum_fill_factor(self) -> float:
         """Photodiode area over pixel area at the optimum, linear between pitches."""
         return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))

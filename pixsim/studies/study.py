@@ -253,4 +253,4 @@ def study(
     if settled is None:
         return result
     noise = RenderNoise(**irradiance.header["render_noise"])
-    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], result.curves[0].fewest_sensors))
+    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], int(result.curves[0].sensors.min())))
