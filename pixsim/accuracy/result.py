@@ -13,6 +13,7 @@ from scipy.stats import t as student_t
 from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.solvers import Solved
 from pixsim.accuracy.stability import Case
+from pixsim.show.pages import plain
 from pixsim.studies.budget import Calibration, Effect, Setup
 
 FEWEST_POINTS = 3
@@ -128,7 +129,7 @@ class Discharge:
 
     def as_dict(self) -> dict[str, Any]:
         own = {name: value for name, value in vars(self).items() if name != "solved"}
-        return _plain(own | asdict(self.solved))
+        return plain(own | asdict(self.solved))
 
 
 @dataclass(frozen=True)
@@ -191,20 +192,16 @@ class Accuracy:
             "scene": self.name,
             "reference": self.reference,
             "analytic": self.analytic,
-            "shipped": _plain(asdict(self.shipped)),
-            "ladders": {name: [_plain(asdict(each)) for each in self.rungs if each.ladder == name] for name in self.names},
+            "shipped": plain(asdict(self.shipped)),
+            "ladders": {name: [plain(asdict(each)) for each in self.rungs if each.ladder == name] for name in self.names},
             "orders": {
                 name: {metric: asdict(order) for metric in METRICS if (order := self.order(name, metric))} for name in self.names
             },
             "shipped_on_front": {metric: self.beaten(metric) is None for metric in METRICS if self.rivals(metric)},
             "stage_seconds": self.stage_seconds,
-            "error_budget": {name: _plain(asdict(each)) for name, each in self.budget.items()},
-            "stability": [_plain(case.as_dict()) for case in self.cases],
+            "error_budget": {name: plain(asdict(each)) for name, each in self.budget.items()},
+            "stability": [plain(case.as_dict()) for case in self.cases],
             "solvers": [each.as_dict() for each in self.solvers],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}

@@ -47,6 +47,7 @@ from pixsim.measure.estimators import (
 from pixsim.measure.experiment import Experiment, Measured, make_experiment, measure
 from pixsim.sensor.photodiode import kept_level_e
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.show.pages import plain
 
 SHOT_NODES, GAIN_NODES, OFFSET_NODES = 65, 37, 19
 WIDEST = 5.0  # σ, of the nodes
@@ -260,8 +261,7 @@ class Entry:
 
     def as_dict(self) -> dict[str, Any]:
         """Ready for JSON: None for what is not a number."""
-        numbers = asdict(self) | {"off": self.off}
-        return {key: None if isinstance(each, float) and not math.isfinite(each) else each for key, each in numbers.items()}
+        return plain(asdict(self) | {"off": self.off})
 
 
 def entries(sheet: DataSheet) -> list[Entry]:

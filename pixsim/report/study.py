@@ -25,8 +25,8 @@ from pixsim.show.pages import Column, Drawn, Plate, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.evaluations import DELTA_E_STATISTICS
 from pixsim.studies.result import (
-    OTHER_STATISTICS,
     Curve,
     StudyResult,
     curve_table,
@@ -44,7 +44,7 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
-    for name, look in zip(("mean_delta_e", *OTHER_STATISTICS), LOOKS, strict=False):
+    for name, look in zip(DELTA_E_STATISTICS, LOOKS, strict=False):
         values = curve.mean(name)
         label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
@@ -203,8 +203,6 @@ def write_report(
     Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
     depend on the workers that draw the figures.
 
-    Parameters
-    ----------
     result : of `study`
     folder : made if need be
     seconds : stage -> s that it took, to be told

@@ -6,6 +6,7 @@ import base64
 import csv
 import html
 import io
+import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -146,6 +147,11 @@ def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None
     if path is not None:
         write_text(Path(path), text)
     return text
+
+
+def plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Ready for JSON: None for what is not a number."""
+    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
 
 
 def write_text(path: Path, text: str) -> None:

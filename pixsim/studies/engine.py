@@ -48,8 +48,6 @@ def workers_here(jobs: int | None = None) -> Workers:
 def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Workers]:
     """The workers asked for.
 
-    Parameters
-    ----------
     jobs : processes of this machine; None takes one a core
     scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which stays open
 

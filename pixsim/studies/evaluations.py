@@ -143,22 +143,9 @@ class Ledger:
         return csv_text([row[name] for name in self.columns] for row in rows).encode()
 
 
-COLUMNS = (
-    "key",
-    "technology",
-    "pitch_um",
-    "repeat",
-    "fill_factor",
-    "full_well_e",
-    "integration_s",
-    "saturated_fraction",
-    "mean_electrons_e",
-    "mean_delta_e",
-    "median_delta_e",
-    "p90_delta_e",
-    "p99_delta_e",
-    "max_delta_e",
-)
+DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
+PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
+COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
 TEXTS = COLUMNS[:2]
 REPEATS_A_TASK = 8  # evaluations after which a worker reports
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order

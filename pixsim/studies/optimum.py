@@ -201,8 +201,6 @@ def places_of(pitch_um: Array, first_um: float, width_um: Widths) -> Array:
 def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths = np.asarray) -> FittedCurve:
     """Fit mean ΔE against pitch and find its minimum.
 
-    Parameters
-    ----------
     pitch_um : (P,) rising, at least 5
     delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. Two sensors at some pitch at least
     width_um : photodiode width of pixel pitches; by default in proportion to the pitch

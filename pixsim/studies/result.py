@@ -18,7 +18,7 @@ from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate, _cell, rows_csv
-from pixsim.studies.evaluations import COLUMNS, REPEATS_A_TASK, Content, Row, bench_at, block_key, light_of, scores_of
+from pixsim.studies.evaluations import DELTA_E_STATISTICS, REPEATS_A_TASK, Content, Row, bench_at, block_key, light_of, scores_of
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.score import Lights, Score, dark_clip
@@ -224,9 +224,7 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
     pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
     place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
     repeats = 1 + max(int(row["repeat"]) for row in own)
-    statistics = {
-        name: np.full((pitches.size, repeats), np.nan) for name in COLUMNS if name.endswith("_delta_e") or name == "integration_s"
-    }
+    statistics = {name: np.full((pitches.size, repeats), np.nan) for name in ("integration_s", *DELTA_E_STATISTICS)}
     fill_factor = np.zeros(pitches.size)
     for row in own:
         index = place[float(row["pitch_um"])]
@@ -264,7 +262,7 @@ ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.
 ROOM_ABOVE = 1.12  # over the highest point, for the legend
 ROOM_BELOW = 0.25  # of the height of an axis, for the words under an optimum and those at the foot
 MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
-OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
+OTHER_STATISTICS = DELTA_E_STATISTICS[1:]
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:

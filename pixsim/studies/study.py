@@ -64,8 +64,6 @@ def load_study(
 ) -> Study:
     """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it.
 
-    Parameters
-    ----------
     config : a TOML file, or several, of a sensor, its camera, exposure and display, as `pixsim run` takes them; later files
         win. The well and the dark current of a data sheet go with the photodiode's area.
     parameters : of the scene, over those of the study
@@ -207,8 +205,6 @@ def study(
 ) -> StudyResult:
     """Run a study, or go on with an interrupted one, and keep its rows in `out`/results.csv.
 
-    Parameters
-    ----------
     plan : a Study, the name of a packaged one, or a TOML file
     out : folder, made if need be
     config : a TOML file, or several, of a sensor, its camera, exposure and display, over a named study; later ones win

@@ -311,8 +311,6 @@ def evaluate(
 ) -> Score:
     """Sense an irradiance with one individual sensor, show it, and compare it with the ideal image by S-CIELAB.
 
-    Parameters
-    ----------
     camera : the one that the irradiance was rendered with
     exposure, display : None takes the default ones
     seed : of the individual sensor and of its temporal noise

@@ -5,12 +5,12 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
+from helpers.looks import Elements, text_of
 from helpers.tiny import tiny
 
 import pixsim
@@ -33,28 +33,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
         result = pixsim.study(tiny(title=TITLE, technologies=["0.35um", OTHER]), folder / "out", jobs=1)
         write_report(result, folder / "out", {"render": 1.25})
         yield result, folder / "out"
-
-
-class Elements(HTMLParser):
-    """Tags, and the values of attributes that make a browser fetch something."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.links: list[str] = []
-        self.words: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.links += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "poster"}]
-
-    def handle_data(self, data: str) -> None:
-        self.words.append(data)
-
-
-def text_of(folder: Path) -> str:
-    return (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_report_is_one_file_that_opens_offline(made: tuple[StudyResult, Path]) -> None:

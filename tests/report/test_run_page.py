@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 from helpers.commands import command
+from helpers.looks import text_of
 
 from pixsim.light.exr import read_channels
 from pixsim.report.run import FILES, shown_picture
@@ -28,10 +29,6 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert code == 0, err
     assert told.splitlines()[0].endswith(f"report: {out / 'report.html'}")
     return out
-
-
-def text_of(folder: Path) -> str:
-    return (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_it_tells_what_score_json_holds(ran: Path) -> None:

@@ -7,11 +7,11 @@ import csv
 import io
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.looks import Elements
 
 import pixsim
 from pixsim.light.spectral import d65
@@ -39,21 +39,6 @@ def result(tiny_result: StudyResult) -> StudyResult:
     return replace(tiny_result, study=tiny_result.study.model_copy(update={"title": MARKUP}), curves=(curve, other))
 
 
-class Words(HTMLParser):
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.text = ""
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-
-    def handle_data(self, data: str) -> None:
-        self.text += data + " "
-
-
 def image_of(cell: str) -> str:
     (found,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', cell)
     return base64.b64decode(found).decode()
@@ -61,10 +46,11 @@ def image_of(cell: str) -> str:
 
 def test_a_cell_shows_a_score(score: Score) -> None:
     cell = score._repr_html_()
-    words = Words(cell)
-    assert f"mean ΔE {score.mean_delta_e:.3f}" in words.text
+    words = Elements(cell)
+    told = " ".join(words.words)
+    assert f"mean ΔE {score.mean_delta_e:.3f}" in told
     for name, value in score.statistics().items():
-        assert f"{name} {value:.6g}" in words.text
+        assert f"{name} {value:.6g}" in told
     assert words.tags.count("tr") == len(score.statistics())
     assert image_of(cell).count("<image") == 4, "ideal, sensor, map, scale"
     assert repr(score).startswith("<Score mean ΔE")
@@ -78,13 +64,14 @@ def test_maps_of_two_scores_have_one_scale(score: Score) -> None:
 
 def test_a_cell_shows_a_study_and_words_stay_words(result: StudyResult) -> None:
     cell = result._repr_html_()
-    words = Words(cell)
-    assert MARKUP in words.text
+    words = Elements(cell)
+    told = " ".join(words.words)
+    assert MARKUP in told
     assert set(words.tags) == {"div", "strong", "table", "tr", "th", "td", "img"}
     for curve in result.curves:
         best = curve.optimum
-        assert curve.technology in words.text
-        assert (f"{best.pitch_um:.2f}" in words.text) if best.inside else ("none between 5.3 and 15" in words.text)
+        assert curve.technology in told
+        assert (f"{best.pitch_um:.2f}" in told) if best.inside else ("none between 5.3 and 15" in told)
     assert image_of(cell).startswith("<?xml")
 
 

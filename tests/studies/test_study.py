@@ -118,18 +118,6 @@ def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluati
     assert again.as_dict() == done[0].as_dict()
 
 
-def test_sensors_that_a_target_asked_for_are_kept_too(tmp_path: Path, evaluations: list[Frame]) -> None:
-    study = tiny(repeats=2, target_ci_um=1e-6, max_repeats=4, pitch={"values_um": FIVE_UM})
-    first = pixsim.study(study, tmp_path, jobs=1)
-    evaluated = len(evaluations)
-    assert 10 < evaluated == first.curves[0].sensors.sum() <= 20
-    before = (tmp_path / "results.csv").read_bytes()
-    again = pixsim.study(study, tmp_path, jobs=1)
-    assert len(evaluations) == evaluated, "evaluated again"
-    assert (tmp_path / "results.csv").read_bytes() == before
-    assert again.as_dict() == first.as_dict()
-
-
 # 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
 @pytest.mark.parametrize("cut_bytes", [4, 60, 2000])
 def test_a_file_that_was_cut_off_is_completed(
@@ -222,26 +210,6 @@ def test_numbers_of_one_technology_leave_the_others_rows_alone(done: tuple[Study
     pixsim.study(study, tmp_path, jobs=1)
     assert [row for row in rows(tmp_path) if row["technology"] == "0.35um"] == rows(done[1])
     assert tiny(process={}).content_hash == tiny().content_hash
-
-
-@pytest.mark.parametrize(
-    ("process", "told"),
-    [
-        ({"0.25um": {"dsnu": 0.1}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
-        ({"0.35um": {"dsn": 0.1}}, r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'"),
-        ({"0.35um": {"dsnu": -0.1}}, r"process\.0\.35um: dsnu: got -0\.1; allowed: greater"),
-        ({"0.35um": {"voltage_swing_v": 9.0}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
-        ({"0.35um": {"fill_factor_zero_pitch_features": 16.0}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
-        ({"0.35um": {"dsnu": float("nan")}}, r"(?s)process.*dsnu.*finite"),
-    ],
-)
-def test_numbers_that_a_technology_cannot_have_are_refused_before_the_render(
-    process: dict[str, dict[str, float]], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
-    with pytest.raises(ValueError, match=told):
-        pixsim.study(tiny(process=process), tmp_path / "out", jobs=1)
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_data_sheet_has_no_numbers_of_a_process() -> None:
@@ -407,6 +375,12 @@ def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], 
         ({"pitch": {"values_um": [6, 7, 8, 9, 2714]}}, r"2714.*2713\.6 µm"),
         ({"technologies": ("0.35um", "0.3um")}, r"0\.3um"),
         ({"technologies": ("0.35um", "0.35um")}, r"0\.35um"),
+        ({"process": {"0.25um": {"dsnu": 0.1}}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
+        ({"process": {"0.35um": {"dsn": 0.1}}}, r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'"),
+        ({"process": {"0.35um": {"dsnu": -0.1}}}, r"process\.0\.35um: dsnu: got -0\.1; allowed: greater"),
+        ({"process": {"0.35um": {"voltage_swing_v": 9.0}}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
+        ({"process": {"0.35um": {"fill_factor_zero_pitch_features": 16.0}}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
+        ({"process": {"0.35um": {"dsnu": float("nan")}}}, r"(?s)process.*dsnu.*finite"),
     ],
 )
 def test_what_cannot_be_made_is_refused_before_the_render(
