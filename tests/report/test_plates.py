@@ -199,14 +199,23 @@ def test_a_display_of_one_dot_a_pixel_blurs_nothing(result: StudyResult) -> None
     np.testing.assert_allclose(column(plate, "shown_mtf50_lp_per_mm"), column(plate, "mtf50_lp_per_mm"), rtol=1e-12)
 
 
-def test_the_scene_is_that_of_the_irradiance(plates: dict[str, Plate], result: StudyResult) -> None:
-    """96 samples in 64 cells: of one or two each, so that the cells' own sum is weighed by their sizes."""
-    plate = plates["figure_4_scene"]
-    cells = np.stack([column(plate, name) for name in plate.table if name != "row"], axis=1)
-    assert cells.shape == (64, 64)
-    sizes = np.array([each.size for each in np.array_split(np.arange(96), 64)])
-    weighed = (cells * sizes[:, None] * sizes).sum() / 96**2
-    assert weighed == pytest.approx(result.irradiance.illuminance_lx().mean(), rel=1e-12)
+@pytest.mark.parametrize(
+    ("name", "index", "dots", "cells"),
+    [
+        ("figure_4_scene", "row", 96, (64, 64)),
+        ("figure_5_pictures_8um", "row", 118, (64, 64)),
+        ("delta_e_by_frequency_and_contrast", "contrast", 118, (8, 6)),
+    ],
+)
+def test_coarse_tables_keep_the_mean_of_their_picture(
+    name: str, index: str, dots: int, cells: tuple[int, int], plates: dict[str, Plate], evidence: Evidence
+) -> None:
+    """Cells of one or two dots, or of 14 or 15 by 19 or 20, so that their own sum is weighed by their sizes."""
+    picture = evidence.result.irradiance.illuminance_lx() if name == "figure_4_scene" else evidence.maps[8.0]
+    table = np.stack([column(plates[name], each) for each in plates[name].table if each != index], axis=1)
+    assert table.shape == cells
+    sizes = [[each.size for each in np.array_split(np.arange(dots), parts)] for parts in cells]
+    assert (table * np.outer(*sizes)).sum() / dots**2 == pytest.approx(picture.mean(), rel=1e-12)
 
 
 def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evidence: Evidence) -> None:
@@ -225,23 +234,6 @@ def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evide
     level = map_coordinates(smooth, [y, x], order=1, mode="nearest")
     # The contour is drawn by lines between samples: off by the curvature within one.
     np.testing.assert_allclose(level, TINY["iso_delta_e"], rtol=0.02)
-
-
-def test_figure_5_s_map_is_the_mean_of_the_sensors(plates: dict[str, Plate], evidence: Evidence) -> None:
-    plate = plates["figure_5_pictures_8um"]
-    cells = np.stack([column(plate, name) for name in plate.table if name != "row"], axis=1)
-    sizes = np.array([each.size for each in np.array_split(np.arange(118), 64)])
-    weighed = (cells * sizes[:, None] * sizes).sum() / 118**2
-    assert weighed == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
-
-
-def test_errors_by_cell_keep_the_mean_of_the_map(plates: dict[str, Plate], evidence: Evidence) -> None:
-    """118 dots in six columns and eight rows: cells of 19 and 20 by 14 and 15 dots."""
-    plate = plates["delta_e_by_frequency_and_contrast"]
-    cells = np.stack([column(plate, name) for name in plate.table if name != "contrast"])
-    assert cells.shape == (6, 8)
-    sizes = [[each.size for each in np.array_split(np.arange(118), parts)] for parts in (6, 8)]
-    assert (cells * np.outer(*sizes)).sum() / 118**2 == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
 
 
 def test_light_and_detail_are_bought_with_each_other(plates: dict[str, Plate], result: StudyResult) -> None:
