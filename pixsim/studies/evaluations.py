@@ -14,7 +14,7 @@ import math
 import os
 import shutil
 import threading
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -31,21 +31,26 @@ from pixsim.base.parameters import Camera, Study, content_hash, pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
+from pixsim.sensor.readout import frame_of
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
 from pixsim.studies.engine import Workers, results_of
 from pixsim.viewer.score import Bench, Light, Lights, Score, bench_of, project
 
+DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
+PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
+COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
+TEXTS = COLUMNS[:2]
 Row = dict[str, str]
 LARGEST_BYTES = 1 << 28  # a million rows
 LONGEST_LINE = 1 << 14
 
 
 class Ledger:
-    """A file of rows with the given columns; the first, and others in `texts`, are words, the rest are numbers."""
+    """A file of rows with `COLUMNS`; those in `TEXTS` are words, the rest are numbers."""
 
-    def __init__(self, path: Path, columns: Sequence[str], texts: Collection[str]) -> None:
-        self.path, self.columns, self.texts = path, tuple(columns), frozenset(texts)
+    def __init__(self, path: Path) -> None:
+        self.path = path
 
     def read(self) -> dict[str, Row]:
         """Whole rows by key; a last line that was cut off is left out."""
@@ -56,14 +61,14 @@ class Ledger:
         lines = (whole + newline).decode(errors="replace").replace("\0", "").split("\n")
         table = csv.DictReader(line for line in lines if len(line) <= LONGEST_LINE)
         try:
-            return {row[self.columns[0]]: {name: row[name] for name in self.columns} for row in table if self._is_whole(row)}
+            return {row["key"]: {name: row[name] for name in COLUMNS} for row in table if self._is_whole(row)}
         except csv.Error as error:
             raise refuse("results", f"'{self.path}' ({error})", allowed, "Move it away: its rows are made again.") from None
 
     def _is_whole(self, row: Row) -> bool:
         """Whether a row has every column, and numbers where they belong; others are made again."""
         try:
-            return all(row[name] if name in self.texts else math.isfinite(float(row[name])) for name in self.columns)
+            return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in COLUMNS)
         except (KeyError, TypeError, ValueError):
             return False
 
@@ -71,7 +76,7 @@ class Ledger:
         """Rows that are there and wanted, by key; others, of another study, are kept in FILE.old and leave the file."""
         known = self.read()
         done = {key: row for key, row in known.items() if is_wanted(row)}
-        something = self.path.is_file() and self.path.stat().st_size > len(",".join(self.columns)) + 2
+        something = self.path.is_file() and self.path.stat().st_size > len(",".join(COLUMNS)) + 2
         if something and (len(done) < len(known) or not known):
             self._keep_old()
         self.write(done.values())
@@ -79,7 +84,7 @@ class Ledger:
 
     def finish(self, rows: Collection[Row]) -> None:
         """Leave these rows in the file; where it holds others, it is kept in FILE.old."""
-        if set(self.read()) - {row[self.columns[0]] for row in rows}:
+        if set(self.read()) - {row["key"] for row in rows}:
             self._keep_old()
         self.write(rows)
 
@@ -89,7 +94,7 @@ class Ledger:
     def write(self, rows: Collection[Row]) -> None:
         """The file anew, whole or not at all."""
         with self._told(), replacing(self.path) as partial:
-            partial.write_bytes(self._text([dict(zip(self.columns, self.columns, strict=True)), *rows]))
+            partial.write_bytes(self._text([dict(zip(COLUMNS, COLUMNS, strict=True)), *rows]))
 
     def append(self, rows: Collection[Row]) -> None:
         """Add rows, all of them or none."""
@@ -140,13 +145,9 @@ class Ledger:
             ) from None
 
     def _text(self, rows: Iterable[Row]) -> bytes:
-        return csv_text([row[name] for name in self.columns] for row in rows).encode()
+        return csv_text([row[name] for name in COLUMNS] for row in rows).encode()
 
 
-DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
-PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
-COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
-TEXTS = COLUMNS[:2]
 REPEATS_A_TASK = 8  # evaluations after which a worker reports
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order
 Progress = Callable[..., None]  # (fraction done, what to say beside it)
@@ -237,7 +238,8 @@ def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -
     for repeat in repeats:
         name, saturated = str(repeat), f"{repeat}_saturated_fraction"
         if name in frames and saturated in frames:
-            yield repeat, bench.view(bench.frame_of(frames[name], float(frames[saturated])))
+            how = bench.signal_e_per_s, bench.physics, bench.exposure
+            yield repeat, bench.view(frame_of(frames[name].astype(np.int32), float(frames[saturated]), *how))
         else:
             frame = bench.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
@@ -352,7 +354,7 @@ class Evaluations:
     def __init__(self, study: Study, lights: Lights, results: Path, workers: Workers) -> None:
         self.study, self._lights, self._workers = study, lights, workers
         self.content = Content(study, lights.camera, lights.irradiance)
-        self._ledger = Ledger(results, COLUMNS, TEXTS)
+        self._ledger = Ledger(results)
         self._done: dict[str, Row] = {}
 
     @contextmanager

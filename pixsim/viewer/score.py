@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv, gammaln, ndtr
 
 from pixsim.base.arrays import Array, stream
@@ -18,7 +17,7 @@ from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, refuse_impossible_light
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import Frame, capture_rate, dark_spread_e, draw_sensor, frame_of, least_black_level_dn
+from pixsim.sensor.readout import Frame, capture_rate, dark_spread_e, draw_sensor, least_black_level_dn
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import _cell, rows_csv
 from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
@@ -189,10 +188,6 @@ class Bench:
         """The frame of the sensor that one generator draws, with the temporal noise of the other."""
         sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
         return capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
-
-    def frame_of(self, dn: NDArray[Any], saturated_fraction: float) -> Frame:
-        """The frame that gave these digital numbers."""
-        return frame_of(dn.astype(np.int32), saturated_fraction, self.signal_e_per_s, self.physics, self.exposure)
 
     def view(self, frame: Frame) -> Score:
         """What a viewer sees of a frame."""
