@@ -198,16 +198,16 @@ def places_of(pitch_um: Array, first_um: float, width_um: Widths) -> Array:
     return np.asarray(np.log(width_um(np.asarray(pitch_um, float)) / width_um(np.array([first_um]))[0]))
 
 
-def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths = np.asarray) -> FittedCurve:
+def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -> FittedCurve:
     """Fit mean ΔE against pitch and find its minimum.
 
     pitch_um : (P,) rising, at least 5
     delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. Two sensors at some pitch at least
-    width_um : photodiode width of pixel pitches; by default in proportion to the pitch
+    width_um : photodiode width of pixel pitches; None takes it in proportion to the pitch
 
     Source: the regression of Wahba (1978), as this module's docstring describes it.
     """
-    first_um = float(pitch_um[0])
+    first_um, width_um = float(pitch_um[0]), width_um or np.asarray
     u = places_of(pitch_um, first_um, width_um)
     mean, scale, design, degrees = measured(u, delta_e)
     fits, weights = posteriors(design, mean / scale, degrees)
