@@ -89,8 +89,7 @@ class FittedCurve:
     delta_e : (places,) mean of the posterior
     low, high : (places,) ends of its 95 % interval at each place
     optimum : its minimum
-    design : of the data, with the likeliest noise
-    stiffness, residual : the likeliest
+    likeliest : posterior of the curve: its design, stiffness and residual
     noise : the likeliest variance of one sensor over the square of its mean ΔE
     scale : mean ΔE whose square the design's noise is in units of
     width_um : photodiode width of pixel pitches; by default in proportion to the pitch
@@ -101,9 +100,7 @@ class FittedCurve:
     low: Array = field(repr=False)
     high: Array = field(repr=False)
     optimum: Optimum
-    design: Design = field(repr=False)
-    stiffness: float = field(repr=False)
-    residual: float = field(repr=False)
+    likeliest: Posterior = field(repr=False)
     noise: float = field(repr=False)
     scale: float = field(repr=False)
     width_um: Widths = field(repr=False, default=np.asarray)
@@ -246,8 +243,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     likeliest = fits[0]
     loudest = int(np.argmax(mean))
     noise = float(likeliest.design.noise[loudest] * (scale / mean[loudest]) ** 2) if mean[loudest] else 0.0
-    how = likeliest.design, likeliest.stiffness, likeliest.residual, noise, scale, width_um
-    return FittedCurve(fine_um, curve, low, high, optimum, *how)
+    return FittedCurve(fine_um, curve, low, high, optimum, likeliest, noise, scale, width_um)
 
 
 def measured(u: Array, delta_e: Array) -> tuple[Array, float, Design, int]:

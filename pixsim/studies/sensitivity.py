@@ -133,12 +133,8 @@ class SensitivityResult:
 
     sensitivity: Sensitivity
     base: StudyResult
-    base_rows: tuple[Finding, ...]
+    base_case: Case
     cases: tuple[Case, ...]
-
-    @property
-    def base_case(self) -> Case:
-        return Case("base", self.sensitivity.base, self.base.curves, self.base_rows)
 
     def turning(self, statement: str) -> list[Case]:
         """The cases whose verdict on a statement is not the base's."""
@@ -163,7 +159,7 @@ class SensitivityResult:
         claims = [
             row.as_dict()
             | {"turned_by": [{"variation": case.variation, "label": case.label} for case in self.turning(row.statement)]}
-            for row in self.base_rows
+            for row in self.base_case.rows
         ]
         return {
             "sensitivity": self.sensitivity.model_dump(mode="json", exclude={"quick"}),
@@ -304,7 +300,8 @@ def assemble(
             curves = tuple(own_curves.get(curve.technology, curve) for curve in base.curves)
             own_rows = next((found for move, _, found in part if move.technology == REFERENCE_TECHNOLOGY), base_rows)
             cases.append(Case(variation, label, curves, (*own_rows, *trends(curves)), technology))
-    return SensitivityResult(sensitivity, base, (*base_rows, *trends(base.curves)), tuple(cases))
+    base_case = Case("base", sensitivity.base, base.curves, (*base_rows, *trends(base.curves)))
+    return SensitivityResult(sensitivity, base, base_case, tuple(cases))
 
 
 def turned_words(settings: Sequence[tuple[str, str]]) -> str:
@@ -382,7 +379,7 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
         "drawn": drawn,
         "claims": [
             (row, len(turning), turned_words([(case.variation, case.label) for case in turning]))
-            for row, turning in ((row, result.turning(row.statement)) for row in result.base_rows)
+            for row, turning in ((row, result.turning(row.statement)) for row in result.base_case.rows)
         ],
         "cases": [(case, case.differing(result.base_case)) for case in (result.base_case, *result.cases)],
         "header": result.base.irradiance.header,

@@ -284,8 +284,14 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield running
 
 
-def test_a_cluster_gives_the_same_bytes(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
-    pixsim.study(toml, tmp_path, scheduler=cluster)
+@pytest.mark.parametrize("by", ["address", "client"])
+def test_a_cluster_gives_the_same_bytes(by: str, cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    from distributed import Client
+
+    with Client(cluster) as client:
+        pixsim.study(toml, tmp_path, scheduler=client if by == "client" else cluster)
+        assert client.status == "running", "it stays open"
+        assert len(client.scheduler_info()["workers"]) == 2
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
@@ -312,16 +318,6 @@ def test_a_technology_is_sent_to_the_workers(cluster: str, toml: Path, tmp_path:
         assert there == here
         found.append(here)
     assert found[0] != found[1]
-
-
-def test_a_client_serves_and_stays_open(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
-    from distributed import Client
-
-    with Client(cluster) as client:
-        pixsim.study(toml, tmp_path, scheduler=client)
-        assert client.status == "running"
-        assert len(client.scheduler_info()["workers"]) == 2
-    assert (tmp_path / "results.csv").read_bytes() == expected
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ def test_a_sensor_that_is_missing_is_none() -> None:
     few = sensors_of(parabola(PITCH), 8, 0.01)
     few[5, 2:] = np.nan
     fit = fit_curve(PITCH, few)
-    assert fit.design.sensors.tolist() == [8] * 5 + [2] + [8] * 10
+    assert fit.likeliest.design.sensors.tolist() == [8] * 5 + [2] + [8] * 10
     for same in (few[:, ::-1], np.hstack([few, np.full((PITCH.size, 3), np.nan)])):
         np.testing.assert_allclose(fit_curve(PITCH, same).delta_e, fit.delta_e, rtol=1e-12)
 

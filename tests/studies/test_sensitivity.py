@@ -223,7 +223,8 @@ def synthetic() -> SensitivityResult:
     )
     found = tuple(case([size, *PAPER[0][1:]], PAPER[1], *names) for *names, size in moved)
     alone = replace(case([12.0, *PAPER[0][1:]], PAPER[1], "narrow", "0.35um"), alone="0.35um")
-    return SensitivityResult(sensitivity, base, tuple(scaling_rows(base.curves)), (*found, alone))
+    base_case = Case("base", sensitivity.base, base.curves, tuple(scaling_rows(base.curves)))
+    return SensitivityResult(sensitivity, base, base_case, (*found, alone))
 
 
 def test_what_turns_a_verdict_is_found_by_hand() -> None:
@@ -328,7 +329,7 @@ def test_a_technology_that_stays_is_not_computed_again(ranged: tuple[Sensitivity
     assert sorted(map(len, technologies)) == [1] * 6 + [2] * 2
     (alone,) = [each for each in result.cases if each.label == "0.25um 9"]
     assert alone.curves[0] is result.base.curves[0]
-    assert alone.rows[: len(alone.rows) - 3] == result.base_rows[: len(alone.rows) - 3]
+    assert alone.rows[: len(alone.rows) - 3] == result.base_case.rows[: len(alone.rows) - 3]
 
 
 def test_the_page_and_the_summary_say_what_turns_each_verdict(ranged: tuple[SensitivityResult, Path], desk: Path) -> None:

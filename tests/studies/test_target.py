@@ -130,7 +130,8 @@ def test_the_variance_of_the_rise_is_that_of_drawn_curves(fit: FittedCurve) -> N
     low, high = fit.optimum.interval_um
     places = fit.places_of(np.array([low, fit.optimum.pitch_um, high]))
     mean = np.interp(fit.places_of(PITCH), fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
-    posterior = Posterior(replace(fit.design, noise=fit.noise * mean**2), fit.stiffness, fit.residual, PITCH)
+    best = fit.likeliest
+    posterior = Posterior(replace(best.design, noise=fit.noise * mean**2), best.stiffness, best.residual, PITCH)
     covariance = posterior.covariance(places)
     rises = sum(covariance[end, end] + covariance[1, 1] - 2 * covariance[end, 1] for end in (0, 2))
     assert variance == pytest.approx(rises, rel=1e-6)
