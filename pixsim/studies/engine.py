@@ -18,7 +18,10 @@ from pixsim.base.machine import processors
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
+Function = Callable[[Task, Shared], Result]
 Call = tuple[Task, Callable[[], Shared]]  # a task, and what makes that which it shares with others
+Calls = dict[int, Call[Task, Shared]]  # by their number
+Told = tuple[int, Result, list[str]]  # a call's number, its result, and what it warns of
 NAMED_TASKS = 4  # in a message
 SUSPECTS = 2  # calls a job that are under way or wait in its queue
 CONNECT_SECONDS = 10.0
@@ -93,9 +96,7 @@ def _checked(client: Any) -> Workers:
     return Workers(client=client)
 
 
-def results_of(
-    function: Callable[[Task, Shared], Result], calls: Sequence[Call[Task, Shared]], workers: Workers
-) -> Iterator[Result]:
+def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Task, Shared]], workers: Workers) -> Iterator[Result]:
     """`function(task, make())` of each call (task, make), in the order in which they come.
 
     Calls with the same `make` share what it makes: one copy of it a worker, made while others are already at work. Where a
@@ -103,11 +104,11 @@ def results_of(
 
     Raises PixsimError that names those which end their worker even when nothing else runs beside them.
     """
-    left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
-    deadly: dict[int, Call[Task, Shared]] = {}
+    left: Calls[Task, Shared] = dict(enumerate(calls))
+    deadly: Calls[Task, Shared] = {}
     workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
 
-    def attempt(some: dict[int, Call[Task, Shared]]) -> Iterator[Result]:
+    def attempt(some: Calls[Task, Shared]) -> Iterator[Result]:
         """Results of some calls, which are taken away from them; a worker's death ends it."""
         try:
             for index, result in _once(function, some, workers):
@@ -147,9 +148,7 @@ def is_death(error: BaseException) -> bool:
     return bool(names & {"BrokenProcessPool", "KilledWorker", "CommClosedError", "FutureCancelledError", "CancelledError"})
 
 
-def _once(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], workers: Workers
-) -> Iterator[tuple[int, Result]]:
+def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], workers: Workers) -> Iterator[tuple[int, Result]]:
     """Each call's number and result, as they come."""
     if not workers.client and workers.jobs == 1:
         yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
@@ -168,9 +167,7 @@ def _once(
         yield index, result
 
 
-def _on_cluster(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], client: Any
-) -> Iterator[tuple[int, Result, list[str]]]:
+def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Any) -> Iterator[Told[Result]]:
     from joblib import Parallel, delayed, parallel_config
 
     shared = {id(make): make() for _, make in calls.values()}
@@ -189,7 +186,7 @@ def _on_cluster(
         )
 
 
-def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result, list[str]]:
+def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared) -> Told[Result]:
     """A call's number, its result, and what it warns of: the process that asked tells it, once."""
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
@@ -197,9 +194,7 @@ def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task
     return index, result, [str(note.message) for note in notes if issubclass(note.category, UserWarning)]
 
 
-def _on_processes(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], jobs: int
-) -> Iterator[tuple[int, Result, list[str]]]:
+def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Told[Result]]:
     """What is shared lies in files that the workers map into their memory: one copy for all of them.
 
     (joblib would do so by itself, but waits a second at the end for workers to let go.)
@@ -227,5 +222,5 @@ def _mapped(path: str) -> Any:
     return load(path, mmap_mode="r")
 
 
-def _numbered_from(function: Callable[[Task, Any], Result], index: int, task: Task, path: str) -> tuple[int, Result, list[str]]:
+def _numbered_from(function: Function[Task, Any, Result], index: int, task: Task, path: str) -> Told[Result]:
     return _numbered(function, index, task, _mapped(path))
