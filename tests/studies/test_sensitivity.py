@@ -5,10 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-import shlex
 import tomllib
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +14,10 @@ import numpy as np
 import pytest
 from benchmarks.paper_table import claims_table, counts, tornado_table
 from helpers.browser import BROWSER, assert_fits, assert_prints
+from helpers.commands import command
 from helpers.tiny import PITCHES_UM, rows, tiny_toml
 
 import pixsim
-from pixsim import cli
 from pixsim.base.config import packaged, read_toml
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import load_technology
@@ -133,16 +131,6 @@ def test_a_second_run_evaluates_nothing_and_a_lost_case_is_done_again(
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
-
-
-def command(line: str) -> tuple[int, str, str]:
-    """`pixsim LINE` in this process: exit code, stdout, stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        words = shlex.split(line)
-        with pytest.raises(SystemExit) as end:
-            cli.main(words)
-    return end.value.code, out.getvalue(), err.getvalue()
 
 
 def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[SensitivityResult, Path]) -> None:

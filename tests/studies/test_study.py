@@ -1,22 +1,20 @@
 """Studies: what is computed, what is kept, and that neither depends on workers, threads, order or interruptions."""
 
-import io
 import json
 import shlex
 import signal
 import subprocess
 import sys
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.commands import command
 from helpers.processes import HANG_S, signalled
 from helpers.tiny import PITCHES_UM, keys, rows, tiny_toml
 from helpers.tiny import tiny as tiny_study
 
 import pixsim
-from pixsim import cli
 from pixsim.base import cache
 from pixsim.base.arrays import stream
 from pixsim.base.config import packaged, read_toml
@@ -67,11 +65,9 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("command")
     toml = folder / "tiny.toml"
     toml.write_text(TINY_TOML, encoding="utf-8")
-    with redirect_stdout(io.StringIO()) as out:
-        words = ["study", str(toml), "--out", str(folder / "out"), "--jobs", "1"]
-        with pytest.raises(SystemExit, match="0"):
-            cli.main(words)
-    (folder / "stdout").write_text(out.getvalue(), encoding="utf-8")
+    code, told, _ = command(f"study {toml} --out {folder / 'out'} --jobs 1")
+    assert code == 0
+    (folder / "stdout").write_text(told, encoding="utf-8")
     return folder
 
 
@@ -239,11 +235,8 @@ def test_pixel_options_are_the_file_s_own_table_bit_for_bit(tmp_path: Path) -> N
     (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
     (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
     told = "--pixel.response scaled --pixel.prnu 0.01"
-    for line in (f"plain.toml {told} --out option", "scaled.toml --out file", "plain.toml --out plain"):
-        name, *words = line.split()
-        out = tmp_path / words.pop()
-        with redirect_stdout(io.StringIO()), pytest.raises(SystemExit, match="0"):
-            cli.main(["study", str(tmp_path / name), *words, str(out), "--jobs", "1"])
+    for words, out in ((f"plain.toml {told}", "option"), ("scaled.toml", "file"), ("plain.toml", "plain")):
+        assert command(f"study {tmp_path}/{words} --out {tmp_path / out} --jobs 1")[0] == 0
     pixsim.study(tmp_path / "plain.toml", tmp_path / "python", pixel={"response": "scaled", "prnu": 0.01}, jobs=1)
     results = {name: (tmp_path / name / "results.csv").read_bytes() for name in ("option", "file", "plain", "python")}
     assert results["option"] == results["file"] == results["python"]

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from collections.abc import Iterator
-from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.commands import command
 from helpers.dense_curves import simulated
 from helpers.tiny import keys, tiny_toml
 from helpers.tiny import tiny as tiny_study
 
 import pixsim
-from pixsim import cli
 from pixsim.report.wording import target_notes
 from pixsim.sensor.readout import Frame
 from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
@@ -313,12 +311,12 @@ def test_without_its_target_a_study_keeps_the_other_rows_aside(
 
 def test_the_command_says_which_limit_ended_it(done: tuple[StudyResult, Path], toml: Path, tmp_path: Path) -> None:
     shutil.copytree(done[1], tmp_path / "out")
-    with redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit, match="0"):
-        cli.main(["study", str(toml), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    code, told, _ = command(f"study {toml} --out {tmp_path / 'out'} --jobs 1")
+    assert code == 0
     (note,) = target_notes(done[0])
     half_um = done[0].curves[0].optimum.half_width_um
     where = f"± {half_um:.2g} µm" if half_um < np.inf else "open at an end"
-    assert note in out.getvalue()
+    assert note in told
     done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations in all (max_evaluations)"
     assert note == f"note: 0.35um: the interval is {where} after {done_of}, not ± 0.01 µm (target_ci_um)"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
