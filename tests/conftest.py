@@ -3,9 +3,12 @@
 from collections.abc import Iterator
 
 import pytest
+from helpers.tiny import tiny
 
+import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.sensor.readout import Frame
+from pixsim.studies.result import StudyResult
 from pixsim.viewer.score import Bench
 
 
@@ -16,6 +19,12 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         # More than a hundred processes are started: each would compile all of pixsim for itself.
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
+
+
+@pytest.fixture(scope="session")
+def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+    """A study of one technology that is compared with the paper, on a display just larger than a detail."""
+    return pixsim.study(tiny(paper=True, display={"dots": 120}), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 
 @pytest.fixture

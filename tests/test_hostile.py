@@ -39,7 +39,7 @@ from pixsim.measure.sfr import read_edge_picture
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.show import figures
-from pixsim.studies.evaluations import COLUMNS, TEXTS, Ledger
+from pixsim.studies.evaluations import COLUMNS, Ledger
 from pixsim.studies.study import load_study
 
 FEW = {"shape": (60, 60), "stack_frames": 8}  # of a data sheet's experiment, where only what is written of it counts
@@ -460,16 +460,16 @@ def test_rows_that_were_changed_by_hand_are_made_again(tmp_path, content):
         return row["key"] == "key1" and float(row["pitch_um"]) == float(row["repeat"]) == 1.5
 
     with in_time():
-        assert Ledger(tmp_path / "results.csv", COLUMNS, TEXTS).begin(wanted) == {}
+        assert Ledger(tmp_path / "results.csv").begin(wanted) == {}
     rows(tmp_path / "results.csv")
-    assert list(Ledger(tmp_path / "results.csv", COLUMNS, TEXTS).begin(wanted)) == ["key1"]
+    assert list(Ledger(tmp_path / "results.csv").begin(wanted)) == ["key1"]
 
 
 def test_rows_without_end(tmp_path):
     with (tmp_path / "results.csv").open("wb") as file:
         file.truncate(1 << 32)
     with refused("results.csv"):
-        Ledger(tmp_path / "results.csv", COLUMNS, TEXTS).read()
+        Ledger(tmp_path / "results.csv").read()
 
 
 @pytest.mark.filterwarnings("ignore:cache")

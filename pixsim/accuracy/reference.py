@@ -10,7 +10,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera
-from pixsim.base.progress import Told
+from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.charts import SLANT_DEG, csf_contrast, csf_value
 from pixsim.scene.plan import Plan, make_render_plan
@@ -78,7 +78,7 @@ def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, sh
 
 
 def rendered_reference(
-    scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, told: Told | None = None
+    scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, told: Progress | None = None
 ) -> tuple[SpectralImage, str]:
     """A render, and in words: with nothing left out, other seeds, and at least `work` times the samples of the plan's, on a
     film twice as fine where the scene lets its resolution be set."""

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.accuracy.ladders import Rung
-from pixsim.accuracy.result import METRICS, Accuracy, pareto, plain
+from pixsim.accuracy.result import METRICS, Accuracy, pareto
 from pixsim.accuracy.solvers import response_plate
 from pixsim.base.files import output_folder, versions, write_json
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, new_figure, plain_powers
-from pixsim.show.pages import Column, Plate, write_page, write_plates, write_table
+from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -260,13 +260,12 @@ def table(found: Accuracy, names: list[str]) -> dict[str, Column]:
 
 def write_accuracy(found: Accuracy, out: Path) -> Path:
     """Write everything into a folder; returns the report's path."""
-    plates = plates_of(found)
     with output_folder(out) as folder:
-        shown = write_plates(folder, plates)
-        write_table(folder / "ladders.csv", [vars(each) for each in found.rungs])
-        write_table(folder / "stability.csv", [case.as_dict() for case in found.cases])
+        shown = write_figures(folder, [plate.drawn() for plate in plates_of(found)])
+        rows_csv([vars(each) for each in found.rungs], folder / "ladders.csv")
+        rows_csv([case.as_dict() for case in found.cases], folder / "stability.csv")
         if found.solvers:
-            write_table(folder / "solvers.csv", [plain(vars(each)) for each in found.solvers])
+            rows_csv([plain(vars(each)) for each in found.solvers], folder / "solvers.csv")
         write_json(folder / "summary.json", found.as_dict())
         metrics = [metric for metric in METRICS if found.rivals(metric)]
         orders = [(name, metric, found.order(name, metric)) for name in found.names for metric in METRICS]

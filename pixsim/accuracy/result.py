@@ -13,6 +13,7 @@ from scipy.stats import t as student_t
 from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.solvers import Solved
 from pixsim.accuracy.stability import Case
+from pixsim.show.pages import plain
 from pixsim.studies.budget import Calibration, Effect, Setup
 
 FEWEST_POINTS = 3
@@ -190,8 +191,3 @@ class Accuracy:
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
-
-
-def plain(values: dict[str, Any]) -> dict[str, Any]:
-    """None for what is not a finite number: JSON knows no NaN."""
-    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}

@@ -81,7 +81,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
         ends.append(time.perf_counter())
         light = project(still, setup.camera, physics, setup.display)
         ends.append(time.perf_counter())
-        bench = bench_of(light, physics, setup.exposure, setup.display)
+        bench = bench_of(light, physics, setup.exposure)
         frame = bench.capture("stages")
         ends.append(time.perf_counter())
         score = bench.view(frame)

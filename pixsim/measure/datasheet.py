@@ -49,6 +49,7 @@ from pixsim.measure.estimators import (
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.photodiode import kept_level_e
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.show.pages import plain
 
 GREY_FRAMES = 16  # ISO 15739 asks for 8 at least
 GREY_SHARE = 0.13  # of the saturation: the reference level of ISO 15739, section 6.3
@@ -306,8 +307,7 @@ class Entry:
 
     def as_dict(self) -> dict[str, Any]:
         """Ready for JSON: None for what is not a number."""
-        numbers = asdict(self) | {"off": self.off}
-        return {key: None if isinstance(each, float) and not math.isfinite(each) else each for key, each in numbers.items()}
+        return plain(asdict(self) | {"off": self.off})
 
 
 def entries(sheet: DataSheet) -> list[Entry]:

@@ -16,7 +16,7 @@ from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, strai
 from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.sensor.technology import file_label, label_of
 from pixsim.show.figures import COLOURS, LOOKS, Look, new_figure, plain_powers
-from pixsim.show.pages import Plate, shown_value, write_page, write_plates, write_table
+from pixsim.show.pages import Plate, rows_csv, shown_value, write_figures, write_page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -304,10 +304,10 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
 
 def write_datasheet(sheet: DataSheet, out: Path) -> Path:
     """Write everything into a folder; returns the report's path."""
-    plates, pixel = datasheet_plates(sheet), sheet.experiment.physics.pixel
+    pixel = sheet.experiment.physics.pixel
     with output_folder(out) as folder:
-        shown = write_plates(folder, plates)
-        write_table(folder / "datasheet.csv", [each.as_dict() for each in entries(sheet)])
+        shown = write_figures(folder, [plate.drawn() for plate in datasheet_plates(sheet)])
+        rows_csv([each.as_dict() for each in entries(sheet)], folder / "datasheet.csv")
         write_json(folder / "summary.json", sheet_summary(sheet))
         page = {
             "described": described(sheet),

@@ -19,10 +19,10 @@ from scipy.signal.windows import tukey
 
 from pixsim.base.arrays import Array, read_array, read_arrays
 from pixsim.base.errors import PixsimError, refuse
-from pixsim.base.files import output_folder, replacing, size_of, write_json
+from pixsim.base.files import output_folder, size_of, write_json
 from pixsim.light.exr import read_channels, shortest
 from pixsim.sensor.raw import BITS_OF_PICTURES, read_frame
-from pixsim.show.figures import COLOURS, new_figure, save_svg
+from pixsim.show.figures import COLOURS, new_figure
 from pixsim.show.pages import Plate
 
 BINS_A_PIXEL = 4  # ISO 12233
@@ -423,10 +423,5 @@ def write_sfr(folder: Path, found: EdgeResponse, pitch_um: float | None, result:
     """sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json."""
     with output_folder(folder):
         for plate in (sfr_plate(found, pitch_um), edge_plate(found, "above black")):
-            for suffix in ("csv", "svg"):
-                with replacing(folder / f"{plate.name}.{suffix}") as partial:
-                    if suffix == "csv":
-                        partial.write_text(plate.csv, encoding="utf-8")
-                    else:
-                        save_svg(plate.figure, partial)
+            plate.drawn().write(folder)
         write_json(folder / "summary.json", result)

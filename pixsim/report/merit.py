@@ -107,7 +107,6 @@ def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float 
 
 def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> float:
     """Electrons per lx·s and µm² of photodiode in the scene's light."""
-    irradiance = result.irradiance
-    spectrum = irradiance.mean_spectrum()
+    irradiance, spectrum = result.irradiance, result.irradiance.mean_spectrum()
     electrons = (electrons_per_joule(physics, irradiance) * spectrum).sum() * M2_PER_UM2
     return float(electrons / (irradiance.luminous_weight() * spectrum).sum())

@@ -54,8 +54,7 @@ def figure_2a(result: StudyResult) -> Plate:
             axes.plot(pitch_um, db, ms=4, markevery=6, label=f"{name}, capacitance '{capacitance}'", **look.line)
             table[f"{name.split()[0].lower()}_{capacitance}_db"] = db.tolist()
     axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("dynamic range, and SNR (dB)")
+    axes.set(xlabel="pixel size (µm)", ylabel="dynamic range, and SNR (dB)")
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = "Figure 2a. Dynamic range and SNR at 20 % of the well against pixel size, 0.35 µm, 30 ms: equations (1) and (2)."
     return Plate("figure_2a_dr_snr", caption, figure, table)
@@ -75,10 +74,9 @@ def figure_2b(result: StudyResult) -> Plate:
         nyquist = 6.0 / pitch_um
         axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=look.colour, lw=1)
         table[f"mtf_{pitch_um:g}um"] = mtf.tolist()
-    axes.set_title("system MTF: scene to sensor")
-    axes.set_xlabel("frequency over the Nyquist frequency of\n6 µm pixels (83.3 lp/mm)")
-    axes.set_ylabel("MTF: contrast over the scene's")
-    axes.set_ylim(0, 1)
+    axes.set(title="system MTF: scene to sensor")
+    axes.set(xlabel="frequency over the Nyquist frequency of\n6 µm pixels (83.3 lp/mm)")
+    axes.set(ylabel="MTF: contrast over the scene's", ylim=(0, 1))
     axes.legend(title="pixel size", frameon=False, handlelength=LEGEND_LINE)
 
     physics = physics_of(result.study, REFERENCE_TECHNOLOGY, OPTIMUM_UM)
@@ -87,9 +85,8 @@ def figure_2b(result: StudyResult) -> Plate:
     table |= {f"{name}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
     nyquist = 1e3 / (2 * OPTIMUM_UM)
     terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
-    terms_axes.set_title(f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
-    terms_axes.set_xlabel("frequency on the sensor (lp/mm)")
-    terms_axes.set_xlim(0, SIX_UM_NYQUIST_CY_PER_MM)
+    terms_axes.set(title=f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
+    terms_axes.set(xlabel="frequency on the sensor (lp/mm)", xlim=(0, SIX_UM_NYQUIST_CY_PER_MM))
     caption = (
         "Figure 2b. Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
         "frequency of each pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch "
@@ -161,8 +158,7 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
         )
     axes.set_xticks(range(frequency.size), [f"{each:.2g}" for each in frequency])
     axes.set_yticks(range(contrast.size), [f"{each:.2g}" for each in contrast])
-    axes.set_xlabel("spatial frequency on the sensor (lp/mm)")
-    axes.set_ylabel(CONTRAST_LABEL)
+    axes.set(xlabel="spatial frequency on the sensor (lp/mm)", ylabel=CONTRAST_LABEL)
     figure.colorbar(image, ax=axes, label="mean ΔE", extend="max")
     table: dict[str, Column] = {"contrast": contrast.tolist()}
     table |= {f"delta_e_at_{each:.3g}_lp_per_mm": values[:, index].tolist() for index, each in enumerate(frequency)}

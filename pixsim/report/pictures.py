@@ -7,7 +7,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pixsim.base.arrays import Array
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_colours, grey_codes
@@ -42,35 +41,24 @@ def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER
 
 def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> PictureAxes:
     """Frequency and contrast for the CSF chart, else the position on the sensor; marks within the border."""
-    extent_mm = extent(irradiance, border_um)
-    left, right, bottom, top = extent_mm
-    if is_csf(irradiance):
-        height_mm = extent(irradiance)[2]
-        return PictureAxes(extent_mm, *_csf_axes(irradiance, height_mm, border_um, (left, right), (top, bottom)), fixed=True)
-    across, down = _even_ticks(left, right), _even_ticks(top, bottom)
-    return PictureAxes(extent_mm, Axis("x on the sensor (mm)", across), Axis("y on the sensor (mm)", down))
+    extent_mm = left, right, bottom, top = extent(irradiance, border_um)
+    if not is_csf(irradiance):
+        across, down = _even_ticks(left, right), _even_ticks(top, bottom)
+        return PictureAxes(extent_mm, Axis("x on the sensor (mm)", across), Axis("y on the sensor (mm)", down))
+    height_mm = extent(irradiance)[2]
+    faintest, strongest = (float(csf_contrast(at / height_mm)) for at in (top, bottom))
+    across = _ratio_ticks((left, right), csf_range_lp_per_mm(irradiance, border_um), (1, 2, 5, 10, 20, 50, 100, 200))
+    down = _ratio_ticks((top, bottom), (faintest, strongest), (0.03, 0.1, 0.3))
+    return PictureAxes(extent_mm, Axis("spatial frequency on the sensor (lp/mm)", across), Axis(CONTRAST_LABEL, down), fixed=True)
 
 
-def _csf_axes(
-    irradiance: SpectralImage, height_mm: float, border_um: Border, x_mm: tuple[float, float], y_mm: tuple[float, float]
-) -> tuple[Axis, Axis]:
-    """Between two places across and two down, of a chart that fills a die; the ends have marks of their own."""
-    lowest, highest = csf_range_lp_per_mm(irradiance, border_um)
-    inner = np.array([1, 2, 5, 10, 20, 50, 100, 200])
-    frequencies = np.array([lowest, *inner[(inner > 1.4 * lowest) & (inner < 0.75 * highest)], highest])
-    at_x_mm = x_mm[0] + np.log(frequencies / lowest) / np.log(highest / lowest) * (x_mm[1] - x_mm[0])
-    faintest, strongest = (float(csf_contrast(at / height_mm)) for at in y_mm)
-    steps = np.array([0.03, 0.1, 0.3])
-    contrasts = np.array([faintest, *steps[(steps > 1.4 * faintest) & (steps < 0.75 * strongest)], strongest])
-    at_y_mm = y_mm[0] + np.log(contrasts / faintest) / np.log(strongest / faintest) * (y_mm[1] - y_mm[0])
-    across = _ticks(at_x_mm, (f"{f:.3g}" for f in frequencies))
-    return Axis("spatial frequency on the sensor (lp/mm)", across), Axis(
-        CONTRAST_LABEL, _ticks(at_y_mm, (f"{c:.3g}" for c in contrasts))
-    )
-
-
-def _ticks(at_mm: Array, texts: Iterable[str]) -> tuple[tuple[float, str], ...]:
-    return tuple(zip(at_mm.tolist(), texts, strict=True))
+def _ratio_ticks(ends_mm: tuple[float, float], ends: tuple[float, float], inner: Iterable[float]) -> tuple[tuple[float, str], ...]:
+    """Marks at both ends of an axis of equal ratios, and at those values between them that leave room for their texts."""
+    (first_mm, last_mm), (low, high) = ends_mm, ends
+    steps = np.array(list(inner))
+    values = np.array([low, *steps[(steps > 1.4 * low) & (steps < 0.75 * high)], high])
+    at_mm = first_mm + np.log(values / low) / np.log(high / low) * (last_mm - first_mm)
+    return tuple(zip(at_mm.tolist(), (f"{value:.3g}" for value in values), strict=True))
 
 
 def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...]:
@@ -86,7 +74,7 @@ def crops(score: Score, window: Window, name: str) -> tuple[Picture, ...]:
     """A detail of the ideal image, of the output and of its ΔE map, with what it has of ΔE."""
     inside = window.of(score.delta_e)
     return (
-        Picture.of(grey_codes(window.of(score.ideal)), "ideal image"),
-        Picture.of(grey_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
-        Picture.of(delta_e_colours(inside), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
+        Picture(grey_codes(window.of(score.ideal)), "ideal image"),
+        Picture(grey_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
+        Picture(delta_e_colours(inside), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
     )

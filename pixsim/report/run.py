@@ -30,8 +30,8 @@ from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
 from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced, save_delta_e_png, save_png, scale, worst_window
-from pixsim.viewer.display import white_header, white_rate
-from pixsim.viewer.score import Bench, Score, dark_clip, describe, make_bench
+from pixsim.viewer.display import white_header, white_rate, white_spectrum
+from pixsim.viewer.score import Score, dark_clip, make_bench
 
 if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
@@ -71,10 +71,6 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     left_mm, right_mm, bottom_mm, top_mm = extent(irradiance, score.border_um)
     physics, header = score.physics, irradiance.header
     parameters = header.get("parameters")  # in a file from elsewhere it may be anything
-    name = f"{physics.pitch_um:g} µm pixels"
-    ideal = shown_picture(folder / "ideal.png", score.ideal, "ideal image")
-    image = shown_picture(folder / "image.png", score.image, name)
-    rows, columns = score.frame.dn.shape
     camera = Camera.model_validate(summary["camera"])
     display = Display.model_validate(summary["display"])
     light = Light.of(irradiance, display, [summary["integration_s"]])
@@ -82,30 +78,24 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     told = score.statistics()
     if sheet and told["fill_factor"] > FILLED:
         del told["fill_factor"]  # none was told
-    records = {
-        "camera": camera,
-        "pixel": physics.pixel,
-        "exposure": Exposure.model_validate(summary["exposure"]),
-        "display": display,
+    exposure = Exposure.model_validate(summary["exposure"])
+    others = {
+        path.name: "the same as raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
+    records = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "display": display}
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture made elsewhere")))).stem,
         "line": score_line(summary),
         "summary": summary,
-        "physics": physics,
         "label": label_of(physics.technology.name),
-        "pixels": (columns, rows),
         "die_mm": (width_mm, height_mm),
         "camera": camera,
         "well": float(score.frame.mean_e.max()) / physics.full_well_e,
-        "ideal": ideal,
-        "image": image,
-        "samples_per_deg": display.samples_per_deg,
+        "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
+        "image": shown_picture(folder / "image.png", score.image, f"{physics.pitch_um:g} µm pixels"),
         "reduced": factor_for(score.ideal),
         "crops": crops(score, window, "the sensor's picture"),
         "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
-        "border_um": score.border_um,
-        "dots": (score.delta_e.shape[1], score.delta_e.shape[0]),
         "scale_bar": scale(),
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in told.items()],
@@ -119,22 +109,16 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         ],
         "sheet": sheet,
         "header": header,
-        "files": files_in(folder),
+        "files": {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS} | others,
     }
     write_page(folder / "report.html", "run.html.j2", page)
-
-
-def files_in(folder: Path) -> dict[str, str]:
-    """What lies there and what it is, and what comes after the page."""
-    more = {path.name: "the same as raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES}
-    return {name: words for name, words in FILES.items() if (folder / name).exists() or name in AFTERWARDS} | more
 
 
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     """A whole picture: its file, or, where it is large, the `reduced` one."""
     if factor_for(luminance) == 1:
-        return Picture(name, "", path.read_bytes(), luminance.shape[1], luminance.shape[0])
-    return Picture.of(grey_codes(reduced(luminance)), name)
+        return Picture(grey_codes(luminance), name, png=path.read_bytes())
+    return Picture(grey_codes(reduced(luminance)), name)
 
 
 OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # files that a run may write or not
@@ -191,7 +175,10 @@ def run_and_write(
         irradiance.header |= white_header(irradiance, camera, settings.display)
         bench = make_bench(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
         score = bench.score("evaluate", settings.seed)
-        more |= sensors_mean(bench, score, settings.seed, more)
+        if "error_budget" in more:  # over as many sensors as it asks for, the pictured one among them
+            sensors = more["error_budget"]["settings"]["sensors"]
+            others = [bench.score("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
+            more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
         lap("sense and score")
         progress("write")
         summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
@@ -208,21 +195,27 @@ def run_and_write(
 def summary_of(
     score: Score, irradiance: SpectralImage, camera: Camera, exposure: Exposure, display: Display, seed: int
 ) -> dict[str, Any]:
-    """score.json: what was found, and all that it was found with."""
-    records = {"camera": camera, "exposure": exposure, "display": display}
+    """score.json: numbers, then what made them.
+
+    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the edge of the picture that is not
+    scored.
+    """
     physics, time_s = score.physics, score.frame.integration_s
     white_e = white_rate(irradiance, camera, physics, display) * physics.photodiode_area_um2 * time_s
-    dark = {"dark": dark_clip(physics, time_s, white_e)}
-    return describe(score, irradiance) | dark | {name: each.model_dump() for name, each in records.items()} | {"seed": seed}
-
-
-def sensors_mean(bench: Bench, score: Score, seed: int, more: dict[str, Any]) -> dict[str, Any]:
-    """Mean ΔE over as many sensors as the error budget asks for, the pictured one among them."""
-    if "error_budget" not in more:
-        return {}
-    sensors = more["error_budget"]["settings"]["sensors"]
-    others = [bench.score("evaluate", seed, number).mean_delta_e for number in range(1, sensors)]
-    return {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
+    return {
+        **score.statistics(),
+        "pixels": list(score.frame.dn.shape),
+        "scored_dots": list(score.delta_e.shape),
+        "border_um": list(score.border_um),
+        "pixel": physics.pixel.model_dump(),
+        "white_spectrum": "D65: the lamps share no spectrum" if white_spectrum(irradiance) is None else "the lamps' own",
+        "irradiance": irradiance.header,
+        "dark": dark_clip(physics, time_s, white_e),
+        "camera": camera.model_dump(),
+        "exposure": exposure.model_dump(),
+        "display": display.model_dump(),
+        "seed": seed,
+    }
 
 
 def _prepare(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 
 from pixsim.base.parameters import NO_TECHNOLOGY, Display, PixelOptions, Record
 from pixsim.light.spectral import SpectralImage
-from pixsim.show.pages import described
+from pixsim.show.pages import shown_value
 
 FILLED = 0.9995  # fill factors above it read as 100 %: those of sensors whose data sheets tell the whole pixel's numbers
 
@@ -19,13 +20,7 @@ FILLED = 0.9995  # fill factors above it read as 100 %: those of sensors whose d
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
 
 
-class Row(NamedTuple):
-    """A line of a table: a setting, its meaning, and where it comes from."""
-
-    key: str
-    value: Any
-    meaning: str
-    source: str
+Row = tuple[str, Any, str, str]  # a setting, its value, its meaning, and where it comes from
 
 
 class Light(NamedTuple):
@@ -69,27 +64,27 @@ def scene_rows(
     named = sources or {}
     together = named.get("scene.parameters", "set")
     file = header.get("scene", header.get("source"))
-    rows = [Row("file", file, "what is looked at", named.get("scene.file", ""))] if file else []
+    rows = [("file", file, "what is looked at", named.get("scene.file", ""))] if file else []
     for name, value in parameters.items():
         shown = Path(value).name if isinstance(value, str) else value
-        rows.append(Row(name, shown, "parameter of the scene", named.get(f"scene.parameters.{name}", together)))
+        rows.append((name, shown, "parameter of the scene", named.get(f"scene.parameters.{name}", together)))
     own = header.get("luminance_cd_per_m2")
     if isinstance(own, int | float) and own != light.white_cd_per_m2:
-        rows.append(Row("luminance_cd_per_m2", f"{own:.4g}", "white of the scene, which the display does not show as its own", ""))
-    rows.append(Row("white_cd_per_m2", f"{light.white_cd_per_m2:.4g}", "scene luminance shown as display white", light.white_from))
-    rows.append(Row("integration_s", light.exposure, "exposure time, from the shortest to the longest frame", ""))
+        rows.append(("luminance_cd_per_m2", f"{own:.4g}", "white of the scene, which the display does not show as its own", ""))
+    rows.append(("white_cd_per_m2", f"{light.white_cd_per_m2:.4g}", "scene luminance shown as display white", light.white_from))
+    rows.append(("integration_s", light.exposure, "exposure time, from the shortest to the longest frame", ""))
     return rows
 
 
 def record_rows(name: str, record: Record, from_a_sheet: bool, sources: Mapping[str, str] | None = None) -> list[Row]:
     """The fields of a record that were used, with where each comes from: told by the user, set, or the default."""
     left_out = OF_A_PROCESS if from_a_sheet and isinstance(record, PixelOptions) else frozenset()
-    named = sources or {}
-    return [
-        Row(key, value, meaning, named.get(f"{name}.{key}", "default" if usual else "set"))
-        for key, value, meaning, usual in described(record)
-        if key not in left_out
-    ]
+    fields, rows = type(record).model_fields, []
+    for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
+        meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
+        source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
+        rows.append((key, shown_value(value), meaning, source))
+    return rows
 
 
 def only_sheets(technologies: Iterable[str]) -> bool:

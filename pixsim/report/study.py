@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from pixsim.base.files import output_folder, replacing, versions, write_json
-from pixsim.base.parameters import NO_TECHNOLOGY, Record
+from pixsim.base.parameters import NO_TECHNOLOGY, Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import is_csf
@@ -18,14 +19,14 @@ from pixsim.report.settings import FILLED, Light, Row, only_sheets, record_rows,
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
 from pixsim.report.wording import study_dark_notes, target_notes
 from pixsim.sensor.pixel import physics_of
-from pixsim.sensor.technology import Technology, technology_of
+from pixsim.sensor.technology import technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
-from pixsim.show.pages import Column, Drawn, Plate, write_drawn, write_page
+from pixsim.show.pages import Column, Drawn, Plate, write_figures, write_page
 from pixsim.show.pictures import scale
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.evaluations import DELTA_E_STATISTICS
 from pixsim.studies.result import (
-    OTHER_STATISTICS,
     Curve,
     StudyResult,
     curve_table,
@@ -43,13 +44,11 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
-    for name, look in zip(("mean_delta_e", *OTHER_STATISTICS), LOOKS, strict=False):
+    for name, look in zip(DELTA_E_STATISTICS, LOOKS, strict=False):
         values = curve.mean(name)
         label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("ΔE over its least value of all pixel sizes")
-    axes.set_ylim(0.9, 3.0)
+    axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its least value of all pixel sizes", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = (
@@ -76,10 +75,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     axes.errorbar(feature_um, size_um, bars, fmt="o", color=COLOURS[0], lw=2, capsize=4, label="optimum, 95 % interval")
     proportional = size_um[-1] / feature_um[-1] * feature_um
     axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
-    axes.set_xlabel("feature size (µm)")
-    axes.set_ylabel("optimal pixel size (µm)")
-    axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
+    axes.set(xlabel="feature size (µm)", ylabel="optimal pixel size (µm)", xlim=(0, None), ylim=(0, None))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
     table = {
@@ -121,9 +117,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
         "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
     }  # fmt: skip
     table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
-    lower.set_xlabel("pixel size (µm)")
-    lower.set_ylabel(f"contrast left at {frequency:.3g} lp/mm")
-    lower.set_ylim(0, 1.02)
+    lower.set(xlabel="pixel size (µm)", ylabel=f"contrast left at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
     caption = (
         f"Both sides of the trade-off ({curve.label}). Above: the frequency at which the MTF is one half, from the scene to the "
@@ -144,8 +138,7 @@ FIGURE_NUMBERS = {
 HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """Figures that are drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
 
     number: int
@@ -156,21 +149,13 @@ class Section:
         return f"figures of {self.technology or self.kind}"
 
 
-def sections_of(result: StudyResult) -> list[Section]:
-    """The figures of a study, in the report's order."""
-    kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
-    kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
-    return [Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)]
-
-
-@dataclass(frozen=True)
-class Made:
+class Made(NamedTuple):
     """What a section came to: its figures, the pictures that people see, and what it found."""
 
     section: Section
     drawn: list[Drawn]
-    views: Views | None = None
-    rows: tuple[Finding, ...] = ()
+    views: Views | None
+    rows: list[Finding]
 
 
 def draw_section(section: Section, result: StudyResult) -> Made:
@@ -183,8 +168,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     elif section.kind == "pictures":
         curve = by_name[section.technology]
         scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
-        maps = [score.delta_e for score in scores]
-        plates = [study_pictures(result, curve, scores[0], maps, f"pictures_{curve.file_label}")]
+        plates = [study_pictures(result, curve, scores[0], [each.delta_e for each in scores], f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
         plates = [other_statistics(result, first), light_against_detail(result, first)]
@@ -193,7 +177,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return Made(section, [Drawn.of(plate) for plate in plates], views, tuple(rows))
+    return Made(section, [plate.drawn() for plate in plates], views, rows)
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -219,8 +203,6 @@ def write_report(
     Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
     depend on the workers that draw the figures.
 
-    Parameters
-    ----------
     result : of `study`
     folder : made if need be
     seconds : stage -> s that it took, to be told
@@ -233,38 +215,38 @@ def write_report(
 
 
 def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
-    longest_first = reversed(sections_of(result))
+    study = result.study
+    kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
+    kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
+    longest_first = reversed([Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
     def itself() -> StudyResult:
         return result
 
     calls = [(section, itself) for section in longest_first]
-    made = sorted(results_of(draw_section, calls, workers), key=lambda each: each.section.number)
+    made = sorted(results_of(draw_section, calls, workers))  # numbers differ
     rows = [row for each in made for row in each.rows]
     views = [each.views for each in made if each.views]
     shown = {
-        heading: write_drawn(folder, [drawn for each in made if each.section.kind in kinds for drawn in each.drawn])
+        heading: write_figures(folder, [drawn for each in made if each.section.kind in kinds for drawn in each.drawn])
         for heading, kinds in HEADINGS.items()
     }
     for each in views:
         with replacing(folder / "figures" / f"contact_sheet_{each.file_label}.png") as partial:
             partial.write_bytes(each.sheet)
-    paper_table = {"paper": [row.as_dict() for row in rows]} if rows else {}
-    write_json(folder / "summary.json", result.as_dict() | paper_table)
+    write_json(folder / "summary.json", result.as_dict() | ({"paper": [row.as_dict() for row in rows]} if rows else {}))
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
 
     def light_of(curves: Sequence[Curve]) -> Light:
-        times_s = np.concatenate([curve.mean("integration_s") for curve in curves])
-        return Light.of(result.irradiance, result.study.display, times_s)
+        return Light.of(result.irradiance, study.display, np.concatenate([curve.mean("integration_s") for curve in curves]))
 
     def blur_of(curve: Curve) -> str:
-        physics = physics_of(result.study, curve.technology, curve.optimum.pitch_um)
-        return blur_words(result.irradiance, result.camera, physics, result.study.display)
+        physics = physics_of(study, curve.technology, curve.optimum.pitch_um)
+        return blur_words(result.irradiance, result.camera, physics, study.display)
 
-    light = light_of(result.curves)
     page = {
-        "study": result.study,
+        "study": study,
         "interval": interval_words,
         "within": within_words,
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
@@ -274,16 +256,13 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "scale_bar": scale(),
         "findings": rows,
         "notes": [each.removeprefix("note: ") for each in (*target_notes(result), *study_dark_notes(result))],
-        "response_note": response_note(result.study) if result.study.paper else "",
+        "response_note": response_note(study) if study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,
-        "settings": settings(result, light),
+        "settings": settings(result, light_of(result.curves)),
         "filled": FILLED,
-        "sheets": NO_TECHNOLOGY in result.study.technologies,
-        "technologies": [
-            (process.name, technology_rows(process))
-            for process in (technology_of(result.study, name) for name in result.study.technologies if name != NO_TECHNOLOGY)
-        ],
+        "sheets": NO_TECHNOLOGY in study.technologies,
+        "technologies": [technology_rows(study, name) for name in study.technologies if name != NO_TECHNOLOGY],
         "provenance": provenance,
     }
     return write_page(folder / "report.html", "report.html.j2", page)
@@ -292,16 +271,17 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
 def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
     """The parameters with their meaning and source, as the report's tables show them; unset ones come from the technology."""
     study = result.study
-    records: dict[str, Record] = {
-        "camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display,
-    }  # fmt: skip
+    records: dict[str, Record] = {"camera": result.camera} | {
+        name: getattr(study, name) for name in ("pixel", "exposure", "display")
+    }
     sheets = only_sheets(study.technologies)
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 
 
-def technology_rows(process: Technology) -> list[tuple[str, float | str, str, str]]:
-    """Name, value, plausible range and source of each number of a process, for the report's table."""
+def technology_rows(study: Study, technology: str) -> tuple[str, list[tuple[str, float | str, str, str]]]:
+    """A process's name; and name, value, plausible range and source of each of its numbers, for the report's table."""
+    process = technology_of(study, technology)
     values = process.content | process.numbers
     ranges = {name: f"{low:g} to {high:g}" for name, (low, high) in process.ranges.items()}
-    return [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]
+    return process.name, [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]

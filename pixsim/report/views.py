@@ -22,7 +22,6 @@ from pixsim.show.pages import Plate, coarse_table
 from pixsim.show.pictures import (
     Picture,
     PictureAxes,
-    Tile,
     Window,
     contact_sheet_png,
     factor_for,
@@ -31,9 +30,9 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import bench_at, block_key, stream_key
+from pixsim.studies.evaluations import bench_at, block_key, light_of, stream_key
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.viewer import display as displays
+from pixsim.viewer.display import picture_size_um, shown_luminance
 from pixsim.viewer.score import Projection, Score
 
 if TYPE_CHECKING:
@@ -100,9 +99,7 @@ def draw_iso(
         handles = [axes.plot([], [], lw=widths[i], label=labels[i], **looks[i].stroke)[0] for i in there]
         axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
         points = [(float(px), float(py)) for segments in lines.allsegs for segment in segments for px, py in segment]
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
-    axes.set_aspect("equal")
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     label_axes(axes, where)
     for spine in axes.spines.values():
         spine.set(visible=True, color="0.8")
@@ -153,20 +150,22 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     shape = ideal.shape[0], ideal.shape[1]
     where = result.study.detail
     window = window_at(where, shape) if where else worst_window([scores[0].delta_e, scores[last].delta_e])
-    tiles = [Tile(grey_codes(window.of(ideal)), "ideal image", "")]
+    tiles = [Picture(grey_codes(window.of(ideal)), "ideal image")]
     for place in range(last + 1):
         part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
-        tiles.append(Tile(grey_codes(part), *words(curve, place), is_best(curve, place)))
-    named = {place: f"{called(curve, place)}, {words(curve, place)[0]}" for place in ends}
+        tiles.append(Picture(grey_codes(part), *words(curve, place), is_best(curve, place)))
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         place=window.centre,
-        tiles=tuple(Picture.of(tile.codes, tile.name, tile.note, tile.best) for tile in tiles),
+        tiles=tuple(tiles),
         crops=tuple(crops(scores[place], window, called(curve, place)) for place in ends),
-        ideal=Picture.of(grey_codes(reduced(ideal)), "ideal image"),
+        ideal=Picture(grey_codes(reduced(ideal)), "ideal image"),
         factor=factor_for(ideal),
-        outputs=tuple(Picture.of(grey_codes(reduced(scores[place].image)), named[place], words(curve, place)[1]) for place in ends),
+        outputs=tuple(
+            Picture(grey_codes(reduced(scores[place].image)), f"{called(curve, place)}, {size}", mean)
+            for place, (size, mean) in ((each, words(curve, each)) for each in ends)
+        ),
         sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1; framed: the best of these", tiles),
     )
 
@@ -182,29 +181,24 @@ def called(curve: Curve, place: int) -> str:
     return ", ".join(part for part, is_so in parts.items() if is_so)
 
 
-def pixels_of(size_um: tuple[float, float], pitch_um: float) -> tuple[int, ...]:
-    return tuple(pixels_along(um, pitch_um) for um in size_um)
-
-
 def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> Array:
     """A part of the first sensor's picture of a pitch, shown luminance: that of `result.scores`, without its ΔE.
 
     What the cache holds is only shown, in a fifth of the time that the light on the pixels takes.
     """
     study, pitch_um = result.study, float(curve.pitch_um[place])
-    light = result.lights.of(curve.technology)
+    light = light_of(study, result.lights, curve.technology)
     key = block_key(result.content.frames(curve.technology, pitch_um), 0)
     kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
-    if not isinstance(light, Projection) or kept is None or kept.shape != pixels_of(light.size_um, pitch_um):
+    physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
+    whole = tuple(pixels_along(um, pitch_um) for um in picture_size_um(result.irradiance))
+    if not isinstance(light, Projection) or kept is None or kept.shape != whole:
         bench = bench_at(study, light, result.camera, curve.technology, pitch_um)
-        frame = bench.capture(*stream_key(study, bench.physics.technology.name, pitch_um, 0))
-        white_e, size_um, edges_um = bench.white_e_per_s * frame.integration_s, bench.size_um, bench.dot_edges_um
+        frame = bench.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
+        screen, white_e = bench.screen, bench.white_e_per_s * frame.integration_s
     else:
-        physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
-        white_e, size_um = light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s, light.size_um
-        edges_um = light.dot_edges_um
+        screen, white_e = light.screen, light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s
         # Nothing that is shown depends on the saturated fraction or on the mean signal.
         unknown = np.broadcast_to(np.nan, kept.shape)
         frame = frame_of(kept.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
-    luminance = displays.frame_luminance(frame, size_um, white_e, study.display, edges_um)
-    return displays.shown_luminance(window.of(luminance), study.display)
+    return shown_luminance(window.of(screen.luminance(frame, white_e)), study.display)

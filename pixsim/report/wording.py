@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pixsim.studies.result import interval_words, within_words
-
-if TYPE_CHECKING:
-    pass
-
 
 SATURATED_TOLD = 0.01
 HIDDEN_DN = 0.05  # a shift of the dark's mean that is hidden: a sixth of the rounding error, 1/√12 DN
@@ -18,30 +14,27 @@ TAIL_SIGMAS = 0.01  # of the dark's spread: what a black level of 1.9 σ cuts of
 
 def sensitivity_lines(outcome: Any) -> list[str]:
     """The base, then each assumption with the range that it gives, widest first."""
-    lines = ["base: " + found_line(outcome.base_case.reference)]
+    base = outcome.base_case.reference
+    lines = ["base: " + found_line(base)]
     for name, cases in outcome.by_variation().items():
-        sizes = sorted(case.reference.optimum.pitch_um for case in (*cases, outcome.base_case))
-        best = sorted(case.reference.optimum.mean_delta_e for case in (*cases, outcome.base_case))
-        at_the_end = any(not case.reference.optimum.inside for case in cases)
-        end = " (the largest or smallest size tried)" if at_the_end else ""
-        lines.append(f"{name}: {sizes[0]:.2f} to {sizes[-1]:.2f} µm{end}, best mean ΔE {best[0]:.3f} to {best[-1]:.3f}")
+        optima = [base.optimum, *(case.reference.optimum for case in cases)]
+        sizes, best = ([getattr(each, number) for each in optima] for number in ("pitch_um", "mean_delta_e"))
+        end = "" if all(each.inside for each in optima[1:]) else " (the largest or smallest size tried)"
+        lines.append(f"{name}: {min(sizes):.2f} to {max(sizes):.2f} µm{end}, best mean ΔE {min(best):.3f} to {max(best):.3f}")
     return lines
 
 
 def found_line(curve: Any) -> str:
     """The optimum of a curve with its interval, and how flat the minimum is."""
-    best = curve.optimum
-    within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
+    best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"
+    found = f"optimal pixel size {best.pitch_um:.2f} µm {interval}"
     if not best.inside:
-        return (
-            f"{curve.label}: no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
-            f"the error is least at {best.pitch_um:.2f} µm, the end of the range (95 %: {interval_words(curve)}), "
-            f"mean ΔE {best.mean_delta_e:.3f}; {within}"
+        found = (
+            f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm; "
+            f"the error is least at {best.pitch_um:.2f} µm, the end of the range {interval}"
         )
-    return (
-        f"{curve.label}: optimal pixel size {best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), "
-        f"mean ΔE {best.mean_delta_e:.3f}; {within}"
-    )
+    within = within_words(best.within_1_percent_um, curve)
+    return f"{curve.label}: {found}, mean ΔE {best.mean_delta_e:.3f}; within 1 % of it: {within}"
 
 
 def target_notes(result: Any) -> list[str]:
@@ -63,31 +56,25 @@ def target_notes(result: Any) -> list[str]:
 
 
 def score_line(result: dict[str, Any]) -> str:
-    """Mean ΔE of a run (over sensors, where it was asked for to a tolerance, with its error), and how it was taken."""
-    how = f"with {frame_words(result)}"
-    if "error_budget" not in result:
-        return f"mean ΔE {result['mean_delta_e']:.3f} {how}"
-    error, sensors = result["error_budget"]["total"]["delta_e"], result["sensors"]
-    within = "error not known" if error is None else f"± {error:.1g}"
-    return f"mean ΔE {result['sensors_mean_delta_e']:.4f} {within} over {sensors} sensor{'s' * (sensors > 1)} {how}"
-
-
-def frame_words(result: dict[str, Any]) -> str:
-    """Its pixels and its exposure, and what keeps it from being a good one."""
+    """Mean ΔE of a run (over sensors, where it was asked for to a tolerance, with its error), its pixels, and its exposure."""
+    found = f"mean ΔE {result['mean_delta_e']:.3f}"
+    if "error_budget" in result:
+        error, sensors = result["error_budget"]["total"]["delta_e"], result["sensors"]
+        within = "error not known" if error is None else f"± {error:.1g}"
+        found = f"mean ΔE {result['sensors_mean_delta_e']:.4f} {within} over {sensors} sensor{'s' * (sensors > 1)}"
     rows, columns = result["pixels"]
     border_um = result["border_um"][1] if result["display"]["raster"] == "fixed_size" else 0.0
     border = f" ({border_um:.3g} µm at each side not scored)" if border_um else ""
-    told = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}, exposed for {1e3 * result['integration_s']:.3g} ms"
-    exposure, saturated = result["exposure"], result["saturated_fraction"]
-    if exposure["integration_s"] is None and result["integration_s"] >= exposure["max_integration_s"]:
-        told += " (the longest allowed)"
-    return told + (f", {saturated:.0%} of them saturated" if saturated > SATURATED_TOLD else "")
+    exposure, time_s, saturated = result["exposure"], result["integration_s"], result["saturated_fraction"]
+    longest = " (the longest allowed)" if exposure["integration_s"] is None and time_s >= exposure["max_integration_s"] else ""
+    full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_TOLD else ""
+    pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
+    return f"{found} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}"
 
 
 def dark_note(result: dict[str, Any]) -> list[str]:
     """What the clip at 0 DN does to the dark of a run's frame; nothing where its effect is not seen."""
-    dark, pixel = result["dark"], result["pixel"]
-    return [f"note: {clip_words(dark, pixel)}"] if clips_dark(dark) else []
+    return [f"note: {clip_words(result['dark'], result['pixel'])}"] if clips_dark(result["dark"]) else []
 
 
 def study_dark_notes(result: Any) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,11 +94,6 @@ def literal(text: str) -> str:
     return printable.replace("$", r"\$")
 
 
-def save_svg(figure: Figure, path: Path) -> None:
-    """Write a figure as `svg_text` makes it."""
-    path.write_text(svg_text(figure), encoding="utf-8")
-
-
 def svg_text(figure: Figure) -> str:
     """A figure as SVG; its ids are numbered, since Matplotlib's hash coordinates that vary in their last digit."""
     if layout := figure.get_layout_engine():
@@ -132,8 +126,7 @@ def label_axes(axes: Axes, where: PictureAxes) -> None:
     """What lies along the sides of a picture."""
     for spine in axes.spines.values():
         spine.set_visible(False)
-    axes.set_xlabel(where.across.label)
-    axes.set_ylabel(where.down.label)
+    axes.set(xlabel=where.across.label, ylabel=where.down.label)
     if where.fixed:
         axes.set_xticks(*zip(*where.across.ticks, strict=True))
         axes.set_yticks(*zip(*where.down.ticks, strict=True))

@@ -6,6 +6,7 @@ import base64
 import csv
 import html
 import io
+import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -18,7 +19,6 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.files import replacing
-from pixsim.base.parameters import Record
 from pixsim.show.figures import svg_text
 
 if TYPE_CHECKING:
@@ -48,22 +48,6 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     return path
 
 
-def text_uri(kind: str, text: str) -> str:
-    """A text file in a page that opens offline, in fewer bytes than `data_uri` takes."""
-    for each, code in ENCODED.items():
-        text = text.replace(each, code)
-    return f"data:{kind};charset=utf-8,{text}"
-
-
-def described(record: Record) -> list[tuple[str, Any, str, bool]]:
-    """Name, value and meaning of each field that is set, for readers, and whether the value is the default."""
-    fields = type(record).model_fields
-    return [
-        (key, shown_value(value), re.sub(r"\bNone: ", "left out: ", fields[key].description or ""), value == fields[key].default)
-        for key, value in record.model_dump(exclude_none=True).items()
-    ]
-
-
 def shown_value(value: Any) -> Any:
     """A value for a table's cell: of a curve of (wavelength in nm, value), how much there is of it."""
     if isinstance(value, tuple | list) and value and isinstance(value[0], tuple | list):
@@ -86,11 +70,10 @@ class Plate:
 
     @property
     def csv(self) -> str:
-        text = io.StringIO()
-        writer = csv.writer(text)
-        writer.writerow(self.table)
-        writer.writerows(zip(*self.table.values(), strict=True))
-        return text.getvalue()
+        return csv_text([self.table, *zip(*self.table.values(), strict=True)])
+
+    def drawn(self) -> Drawn:
+        return Drawn(self.name, self.caption, svg_text(self.figure), self.csv)
 
 
 @dataclass(frozen=True)
@@ -102,9 +85,29 @@ class Drawn:
     svg: str
     csv: str
 
-    @classmethod
-    def of(cls, plate: Plate) -> Drawn:
-        return cls(plate.name, plate.caption, svg_text(plate.figure), plate.csv)
+    def write(self, folder: Path) -> None:
+        """`name`.svg and `name`.csv in a folder."""
+        for suffix, text in (("svg", self.svg), ("csv", self.csv)):
+            write_text(folder / f"{self.name}.{suffix}", text)
+
+    @property
+    def image(self) -> str:
+        """The figure in a page that opens offline."""
+        return text_uri("image/svg+xml", self.svg)
+
+    @property
+    def data(self) -> str:
+        """The table in such a page."""
+        return text_uri("text/csv", self.csv)
+
+
+def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
+    """Write figures/*.svg and their data, figures/*.csv; returns what was given, for a page."""
+    figures = folder / "figures"
+    figures.mkdir(exist_ok=True)
+    for each in drawn:
+        each.write(figures)
+    return drawn
 
 
 def coarse_table(values: Array, name: str) -> dict[str, Column]:
@@ -131,16 +134,29 @@ def _cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure
     )
 
 
-def csv_text(rows: list[dict[str, Any]], path: str | os.PathLike[str] | None) -> str:
-    """The rows as CSV, numbers to their last digit; written to a path where there is one."""
+def csv_text(lines: Iterable[Iterable[Any]]) -> str:
+    """Lines of a table, the first with its names, as CSV; numbers to their last digit."""
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows[0]))
-    writer.writeheader()
-    writer.writerows({name: repr(value) if isinstance(value, float) else value for name, value in row.items()} for row in rows)
-    if path is not None:
-        with replacing(Path(path)) as unfinished:
-            unfinished.write_text(text.getvalue(), encoding="utf-8", newline="")
+    csv.writer(text).writerows(lines)
     return text.getvalue()
+
+
+def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None = None) -> str:
+    """Rows with the same names as CSV; written to a path where there is one."""
+    text = csv_text([*rows[:1], *(row.values() for row in rows)])
+    if path is not None:
+        write_text(Path(path), text)
+    return text
+
+
+def plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Ready for JSON: None for what is not a number."""
+    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
+
+
+def write_text(path: Path, text: str) -> None:
+    with replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="")
 
 
 def data_uri(kind: str, content: bytes) -> str:
@@ -148,26 +164,8 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64," + base64.b64encode(content).decode()
 
 
-def write_plates(folder: Path, plates: Sequence[Plate]) -> list[tuple[Drawn, str, str]]:
-    """`write_drawn` of figures that are still to be drawn."""
-    return write_drawn(folder, [Drawn.of(plate) for plate in plates])
-
-
-def write_drawn(folder: Path, drawn: Sequence[Drawn]) -> list[tuple[Drawn, str, str]]:
-    """Write figures/*.svg and their data, figures/*.csv; each with both as data URIs, for a page that opens offline."""
-    figures = folder / "figures"
-    figures.mkdir(exist_ok=True)
-    shown = []
-    for each in drawn:
-        for suffix, text in (("svg", each.svg), ("csv", each.csv)):
-            with replacing(figures / f"{each.name}.{suffix}") as partial:
-                partial.write_text(text, encoding="utf-8", newline="")
-        shown.append((each, text_uri("image/svg+xml", each.svg), text_uri("text/csv", each.csv)))
-    return shown
-
-
-def write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
-        writer.writeheader()
-        writer.writerows(rows)
+def text_uri(kind: str, text: str) -> str:
+    """A text file in such a page, in fewer bytes than `data_uri` takes."""
+    for each, code in ENCODED.items():
+        text = text.replace(each, code)
+    return f"data:{kind};charset=utf-8,{text}"

@@ -105,9 +105,9 @@ def _enlarged(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     from PIL import Image
 
     height, width = colours.shape[:2]
-    scale = MAP / max(height, width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    how = Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.BOX
+    factor = MAP / max(height, width)
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    how = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
     return np.asarray(Image.fromarray(colours).resize(size, how))
 
 
@@ -176,17 +176,33 @@ INK, PAPER = 0, 255
 
 
 @dataclass(frozen=True)
-class Tile:
-    """A detail of a picture, grey codes (H, W), with two lines of words; the best one is framed."""
+class Picture:
+    """A picture for a page or a sheet, grey (H, W) or coloured (H, W, 3) codes, with two lines of words; the best one is framed.
 
-    codes: NDArray[np.uint8] = field(repr=False)
+    png : of the codes, made where it is not given
+    """
+
+    codes: NDArray[np.uint8] = field(repr=False, compare=False)
     name: str
-    note: str
+    note: str = ""
     best: bool = False
+    png: bytes = field(default=b"", repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.png:
+            object.__setattr__(self, "png", png_bytes(self.codes))
+
+    @property
+    def height(self) -> int:
+        return self.codes.shape[0]
+
+    @property
+    def width(self) -> int:
+        return self.codes.shape[1]
 
 
-def contact_sheet_png(title: str, tiles: Sequence[Tile]) -> bytes:
-    """Tiles of at most one size in rows of six, each dot of a picture one of the sheet."""
+def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
+    """Grey pictures of at most one size in rows of six, each of their dots one of the sheet."""
     from PIL import Image, ImageDraw
 
     title = one_line(title, LONGEST_TITLE)
@@ -262,29 +278,13 @@ def worst_window(maps: Sequence[Array]) -> Window:
     return max(windows((finest.shape[0], finest.shape[1])), key=lambda window: min(float(window.of(each).mean()) for each in maps))
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A picture for a page: its PNG, its size in dots, and its words."""
-
-    name: str
-    note: str
-    png: bytes = field(repr=False)
-    width: int
-    height: int
-    best: bool = False
-
-    @classmethod
-    def of(cls, codes: NDArray[np.uint8], name: str, note: str = "", best: bool = False) -> Picture:
-        return cls(name, note, png_bytes(codes), codes.shape[1], codes.shape[0], best)
-
-
 def factor_for(picture: Array) -> int:
     """How many dots a side come to one where a whole picture stands in a page."""
     return -(-max(picture.shape) // MOST_PICTURE_DOTS)
 
 
 def reduced(luminance: Array) -> Array:
-    """A whole picture for a page, at most `MOST_DOTS` a side: means of squares of dots (what is left over is cut off)."""
+    """A whole picture for a page, at most `MOST_PICTURE_DOTS` a side: means of squares of dots (what is left over is cut off)."""
     down, across = (min(factor_for(luminance), size) for size in luminance.shape)
     if down == across == 1:
         return luminance
@@ -296,4 +296,4 @@ def scale() -> Picture:
     """The colours of every ΔE map, 0 at the left."""
     width, height = SCALE_DOTS
     ramp = delta_e_colours(np.linspace(0.0, DELTA_E_SHOWN, width, endpoint=False)[None])
-    return Picture.of(np.repeat(ramp, height, axis=0), f"colours of ΔE from 0 to {DELTA_E_SHOWN:g}")
+    return Picture(np.repeat(ramp, height, axis=0), f"colours of ΔE from 0 to {DELTA_E_SHOWN:g}")

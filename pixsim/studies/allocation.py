@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pixsim.base.arrays import Array
 from pixsim.studies.optimum import FittedCurve, Posterior
 
 ROUND = 4  # additions that are chosen together, from one curve
@@ -59,12 +58,10 @@ def rise_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     u = fit.places_of(pitches_um)
     mean = np.interp(u, fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
     counts = np.array([sensors[each] for each in pitches_um.tolist()])
-    design = replace(fit.design, u=u, noise=fit.noise * mean**2, sensors=counts)
+    best = fit.likeliest
+    design = replace(best.design, u=u, noise=fit.noise * mean**2, sensors=counts)
     low, high = fit.optimum.interval_um
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
-    covariance = Posterior(design, fit.stiffness, fit.residual, np.zeros(u.size)).covariance(fit.places_of(ends))
-    return float(sum(contrast @ covariance @ contrast for contrast in (LOW_RISE, HIGH_RISE)))
-
-
-LOW_RISE: Array = np.array([1.0, -1.0, 0.0])
-HIGH_RISE: Array = np.array([0.0, -1.0, 1.0])
+    covariance = Posterior(design, best.stiffness, best.residual, np.zeros(u.size)).covariance(fit.places_of(ends))
+    rises = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
+    return float(sum(contrast @ covariance @ contrast for contrast in rises))

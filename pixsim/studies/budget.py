@@ -27,6 +27,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
 from pixsim.viewer.display import white_header
-from pixsim.viewer.score import Bench, Projection, bench_of, project
+from pixsim.viewer.score import Bench, Lights, bench_of, project
 
 SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
@@ -131,10 +132,6 @@ class Probe:
     def of_first_sensor(self) -> Probe:
         return replace(self, delta_e=self.delta_e[:1], sweep_delta_e=self.sweep_delta_e[:, :1])
 
-    def optimum_of(self, sensor: int) -> float:
-        """Of one sensor alone."""
-        return minimum_um(self.pitch_um, self.sweep_delta_e[:, sensor])
-
 
 def minimum_um(pitch_um: Array, delta_e: Array) -> float:
     """Minimum of a cubic in log pitch through the points; NaN where it is at an end, and where all points are one level."""
@@ -167,7 +164,8 @@ def probe(image: SpectralImage, setup: Setup) -> Probe:
         first = score(bench, setup, setup.pixel.pitch_um, 0)
         end = time.perf_counter()
         own = np.array([first, *(score(bench, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))])
-        sweep = np.array([scores(bench_at(p), setup, p) for p in setup.pitches_um])
+        swept = zip(setup.pitches_um, map(bench_at, setup.pitches_um), strict=True)
+        sweep = np.array([[score(each, setup, p, k) for k in range(setup.sensors)] for p, each in swept])
     shape = len(setup.pitches_um), setup.sensors
     return Probe(bench.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
 
@@ -210,32 +208,21 @@ def few_counts(mean: Array, z: Array) -> Array:
 def score(bench: Bench, setup: Setup, pitch_um: float, sensor: int) -> float:
     """Mean ΔE of an individual sensor, the same for the same set-up, pitch and number."""
     own = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
-    return bench.score_with(own, PairedNoise(own.bit_generator)).mean_delta_e
-
-
-def scores(bench: Bench, setup: Setup, pitch_um: float) -> list[float]:
-    """Of each individual sensor."""
-    return [score(bench, setup, pitch_um, sensor) for sensor in range(setup.sensors)]
+    return bench.view(bench.capture_with(own, PairedNoise(own.bit_generator))).mean_delta_e
 
 
 def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], Bench]:
-    """A bench of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless it is the optimum's.
-
-    What pitches of one frame share is made once.
-    """
-    shared: dict[float, Projection] = {}
-    own_um = setup.pixel.pitch_um
+    """A bench of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless at the optimum."""
+    lights, own_um = Lights(image, setup.camera, setup.display), setup.pixel.pitch_um
+    widest_um = setup.border_um or max(pitches_um, default=own_um)
 
     def at(pitch_um: float) -> Bench:
         physics = setup.physics(pitch_um)
-        if setup.display.raster == "one_to_one":
-            light = project(image, setup.camera, physics, setup.display)
-            return bench_of(light, physics, setup.exposure, setup.display)
-        alone = pitch_um == own_um and not setup.at_optimum
-        border_um = own_um if alone else setup.border_um or max(pitches_um, default=own_um)
-        if border_um not in shared:
-            shared[border_um] = project(image, setup.camera, physics, setup.display, border_um=border_um)
-        return bench_of(shared[border_um], physics, setup.exposure, setup.display)
+        border_um = own_um if pitch_um == own_um and not setup.at_optimum else widest_um
+        light = lights.of(border_um, physics, border_um)
+        if isinstance(light, SpectralImage):
+            light = project(light, setup.camera, physics, setup.display)
+        return bench_of(light, physics, setup.exposure)
 
     return at
 
@@ -316,6 +303,9 @@ class Effect:
         return Effect(self.delta_e + other.delta_e, self.optimum_um + other.optimum_um)
 
 
+NOT_KNOWN = Effect(math.nan, math.nan)
+
+
 @dataclass(frozen=True)
 class Calibration:
     """How mean ΔE and the optimum answer to each setting of one scene, camera, pixel and viewer.
@@ -384,20 +374,25 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     setup = setup.around(pitches_around_optimum_um(image, setup, PITCHES))
     sensors = probe(image, replace(setup, sensors=SENSORS))
     own, halves = sensors.of_first_sensor, [probe(each, setup) for each in parts]
+    one, other = halves
+    mean = replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
     films, order = film_errors(own, coarse)
+    optima = [minimum_um(sensors.pitch_um, each) for each in sensors.sweep_delta_e.T]
+    finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
+    fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MOST_DOTS
     scaled = difference_of(probe(brighter(image, 1 + SCALED_BY), setup), own)
     return Calibration(
         width=job.size[1],
         cells=job.size[0] * job.size[1],
         noise=noise,
         random=difference_of(*halves).times(0.5),
-        bias=difference_of(_between(*halves), own),
+        bias=difference_of(mean, own),
         per_e=scaled.times(1 / SCALED_BY),
         films=films,
         order=order,
-        sensor=Effect(spread(sensors.delta_e), spread(np.array([sensors.optimum_of(k) for k in range(SENSORS)]))),
-        raster=raster_effect(image, setup, own),
+        sensor=Effect(spread(sensors.delta_e), spread(np.array(optima))),
+        raster=difference_of(probe(image, finer_setup), own) if fits else NOT_KNOWN,
         interpolation=interpolation_effect(image, setup, own),
         work=2.0 * spp * plan.passes * job.size[0] * job.size[1],
         planes=len(image.factors[0]) if image.factors else image.wavelength_nm.size,
@@ -413,15 +408,10 @@ def difference_of(one: Probe, other: Probe) -> Effect:
     return Effect(math.sqrt(float(np.mean(gaps**2))), abs(one.optimum_um - other.optimum_um))
 
 
-def _between(one: Probe, other: Probe) -> Probe:
-    """The mean of what two pictures give."""
-    return replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
-
-
 def film_errors(own: Probe, coarse: list[Probe]) -> tuple[tuple[Effect, ...], float]:
     """Errors of the coarser films and of the film itself, and their order (Richardson), with a factor of safety."""
     if not coarse:
-        return (Effect(math.nan, math.nan),), LOWEST_ORDER
+        return (NOT_KNOWN,), LOWEST_ORDER
     near = difference_of(coarse[0], own)
     order, safety = LOWEST_ORDER, UNSURE
     if len(coarse) > 1 and near.delta_e > 0:
@@ -433,17 +423,11 @@ def film_errors(own: Probe, coarse: list[Probe]) -> tuple[tuple[Effect, ...], fl
     return (*(difference_of(each, own).plus(last) for each in reversed(coarse)), last), order
 
 
-def raster_effect(image: SpectralImage, setup: Setup, own: Probe) -> Effect:
-    if setup.display.raster != "fixed_size" or 2 * setup.display.dots > MOST_DOTS:
-        return Effect(math.nan, math.nan)
-    return difference_of(probe(image, replace(setup, display=finer(setup.display, 2 * setup.display.dots))), own)
-
-
 def interpolation_effect(image: SpectralImage, setup: Setup, own: Probe) -> Effect:
     """What the next finer interpolation changes; unknown where the dots are the pixels."""
     display = setup.display
     if display.raster != "fixed_size":
-        return Effect(math.nan, math.nan)
+        return NOT_KNOWN
     better = display.model_copy(update={"interpolation": FINER_INTERPOLATION[display.interpolation]})
     return difference_of(probe(image, replace(setup, display=better)), own)
 
@@ -497,10 +481,7 @@ def effects(found: Calibration, width: int, noise: float, bound_e: float, sensor
 
 def total(budget: dict[str, Effect]) -> Effect:
     """The sum of what computing adds: all but the display's raster and interpolation, which are what the viewer has."""
-    whole = Effect(0.0, 0.0)
-    for name, each in budget.items():
-        whole = whole if name in OF_DISPLAY else whole.plus(each)
-    return whole
+    return reduce(Effect.plus, (each for name, each in budget.items() if name not in OF_DISPLAY), Effect(0.0, 0.0))
 
 
 MOST_WIDTH = 8192
@@ -516,14 +497,16 @@ SENSOR_SHARES, NOISE_SHARES = (0.2, 0.35, 0.5, 0.65, 0.8), (0.25, 0.5, 0.75)  # 
 
 @dataclass(frozen=True)
 class Choice:
-    """Settings, and the error that they are expected to leave."""
+    """Settings, their work in samples, and the error that they are expected to leave: all of it, and that of all but the film."""
 
     width: int
     render_noise: float
     tolerance_e: float
     sensors: int
+    work: float
+    others_delta_e: float
     expected_delta_e: float
-    met: bool
+    met: bool = False
 
 
 def choose(found: Calibration, tolerance_delta_e: float, *, film_is_free: bool) -> Choice:
@@ -532,11 +515,10 @@ def choose(found: Calibration, tolerance_delta_e: float, *, film_is_free: bool) 
     render of any length would not mend what the film leaves."""
     widths = [each for each in widths_of(found) if film_is_free or each == found.width]
     options = [each for width in widths for each in options_of(found, width, tolerance_delta_e - found.film(width).delta_e)]
-    met = [each for each in options if each.choice.expected_delta_e <= tolerance_delta_e]
-    if met:
-        return replace(min(met, key=lambda each: each.work).choice, met=True)
+    if met := [each for each in options if each.expected_delta_e <= tolerance_delta_e]:
+        return replace(min(met, key=lambda each: each.work), met=True)
     rest = options_of(found, widths[-1], tolerance_delta_e)
-    return min(rest, key=lambda each: (max(each.others_delta_e, tolerance_delta_e), each.work)).choice
+    return min(rest, key=lambda each: (max(each.others_delta_e, tolerance_delta_e), each.work))
 
 
 def widths_of(found: Calibration) -> list[int]:
@@ -546,26 +528,16 @@ def widths_of(found: Calibration) -> list[int]:
     return [each for each in widths if each <= max(most, found.width)]
 
 
-@dataclass(frozen=True)
-class Option:
-    """Settings with their work in samples, and the error of all that is not the film."""
-
-    work: float
-    others_delta_e: float
-    choice: Choice
-
-
-def options_of(found: Calibration, width: int, left_delta_e: float) -> list[Option]:
+def options_of(found: Calibration, width: int, left_delta_e: float) -> list[Choice]:
     """Ways to share what a film leaves of the tolerance among sensors, render noise and spectral quadrature."""
     if not left_delta_e > 0:
         return []
     shares = [(sensors, (1 - sensors) * noise) for sensors in SENSOR_SHARES for noise in NOISE_SHARES]
-    return [
-        option(found, width, *(left_delta_e * each for each in (noise, 1 - sensors - noise, sensors))) for sensors, noise in shares
-    ]
+    parts = [(noise, 1 - sensors - noise, sensors) for sensors, noise in shares]
+    return [option(found, width, *(left_delta_e * each for each in part)) for part in parts]
 
 
-def option(found: Calibration, width: int, noise_de: float, spectral_de: float, seeds_de: float) -> Option:
+def option(found: Calibration, width: int, noise_de: float, spectral_de: float, seeds_de: float) -> Choice:
     """The settings that leave so much of ΔE to each source, as far as they reach."""
     random, bias = NORMAL_95 * found.random.delta_e, found.bias.delta_e
     root = math.sqrt(random**2 + 4 * bias * noise_de)
@@ -576,10 +548,10 @@ def option(found: Calibration, width: int, noise_de: float, spectral_de: float, 
     sensors = min(max(1, math.ceil((STUDENT_95 * found.sensor.delta_e / seeds_de) ** 2)), MOST_SENSORS)
     budget = effects(found, width, noise, tolerance_e, sensors)
     others = total({name: each for name, each in budget.items() if name != "oversampling"}).delta_e
-    choice = Choice(width, noise, tolerance_e, sensors, total(budget).delta_e, False)
     larger = (width / found.width) ** 2
     render = found.work * max(larger, (found.noise / noise) ** 2)
-    return Option(render + CELL_WORK * found.cells * larger + DOT_WORK * sensors * found.dots**2, others, choice)
+    work = render + CELL_WORK * found.cells * larger + DOT_WORK * sensors * found.dots**2
+    return Choice(width, noise, tolerance_e, sensors, work, others, total(budget).delta_e)
 
 
 def rounded_down(value: float) -> float:
@@ -605,29 +577,24 @@ class Settled:
 
         bound_e : None where the plan cannot bound all of it; then what it was asked for
         """
-        width, spectral_e = self.choice.width, self.choice.tolerance_e if bound_e is None else bound_e
-        found = effects(self.calibration, width, noise.fraction, spectral_e, sensors)
+        choice = self.choice
+        spectral_e = choice.tolerance_e if bound_e is None else bound_e
+        found = effects(self.calibration, choice.width, noise.fraction, spectral_e, sensors)
         whole = total(found)
-        rows = {name: _finite(each) for name, each in found.items()}
+        settings = {"resolution": choice.width, "render_noise": choice.render_noise, "tolerance_e": choice.tolerance_e}
         return {
             "tolerance_delta_e": self.tolerance_delta_e,
             "total": _finite(whole),
             "met": whole.delta_e <= self.tolerance_delta_e,
             "bounded": bound_e is not None,
-            "settings": {
-                "resolution": width,
-                "render_noise": self.choice.render_noise,
-                "tolerance_e": self.choice.tolerance_e,
-                "sensors": sensors,
-            },
-            "sources": rows,
+            "settings": settings | {"sensors": sensors},
+            "sources": {name: _finite(each) for name, each in found.items()},
         }
 
 
 def _finite(each: Effect) -> dict[str, float | None]:
     """To three digits; None where there is no such number (JSON knows no NaN)."""
-    pairs = {"delta_e": each.delta_e, "optimum_um": each.optimum_um}
-    return {name: float(f"{value:.3g}") if value == value else None for name, value in pairs.items()}
+    return {name: float(f"{value:.3g}") if value == value else None for name, value in asdict(each).items()}
 
 
 def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float) -> Settled:
@@ -649,25 +616,14 @@ def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float)
 def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Settled]:
     """The study with the settings of least work for its tolerance, calibrated around the optimum of its first technology."""
     assert study.tolerance_delta_e
-    pixel = pixel_of(study, study.technologies[0], study.pitch.max_um)
-    setup = Setup(
-        camera,
-        pixel,
-        study.exposure,
-        study.display,
-        study.seed,
-        at_optimum=True,
-        border_um=study.pitch.largest_um,
-        process=technology_of(study, study.technologies[0]),
-    )
+    first = study.technologies[0]
+    process, pixel = technology_of(study, first), pixel_of(study, first, study.pitch.max_um)
+    how: dict[str, Any] = {"at_optimum": True, "border_um": study.pitch.largest_um, "process": process}
+    setup = Setup(camera, pixel, study.exposure, study.display, study.seed, **how)
     settled = settle(scene, camera, setup, study.tolerance_delta_e)
     choice, parameters = settled.choice, dict(study.scene.parameters)
     if "resolution" in settled.scene.parameters:
         parameters["resolution"] = int(settled.scene.parameters["resolution"])
-    own = {
-        "render_noise": choice.render_noise,
-        "tolerance_e": choice.tolerance_e,
-        "repeats": min(max(FEWEST_REPEATS, choice.sensors), max(FEWEST_REPEATS, study.max_repeats)),
-        "scene": study.scene.model_copy(update={"parameters": parameters}),
-    }
-    return study.model_copy(update=own), settled
+    repeats = min(max(FEWEST_REPEATS, choice.sensors), max(FEWEST_REPEATS, study.max_repeats))
+    own = {"render_noise": choice.render_noise, "tolerance_e": choice.tolerance_e, "repeats": repeats}
+    return study.model_copy(update=own | {"scene": study.scene.model_copy(update={"parameters": parameters})}), settled

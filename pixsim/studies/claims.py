@@ -129,14 +129,14 @@ class Evidence:
 ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not tell"
 
 
-def unless(agrees: bool, remark: str = "") -> str:
-    """The reason of a row that does not agree; a remark, if any, on one that does."""
-    return remark if agrees else ASSUMED
+def depending(statement: str, given: str, found: str, agrees: bool) -> Finding:
+    """A row that depends on what the paper does not tell: the reason where it does not agree."""
+    return Finding(statement, given, found, agrees, "" if agrees else ASSUMED)
 
 
-def by_frequency(delta_e: Array, bins: int = FREQUENCY_BINS) -> Array:
+def by_frequency(delta_e: Array) -> Array:
     """Means of a CSF map over bins of equal ratio in frequency, (rows, bins)."""
-    return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, bins, axis=1)], axis=1)
+    return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, FREQUENCY_BINS, axis=1)], axis=1)
 
 
 def chart_places(parts: int, border: float) -> Array:
@@ -144,9 +144,9 @@ def chart_places(parts: int, border: float) -> Array:
     return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
 
 
-def frequency_bins_lp_per_mm(border: float = 0.0, bins: int = FREQUENCY_BINS) -> Array:
+def frequency_bins_lp_per_mm(border: float = 0.0) -> Array:
     """Centres of `by_frequency`, of a map that leaves out a border (as a share of the chart's width) on either side."""
-    return csf_frequency_lp_per_mm(chart_places(bins, border))
+    return csf_frequency_lp_per_mm(chart_places(FREQUENCY_BINS, border))
 
 
 def frequency_contrast_table(delta_e: Array, border: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array, Array]:
@@ -230,24 +230,14 @@ def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
     for size_um, given in FILL_FACTORS.items():
         found = float(fill_factor_law(size_um, process))
-        yield Finding(
-            f"Fill factor at {size_um:g} µm",
-            f"{given:.0%}",
-            f"{found:.1%}",
-            abs(found - given) < 0.015,
-            "the law of the packaged process is fitted to these three numbers",
-        )
+        name, why = f"Fill factor at {size_um:g} µm", "the law of the packaged process is fitted to these three numbers"
+        yield Finding(name, f"{given:.0%}", f"{found:.1%}", abs(found - given) < 0.015, why)
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = FIGURE_2_RANGE_DB
     for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True):
-        inside = low <= db.min() and db.max() <= high
-        yield Finding(
-            f"{name} from 5.3 to 15 µm (Fig. 2a)",
-            f"within {low:g} to {high:g} dB",
-            f"{db.min():.1f} to {db.max():.1f} dB",
-            bool(inside),
-            "`paper` capacitance, fitted to this axis",
-        )
+        axis, reach = f"within {low:g} to {high:g} dB", f"{db.min():.1f} to {db.max():.1f} dB"
+        inside = bool(low <= db.min() and db.max() <= high)
+        yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", axis, reach, inside, "`paper` capacitance, fitted to this axis")
         exponent = growth_exponent(pitch_um, db)
         yield Finding(
             f"{name} grows roughly as √pitch",
@@ -271,7 +261,7 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     )
     fill_factor = curve.optimum_fill_factor
     agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
-    yield Finding("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees, unless(agrees))
+    yield depending("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees)
 
 
 def _bands(frequencies_lp_per_mm: Array) -> str:
@@ -290,23 +280,17 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
         if not (better | worse).all():
             found += "; elsewhere neither reaches the level, or both at the same contrast"
         agrees = bool(better.any() and not worse.any())
-        yield Finding(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", found, agrees, unless(agrees))
+        yield depending(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", found, agrees)
     six, smallest = limits[6.0], limits[5.3]
     apart = np.flatnonzero(six != smallest)
     crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
     turn = np.flatnonzero(smallest > six)[:1]
     where = f"; they cross between {centres[turn[0] - 1]:.2g} and {centres[turn[0]]:.2g} lp/mm" if crosses and turn[0] else ""
-    yield Finding(
-        f"{title}: 6 and 5.3 µm cross",
-        "6 µm better at low, 5.3 µm at high frequencies",
-        f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}{where}",
-        crosses,
-        unless(crosses),
-    )
+    found = f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}{where}"
+    yield depending(f"{title}: 6 and 5.3 µm cross", "6 µm better at low, 5.3 µm at high frequencies", found, crosses)
 
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
-    map_ = evidence.maps[8.0]
     count = modes(evidence.sensor_maps[8.0][0])
     found, why = f"{count} mode{'s' if count != 1 else ''}", ""
     if count != 1:
@@ -315,16 +299,11 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
         why = f"the steps of the display ({bits} bits) show in it" if fine == 1 else ASSUMED
         found += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
     yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", found, count == 1, why)
-    frequency, contrast, table = frequency_contrast_table(map_, evidence.border(8.0))
+    frequency, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
-    yield Finding(
-        "Largest errors (8 µm)",
-        "at high frequency and high contrast",
-        f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}",
-        corner,
-        unless(corner),
-    )
+    found = f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}"
+    yield depending("Largest errors (8 µm)", "at high frequency and high contrast", found, corner)
 
 
 def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
@@ -369,8 +348,6 @@ def rise(values: Sequence[float], intervals: Sequence[Interval], names: Sequence
     They do where no step falls and the whole rise exceeds its 95 % interval, whose half width is √((b - b_low)² +
     (a_high - a)²) for a first value a and a last value b of independent sensors.
 
-    Parameters
-    ----------
     values : one for each process, in one unit
     intervals : 95 %, low and high; None for an end that is open. A rise that depends on an open end is not known, and neither
         is one of a value with both ends open.

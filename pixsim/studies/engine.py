@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,10 @@ from pixsim.base.machine import processors
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
+Function = Callable[[Task, Shared], Result]
 Call = tuple[Task, Callable[[], Shared]]  # a task, and what makes that which it shares with others
+Calls = dict[int, Call[Task, Shared]]  # by their number
+Told = tuple[int, Result, list[str]]  # a call's number, its result, and what it warns of
 NAMED_TASKS = 4  # in a message
 SUSPECTS = 2  # calls a job that are under way or wait in its queue
 CONNECT_SECONDS = 10.0
@@ -48,8 +51,6 @@ def workers_here(jobs: int | None = None) -> Workers:
 def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Workers]:
     """The workers asked for.
 
-    Parameters
-    ----------
     jobs : processes of this machine; None takes one a core
     scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which stays open
 
@@ -61,26 +62,20 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
     if scheduler is None:
         yield workers_here(jobs)
     elif isinstance(scheduler, str):
-        client = _connected(scheduler)
         try:
+            import distributed
+        except ImportError:
+            raise refuse("--scheduler", f"'{scheduler}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
+        try:
+            client = distributed.Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
+            got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
+            raise refuse("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
+        with closing(client):
             yield _checked(client)
-        finally:
-            client.close()
     else:
         yield _checked(scheduler)
-
-
-def _connected(address: str) -> Any:
-    try:
-        import distributed
-    except ImportError:
-        raise refuse("--scheduler", f"'{address}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
-    try:
-        return distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
-        got = f"'{address}' ({' '.join(str(error).split()) or type(error).__name__})"
-        raise refuse("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
 
 
 def _checked(client: Any) -> Workers:
@@ -101,9 +96,7 @@ def _checked(client: Any) -> Workers:
     return Workers(client=client)
 
 
-def results_of(
-    function: Callable[[Task, Shared], Result], calls: Sequence[Call[Task, Shared]], workers: Workers
-) -> Iterator[Result]:
+def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Task, Shared]], workers: Workers) -> Iterator[Result]:
     """`function(task, make())` of each call (task, make), in the order in which they come.
 
     Calls with the same `make` share what it makes: one copy of it a worker, made while others are already at work. Where a
@@ -111,43 +104,42 @@ def results_of(
 
     Raises PixsimError that names those which end their worker even when nothing else runs beside them.
     """
-    left: dict[int, Call[Task, Shared]] = dict(enumerate(calls))
-    deadly: dict[int, Call[Task, Shared]] = {}
+    left: Calls[Task, Shared] = dict(enumerate(calls))
+    deadly: Calls[Task, Shared] = {}
     workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
+
+    def attempt(some: Calls[Task, Shared]) -> Iterator[Result]:
+        """Results of some calls, which are taken away from them; a worker's death ends it."""
+        try:
+            for index, result in _once(function, some, workers):
+                del some[index]
+                yield result
+        except Exception as error:
+            if not is_death(error):
+                raise
+
     while left:
         before = len(left)
-        try:
-            for index, result in _once(function, left, workers):
-                del left[index]
-                yield result
-        except Exception as error:
-            if not is_death(error):
-                raise
-            warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
-            if len(left) == before:  # one of those that were begun first
-                suspects = {index: left.pop(index) for index in list(left)[: SUSPECTS * workers.jobs]}
-                yield from _one_by_one(function, suspects, workers, deadly)
-            else:
-                left = _later(left)
+        yield from attempt(left)
+        if not left:
+            break
+        warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
+        indices = list(left)
+        if len(left) < before:  # those that were begun first may be what kills: the others go before them
+            half = len(indices) // 2
+            left = {index: left[index] for index in [*indices[half:], *indices[:half]]}
+            continue
+        for index in indices[: SUSPECTS * workers.jobs]:  # one of those that were begun first: each with no other beside it
+            alone = {index: left.pop(index)}
+            yield from attempt(alone)
+            deadly |= alone
     if deadly:
-        raise PixsimError(_told(deadly, workers))
-
-
-def _one_by_one(
-    function: Callable[[Task, Shared], Result],
-    suspects: dict[int, Call[Task, Shared]],
-    workers: Workers,
-    deadly: dict[int, Call[Task, Shared]],
-) -> Iterator[Result]:
-    """Each call with no other beside it: those that end their worker even so are added to `deadly`."""
-    for index, call in suspects.items():
-        try:
-            for _, result in _once(function, {index: call}, workers):
-                yield result
-        except Exception as error:
-            if not is_death(error):
-                raise
-            deadly[index] = call
+        tasks = [str(task) for task, _ in deadly.values()]
+        named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
+        raise PixsimError(
+            f"workers ({workers}): each of these ended its process, even alone: {named}. Often it is the system that is out of "
+            "memory. What is finished is kept, and the same command goes on from there; --jobs 1 shows the error."
+        )
 
 
 def is_death(error: BaseException) -> bool:
@@ -156,25 +148,7 @@ def is_death(error: BaseException) -> bool:
     return bool(names & {"BrokenProcessPool", "KilledWorker", "CommClosedError", "FutureCancelledError", "CancelledError"})
 
 
-def _later(left: dict[int, Call[Task, Shared]]) -> dict[int, Call[Task, Shared]]:
-    """Those that were begun first may be what kills: the others go before them."""
-    indices = list(left)
-    half = len(indices) // 2
-    return {index: left[index] for index in [*indices[half:], *indices[:half]]}
-
-
-def _told(left: dict[int, Call[Task, Shared]], workers: Workers) -> str:
-    tasks = [str(task) for task, _ in left.values()]
-    named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
-    return (
-        f"workers ({workers}): each of these ended its process, even alone: {named}. Often it is the system that is out of memory. "
-        "What is finished is kept, and the same command goes on from there; --jobs 1 shows the error."
-    )
-
-
-def _once(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], workers: Workers
-) -> Iterator[tuple[int, Result]]:
+def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], workers: Workers) -> Iterator[tuple[int, Result]]:
     """Each call's number and result, as they come."""
     if not workers.client and workers.jobs == 1:
         yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
@@ -193,14 +167,17 @@ def _once(
         yield index, result
 
 
-def _on_cluster(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], client: Any
-) -> Iterator[tuple[int, Result, list[str]]]:
+def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Any) -> Iterator[Told[Result]]:
     from joblib import Parallel, delayed, parallel_config
 
     shared = {id(make): make() for _, make in calls.values()}
-    if sum(client.ncores().values()) == 1:  # joblib would compute here
-        yield from _on_one_thread(function, calls, shared, client)
+    if sum(client.ncores().values()) == 1:  # joblib would compute here; one thread does them in this order
+        there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
+        futures = [
+            client.submit(_numbered, function, index, task, there[id(make)], pure=False)
+            for index, (task, make) in list(calls.items())
+        ]
+        yield from (future.result() for future in futures)
         return
     with parallel_config("dask", client=client, scatter=list(shared.values())):
         parallel = Parallel(n_jobs=-1, return_as="generator_unordered")
@@ -209,17 +186,7 @@ def _on_cluster(
         )
 
 
-def _on_one_thread(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], shared: dict[int, Shared], client: Any
-) -> Iterator[tuple[int, Result, list[str]]]:
-    there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
-    futures = [
-        client.submit(_numbered, function, index, task, there[id(make)], pure=False) for index, (task, make) in list(calls.items())
-    ]
-    yield from (future.result() for future in futures)  # one thread does them in this order
-
-
-def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task, shared: Shared) -> tuple[int, Result, list[str]]:
+def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared) -> Told[Result]:
     """A call's number, its result, and what it warns of: the process that asked tells it, once."""
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
@@ -227,9 +194,7 @@ def _numbered(function: Callable[[Task, Shared], Result], index: int, task: Task
     return index, result, [str(note.message) for note in notes if issubclass(note.category, UserWarning)]
 
 
-def _on_processes(
-    function: Callable[[Task, Shared], Result], calls: dict[int, Call[Task, Shared]], jobs: int
-) -> Iterator[tuple[int, Result, list[str]]]:
+def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Told[Result]]:
     """What is shared lies in files that the workers map into their memory: one copy for all of them.
 
     (joblib would do so by itself, but waits a second at the end for workers to let go.)
@@ -257,5 +222,5 @@ def _mapped(path: str) -> Any:
     return load(path, mmap_mode="r")
 
 
-def _numbered_from(function: Callable[[Task, Any], Result], index: int, task: Task, path: str) -> tuple[int, Result, list[str]]:
+def _numbered_from(function: Function[Task, Any, Result], index: int, task: Task, path: str) -> Told[Result]:
     return _numbered(function, index, task, _mapped(path))

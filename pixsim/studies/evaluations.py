@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import csv
 import errno
-import io
 import math
 import os
 import shutil
 import threading
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -33,20 +32,26 @@ from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
+from pixsim.sensor.readout import frame_of
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.show.pages import csv_text
 from pixsim.studies.engine import Workers, results_of
-from pixsim.viewer.score import Bench, Projection, Score, bench_of, project
+from pixsim.viewer.score import Bench, Light, Lights, Score, bench_of, project
 
+DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
+PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
+COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
+TEXTS = COLUMNS[:2]
 Row = dict[str, str]
 LARGEST_BYTES = 1 << 28  # a million rows
 LONGEST_LINE = 1 << 14
 
 
 class Ledger:
-    """A file of rows with the given columns; the first, and others in `texts`, are words, the rest are numbers."""
+    """A file of rows with `COLUMNS`; those in `TEXTS` are words, the rest are numbers."""
 
-    def __init__(self, path: Path, columns: Sequence[str], texts: Collection[str]) -> None:
-        self.path, self.columns, self.texts = path, tuple(columns), frozenset(texts)
+    def __init__(self, path: Path) -> None:
+        self.path = path
 
     def read(self) -> dict[str, Row]:
         """Whole rows by key; a last line that was cut off is left out."""
@@ -57,14 +62,14 @@ class Ledger:
         lines = (whole + newline).decode(errors="replace").replace("\0", "").split("\n")
         table = csv.DictReader(line for line in lines if len(line) <= LONGEST_LINE)
         try:
-            return {row[self.columns[0]]: {name: row[name] for name in self.columns} for row in table if self._is_whole(row)}
+            return {row["key"]: {name: row[name] for name in COLUMNS} for row in table if self._is_whole(row)}
         except csv.Error as error:
             raise refuse("results", f"'{self.path}' ({error})", allowed, "Move it away: its rows are made again.") from None
 
     def _is_whole(self, row: Row) -> bool:
         """Whether a row has every column, and numbers where they belong; others are made again."""
         try:
-            return all(row[name] if name in self.texts else math.isfinite(float(row[name])) for name in self.columns)
+            return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in COLUMNS)
         except (KeyError, TypeError, ValueError):
             return False
 
@@ -72,7 +77,7 @@ class Ledger:
         """Rows that are there and wanted, by key; others, of another study, are kept in FILE.old and leave the file."""
         known = self.read()
         done = {key: row for key, row in known.items() if is_wanted(row)}
-        something = self.path.is_file() and self.path.stat().st_size > len(",".join(self.columns)) + 2
+        something = self.path.is_file() and self.path.stat().st_size > len(",".join(COLUMNS)) + 2
         if something and (len(done) < len(known) or not known):
             self._keep_old()
         self.write(done.values())
@@ -80,7 +85,7 @@ class Ledger:
 
     def finish(self, rows: Collection[Row]) -> None:
         """Leave these rows in the file; where it holds others, it is kept in FILE.old."""
-        if set(self.read()) - {row[self.columns[0]] for row in rows}:
+        if set(self.read()) - {row["key"] for row in rows}:
             self._keep_old()
         self.write(rows)
 
@@ -90,7 +95,7 @@ class Ledger:
     def write(self, rows: Collection[Row]) -> None:
         """The file anew, whole or not at all."""
         with self._told(), replacing(self.path) as partial:
-            partial.write_bytes(self._text([dict(zip(self.columns, self.columns, strict=True)), *rows]))
+            partial.write_bytes(self._text([dict(zip(COLUMNS, COLUMNS, strict=True)), *rows]))
 
     def append(self, rows: Collection[Row]) -> None:
         """Add rows, all of them or none."""
@@ -141,33 +146,11 @@ class Ledger:
             ) from None
 
     def _text(self, rows: Iterable[Row]) -> bytes:
-        text = io.StringIO(newline="")
-        csv.DictWriter(text, self.columns).writerows(rows)
-        return text.getvalue().encode()
+        return csv_text([row[name] for name in COLUMNS] for row in rows).encode()
 
 
-COLUMNS = (
-    "key",
-    "technology",
-    "pitch_um",
-    "repeat",
-    "fill_factor",
-    "full_well_e",
-    "integration_s",
-    "saturated_fraction",
-    "mean_electrons_e",
-    "mean_delta_e",
-    "median_delta_e",
-    "p90_delta_e",
-    "p99_delta_e",
-    "max_delta_e",
-)
-TEXTS = COLUMNS[:2]
 REPEATS_A_TASK = 8  # evaluations after which a worker reports
-LIGHTS_BYTES = 1 << 28  # of lights that are made at once
 Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order
-# What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
-Light = Projection | SpectralImage
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
@@ -187,35 +170,10 @@ def study_pitches_um(study: Study, technology: str) -> Array:
     return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
 
 
-class Lights:
-    """What all pitches of a technology share, made when first asked for, and kept while there is room."""
-
-    def __init__(self, study: Study, irradiance: SpectralImage, camera: Camera) -> None:
-        self.study, self.irradiance, self.camera = study, irradiance, camera
-        self._kept: dict[str, Light] = {}
-
-    def of(self, technology: str) -> Light:
-        if self.study.display.raster == "one_to_one":
-            return self.irradiance
-        if technology not in self._kept:
-            if len(self._kept) >= self.room:
-                self._kept.clear()
-            any_um = float(study_pitches_um(self.study, technology).max())
-            physics = physics_of(self.study, technology, any_um)
-            border_um = self.study.pitch.largest_um
-            self._kept[technology] = project(self.irradiance, self.camera, physics, self.study.display, border_um=border_um)
-        return self._kept[technology]
-
-    @property
-    def room(self) -> int:
-        """How many may be there at once."""
-        planes = 2 * math.prod(self.irradiance.shape) + 4 * self.study.display.dots**2  # light, spline; ideal image, its CIELAB
-        return max(1, LIGHTS_BYTES // (8 * planes))
-
-    def groups(self) -> Iterator[tuple[str, ...]]:
-        """Technologies whose lights there is room for together."""
-        for first in range(0, len(self.study.technologies), self.room):
-            yield self.study.technologies[first : first + self.room]
+def light_of(study: Study, lights: Lights, technology: str) -> Light:
+    """What all pitches of a technology share."""
+    any_um = float(study_pitches_um(study, technology).max())
+    return lights.of(technology, physics_of(study, technology, any_um), study.pitch.largest_um)
 
 
 def bench_at(
@@ -223,9 +181,9 @@ def bench_at(
 ) -> Bench:
     """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
     physics = physics_of(study, technology, pitch_um, process)
-    if not isinstance(light, Projection):
+    if isinstance(light, SpectralImage):
         light = project(light, camera, physics, study.display, border_um=study.pitch.largest_um)
-    return bench_of(light, physics, study.exposure, study.display)
+    return bench_of(light, physics, study.exposure)
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
@@ -254,10 +212,17 @@ class Task:
         return f"{self.technology} at {self.pitch_um:g} µm"
 
 
+_recent = threading.local()  # a thread's last bench: it is dear, and the tasks of a pitch come one after another
+
+
 def evaluate_task(task: Task, light: Light) -> list[Row]:
     """The rows of a task."""
-    bench, rows = _bench(task, light), []
-    for repeat, score in scores_of(bench, task.study, list(task.keys), task.frames_key):
+    own = task.light_key, task.pitch_um
+    if getattr(_recent, "key", None) != own:
+        _recent.bench = bench_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
+        _recent.key = own
+    rows = []
+    for repeat, score in scores_of(_recent.bench, task.study, list(task.keys), task.frames_key):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
         rows.append({"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat), **numbers})
     return rows
@@ -273,7 +238,8 @@ def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -
     for repeat in repeats:
         name, saturated = str(repeat), f"{repeat}_saturated_fraction"
         if name in frames and saturated in frames:
-            yield repeat, bench.view(bench.frame_of(frames[name], float(frames[saturated])))
+            how = bench.signal_e_per_s, bench.physics, bench.exposure
+            yield repeat, bench.view(frame_of(frames[name].astype(np.int32), float(frames[saturated]), *how))
         else:
             frame = bench.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
@@ -284,20 +250,6 @@ def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -
         cache.keep_arrays("frames", frames_key, frames)
 
 
-_recent = threading.local()  # a thread's last light and last bench: both are dear, and tasks come in their order
-
-
-def _bench(task: Task, light: Light) -> Bench:
-    if getattr(_recent, "light_key", None) != task.light_key:
-        _recent.light_key, _recent.light, _recent.pitch_um = task.light_key, light, None
-    if _recent.pitch_um != task.pitch_um:
-        how = task.technology, task.pitch_um, task.process
-        _recent.bench = bench_at(task.study, _recent.light, task.camera, *how)
-        _recent.pitch_um = task.pitch_um
-    bench: Bench = _recent.bench
-    return bench
-
-
 @dataclass(frozen=True)
 class Content:
     """What the evaluations of a study depend on, as hashes; each is made once."""
@@ -305,7 +257,6 @@ class Content:
     study: Study
     camera: Camera
     irradiance: SpectralImage
-    _ranges_um: dict[str, tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
     _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -348,16 +299,14 @@ class Content:
         technology, pitch_um, repeat = row["technology"], float(row["pitch_um"]), float(row["repeat"])
         if technology not in self.study.technologies or not (repeat >= 0 and repeat.is_integer()):
             return False
-        pitches_um = self._range_um(technology)
-        if not pitches_um[0] <= pitch_um <= pitches_um[1]:
+        pitches_um = self.first_sampling[technology]
+        if not min(pitches_um) <= pitch_um <= max(pitches_um):
             return False
         return self.keys(technology, pitch_um, [int(repeat)])[int(repeat)] == row["key"]
 
-    def _range_um(self, technology: str) -> tuple[float, float]:
-        if technology not in self._ranges_um:
-            pitches_um = study_pitches_um(self.study, technology)
-            self._ranges_um[technology] = float(pitches_um[0]), float(pitches_um[-1])
-        return self._ranges_um[technology]
+    @cached_property
+    def first_sampling(self) -> Sampling:
+        return first_sampling(self.study)
 
     def frames(self, technology: str, pitch_um: float) -> str:
         """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
@@ -365,23 +314,17 @@ class Content:
 
     @cached_property
     def keeps_frames(self) -> bool:
-        return frames_fit(self.study, self.camera)
+        """Whether all frames of the study may be kept without driving out most of the cache."""
+        study, die_um = self.study, 1e3 * self.camera.die_mm
+        code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
+        sensors = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+        pitches = [pitch_um for own in self.first_sampling.values() for pitch_um in own]
+        return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors)
 
 
 def first_sampling(study: Study) -> Sampling:
     """What a study begins with: `repeats` sensors of each of its pitches."""
-    return {
-        technology: dict.fromkeys(study_pitches_um(study, technology).tolist(), study.repeats) for technology in study.technologies
-    }
-
-
-def frames_fit(study: Study, camera: Camera) -> bool:
-    """Whether all frames of a study may be kept without driving out most of the cache."""
-    code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
-    die_um = 1e3 * camera.die_mm
-    sensors = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
-    pitches = [pitch_um for each in study.technologies for pitch_um in study_pitches_um(study, each).tolist()]
-    return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors)
+    return {each: dict.fromkeys(study_pitches_um(study, each).tolist(), study.repeats) for each in study.technologies}
 
 
 def block_key(frames_key: str, block: int) -> str:
@@ -408,10 +351,10 @@ def tasks_of(content: Content, technology: str, sensors: Mapping[float, int], do
 class Evaluations:
     """The rows of a study in results.csv: those of an earlier run that fit are taken, missing ones are appended as they come."""
 
-    def __init__(self, lights: Lights, results: Path, workers: Workers) -> None:
-        self.study, self._lights, self._workers = lights.study, lights, workers
-        self.content = Content(lights.study, lights.camera, lights.irradiance)
-        self._ledger = Ledger(results, COLUMNS, TEXTS)
+    def __init__(self, study: Study, lights: Lights, results: Path, workers: Workers) -> None:
+        self.study, self._lights, self._workers = study, lights, workers
+        self.content = Content(study, lights.camera, lights.irradiance)
+        self._ledger = Ledger(results)
         self._done: dict[str, Row] = {}
 
     @contextmanager
@@ -422,7 +365,7 @@ class Evaluations:
             try:
                 yield
             finally:
-                _recent.__dict__.clear()  # of this process; a worker keeps its last light until its next task
+                _recent.__dict__.clear()  # of this process; a worker keeps its last bench until its next task
 
     def of(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
         """The rows of a sampling, in its order.
@@ -433,9 +376,10 @@ class Evaluations:
             technology: list(tasks_of(self.content, technology, sensors, self._done)) for technology, sensors in sampling.items()
         }
         missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
-        for group in self._lights.groups():
-            makers = {technology: partial(self._lights.of, technology) for technology in group}
-            calls = [(task, makers[technology]) for technology in group for task in tasks[technology]]
+        names, room = self.study.technologies, self._lights.room
+        for first in range(0, len(names), room):  # technologies whose lights there is room for together
+            makers = {name: partial(light_of, self.study, self._lights, name) for name in names[first : first + room]}
+            calls = [(task, make) for name, make in makers.items() for task in tasks[name]]
             for rows in results_of(evaluate_task, calls, self._workers):
                 self._ledger.append(rows)
                 self._done |= {row["key"]: row for row in rows}

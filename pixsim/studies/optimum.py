@@ -89,11 +89,10 @@ class FittedCurve:
     delta_e : (places,) mean of the posterior
     low, high : (places,) ends of its 95 % interval at each place
     optimum : its minimum
-    design : of the data, with the likeliest noise
-    stiffness, residual : the likeliest
+    likeliest : posterior of the curve: its design, stiffness and residual
     noise : the likeliest variance of one sensor over the square of its mean ΔE
     scale : mean ΔE whose square the design's noise is in units of
-    width_um : photodiode width of pixel pitches; None takes it in proportion to the pitch
+    width_um : photodiode width of pixel pitches; by default in proportion to the pitch
     """
 
     pitch_um: Array = field(repr=False)
@@ -101,12 +100,10 @@ class FittedCurve:
     low: Array = field(repr=False)
     high: Array = field(repr=False)
     optimum: Optimum
-    design: Design = field(repr=False)
-    stiffness: float = field(repr=False)
-    residual: float = field(repr=False)
+    likeliest: Posterior = field(repr=False)
     noise: float = field(repr=False)
     scale: float = field(repr=False)
-    width_um: Widths | None = field(repr=False, default=None)
+    width_um: Widths = field(repr=False, default=np.asarray)
 
     def places_of(self, pitch_um: Array) -> Array:
         """Places (n,) of pitches where the curve is smooth: logarithms of photodiode widths over the smallest one."""
@@ -193,25 +190,21 @@ def multiplied(matrix: Array, vectors: Array) -> Array:
     return np.asarray(np.einsum("ij,...j->...i", matrix, vectors))
 
 
-def places_of(pitch_um: Array, first_um: float, width_um: Widths | None) -> Array:
+def places_of(pitch_um: Array, first_um: float, width_um: Widths) -> Array:
     """Logarithms of the photodiode widths of pitches over that of the first one, (n,)."""
-    if width_um is None:
-        return np.asarray(np.log(np.asarray(pitch_um, float) / first_um))
     return np.asarray(np.log(width_um(np.asarray(pitch_um, float)) / width_um(np.array([first_um]))[0]))
 
 
 def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -> FittedCurve:
     """Fit mean ΔE against pitch and find its minimum.
 
-    Parameters
-    ----------
     pitch_um : (P,) rising, at least 5
     delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. Two sensors at some pitch at least
     width_um : photodiode width of pixel pitches; None takes it in proportion to the pitch
 
     Source: the regression of Wahba (1978), as this module's docstring describes it.
     """
-    first_um = float(pitch_um[0])
+    first_um, width_um = float(pitch_um[0]), width_um or np.asarray
     u = places_of(pitch_um, first_um, width_um)
     mean, scale, design, degrees = measured(u, delta_e)
     fits, weights = posteriors(design, mean / scale, degrees)
@@ -250,8 +243,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     likeliest = fits[0]
     loudest = int(np.argmax(mean))
     noise = float(likeliest.design.noise[loudest] * (scale / mean[loudest]) ** 2) if mean[loudest] else 0.0
-    how = likeliest.design, likeliest.stiffness, likeliest.residual, noise, scale, width_um
-    return FittedCurve(fine_um, curve, low, high, optimum, *how)
+    return FittedCurve(fine_um, curve, low, high, optimum, likeliest, noise, scale, width_um)
 
 
 def measured(u: Array, delta_e: Array) -> tuple[Array, float, Design, int]:

@@ -17,11 +17,11 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
-from pixsim.show.pages import Column, Plate, _cell
-from pixsim.studies.evaluations import COLUMNS, REPEATS_A_TASK, Content, Lights, Row, bench_at, block_key, scores_of
+from pixsim.show.pages import Column, Plate, _cell, rows_csv
+from pixsim.studies.evaluations import DELTA_E_STATISTICS, REPEATS_A_TASK, Content, Row, bench_at, block_key, light_of, scores_of
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.viewer.display import white_rate
-from pixsim.viewer.score import Score, dark_clip
+from pixsim.viewer.score import Lights, Score, dark_clip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,17 +83,12 @@ class Curve:
         return np.asarray(np.isfinite(self.delta_e).sum(axis=1))
 
     @property
-    def fewest_sensors(self) -> int:
-        """Of all pitches."""
-        return int(self.sensors.min())
-
-    @property
     def optimum_fill_factor(self) -> float:
         """Photodiode area over pixel area at the optimum, linear between pitches."""
         return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
 
     def as_dict(self) -> dict[str, Any]:
-        """As summary.json tells it."""
+        """For summary.json."""
         mean, ci95 = mean_and_ci95(self.delta_e)
         return {
             "technology": self.technology,
@@ -133,7 +128,7 @@ class StudyResult:
     @cached_property
     def lights(self) -> Lights:
         """The light behind the lens for each response, kept for `scores`."""
-        return Lights(self.study, self.irradiance, self.camera)
+        return Lights(self.irradiance, self.camera, self.study.display)
 
     @cached_property
     def content(self) -> Content:
@@ -165,7 +160,7 @@ class StudyResult:
 
         Raises PixsimError for a pitch that the technology cannot have.
         """
-        bench = bench_at(self.study, self.lights.of(technology), self.camera, technology, pitch_um)
+        bench = bench_at(self.study, light_of(self.study, self.lights, technology), self.camera, technology, pitch_um)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.content.frames(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
@@ -183,31 +178,44 @@ class StudyResult:
         return self.study.repeats
 
     def plot(self) -> Figure:
-        """Mean ΔE against pixel size, a Matplotlib figure."""
-
-        return study_figure(self)
+        """Mean ΔE against pixel size, a curve for each technology, a Matplotlib figure."""
+        return delta_e_against_pitch(self, self.curves).figure
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """A row for each technology, pitch and sensor, as CSV; also into a file where a `path` is given."""
-        from pixsim.show.pages import csv_text
-
-        return csv_text(study_rows(self), path)
+        rows = [
+            {
+                "technology": curve.technology,
+                "pitch_um": float(pitch_um),
+                "repeat": repeat,
+                "fill_factor": float(curve.fill_factor[place]),
+            }
+            | {name: float(values[place, repeat]) for name, values in curve.statistics.items()}
+            for curve in self.curves
+            for place, pitch_um in enumerate(curve.pitch_um)
+            for repeat in range(int(curve.sensors[place]))
+        ]
+        return rows_csv(rows, path)
 
     def _repr_html_(self) -> str:
-
-        return study_html(self)
+        rows = []
+        for curve in self.curves:
+            best, ends = curve.optimum, f"{curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
+            size = f"{best.pitch_um:.2f}" if best.inside else f"none between {ends}"
+            within = within_words(best.within_1_percent_um, curve)
+            rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
+        head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
+        return _cell(self.study.title or self.study.name, head, rows, self.plot())
 
     def __repr__(self) -> str:
-        return f"<StudyResult {self.study.name}: {'; '.join(map(found_words, self.curves))}>"
-
-
-def found_words(curve: Curve) -> str:
-    """A curve in a few words, for `repr`."""
-    best = curve.optimum
-    if not best.inside:
-        ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
-        return f"{curve.label}: no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
-    return f"{curve.label}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
+        words = []
+        for curve in self.curves:
+            best = curve.optimum
+            found = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
+            ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+            at_the_end = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
+            words.append(f"{curve.label}: {found if best.inside else at_the_end}")
+        return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
 
 
 def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
@@ -216,9 +224,7 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
     pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
     place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
     repeats = 1 + max(int(row["repeat"]) for row in own)
-    statistics = {
-        name: np.full((pitches.size, repeats), np.nan) for name in COLUMNS if name.endswith("_delta_e") or name == "integration_s"
-    }
+    statistics = {name: np.full((pitches.size, repeats), np.nan) for name in ("integration_s", *DELTA_E_STATISTICS)}
     fill_factor = np.zeros(pitches.size)
     for row in own:
         index = place[float(row["pitch_um"])]
@@ -236,11 +242,11 @@ def interval_words(curve: Any) -> str:
     if low is None and high is None:
         return "no limit among the sizes tried"
     if low is None:
-        below = f"below {high:.2f} µm" if high > first else "at or below the smallest size tried"
-        return f"{below}, no lower limit among the sizes tried" if high > first else below
+        within = f"below {high:.2f} µm, no lower limit among the sizes tried"
+        return within if high > first else "at or below the smallest size tried"
     if high is None:
-        above = f"above {low:.2f} µm" if low < last else "at or above the largest size tried"
-        return f"{above}, no upper limit among the sizes tried" if low < last else above
+        within = f"above {low:.2f} µm, no upper limit among the sizes tried"
+        return within if low < last else "at or above the largest size tried"
     return f"{low:.2f} to {high:.2f} µm"
 
 
@@ -256,7 +262,7 @@ ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.
 ROOM_ABOVE = 1.12  # over the highest point, for the legend
 ROOM_BELOW = 0.25  # of the height of an axis, for the words under an optimum and those at the foot
 MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
-OTHER_STATISTICS = ("median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
+OTHER_STATISTICS = DELTA_E_STATISTICS[1:]
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
@@ -320,76 +326,36 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
     axes = figure.subplots()
     for curve, look in zip(curves, cycle(LOOKS), strict=False):
         draw_curve(axes, curve, look)
-    axes.set_xlabel("pixel size (µm)")
-    axes.set_ylabel("mean ΔE, S-CIELAB")
+    axes.set(xlabel="pixel size (µm)", ylabel="mean ΔE, S-CIELAB")
     axes.set_ylim(0, axes.get_ylim()[1] * (ROOM_ABOVE if len(curves) == 1 else 1))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
     if len(curves) == 1:
         tell_the_story(axes, curves[0])
+    counts = sorted({int(each) for curve in curves for each in curve.sensors})
+    sensors = f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
     caption = (
-        f"Mean S-CIELAB error of the picture against pixel size. Points: means of {sensors_words(curves)} with their 95 % "
+        f"Mean S-CIELAB error of the picture against pixel size. Points: means of {sensors} with their 95 % "
         "intervals; line: the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
         "band: sizes within 1 % of the least error."
     )
     return Plate(name, caption, figure, curve_table(curves))
 
 
-def sensors_words(curves: Sequence[Curve]) -> str:
-    """How many sensors a point stands for."""
-    counts = sorted({int(each) for curve in curves for each in curve.sensors})
-    return f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
-
-
 def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
-    table: dict[str, list[float | str]] = {
-        name: [] for name in ("technology", "pitch_um", "fill_factor", "mean_delta_e", "ci95_delta_e", *OTHER_STATISTICS)
-    }
+    """A row for each curve and pitch."""
+    whole: dict[str, list[float | str]] = {}
     for curve in curves:
         mean, ci95 = mean_and_ci95(curve.delta_e)
-        table["technology"] += [curve.label] * mean.size
-        columns = {"pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor, "mean_delta_e": mean, "ci95_delta_e": ci95}
-        columns |= {name: curve.mean(name) for name in OTHER_STATISTICS}
+        columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
+        columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} | {name: curve.mean(name) for name in OTHER_STATISTICS}
         for name, values in columns.items():
-            table[name] += values.tolist()
-    return dict(table)
+            whole.setdefault(name, []).extend(values.tolist())
+    return dict(whole)
 
 
 def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     """Ends of the optima's 95 % intervals, for a table; empty where the tried pitches leave an end open."""
-    ends = {"interval_low_um": 0, "interval_high_um": 1}
-    return {
-        name: ["" if (each := curve.optimum.interval_um[end]) is None else each for curve in curves] for name, end in ends.items()
-    }
-
-
-def study_figure(result: StudyResult) -> Figure:
-    """Mean ΔE against pixel size, a curve for each technology."""
-    return delta_e_against_pitch(result, result.curves).figure
-
-
-def study_html(result: StudyResult) -> str:
-    head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
-    rows = []
-    for curve in result.curves:
-        best = curve.optimum
-        size = f"{best.pitch_um:.2f}" if best.inside else f"none between {curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
-        within = within_words(best.within_1_percent_um, curve)
-        rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
-    return _cell(result.study.title or result.study.name, head, rows, study_figure(result))
-
-
-def study_rows(result: StudyResult) -> list[dict[str, Any]]:
-    """A row for each technology, pitch and sensor."""
-    return [
-        {
-            "technology": curve.technology,
-            "pitch_um": float(pitch_um),
-            "repeat": repeat,
-            "fill_factor": float(curve.fill_factor[place]),
-        }
-        | {name: float(values[place, repeat]) for name, values in curve.statistics.items()}
-        for curve in result.curves
-        for place, pitch_um in enumerate(curve.pitch_um)
-        for repeat in range(int(curve.sensors[place]))
-    ]
+    ends = ([curve.optimum.interval_um[end] for curve in curves] for end in (0, 1))
+    low, high = (["" if each is None else each for each in own] for own in ends)
+    return {"interval_low_um": low, "interval_high_um": high}

@@ -19,7 +19,7 @@ from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.technology import load_technology
 from pixsim.show.figures import COLOURS, literal, new_figure
-from pixsim.show.pages import Column, Plate, write_page, write_plates
+from pixsim.show.pages import Column, Plate, write_figures, write_page
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
@@ -110,6 +110,10 @@ class Case:
         """Statement -> verdict."""
         return {row.statement: row.agrees for row in self.rows}
 
+    def differing(self, base: Case) -> list[str]:
+        """The statements of the paper whose verdict is not the base's."""
+        return [statement for statement, agrees in self.agrees.items() if agrees != base.agrees.get(statement, agrees)]
+
     def as_dict(self) -> dict[str, Any]:
         return {
             "variation": self.variation,
@@ -117,11 +121,7 @@ class Case:
             "alone": self.alone,
             "agrees": self.agrees,
             "technologies": [
-                {
-                    "technology": curve.technology,
-                    "optimum": curve.optimum.as_dict(),
-                    "optimum_fill_factor": curve.optimum_fill_factor,
-                }
+                {name: each for name, each in curve.as_dict().items() if name in ("technology", "optimum", "optimum_fill_factor")}
                 for curve in self.curves
             ],
         }
@@ -133,18 +133,13 @@ class SensitivityResult:
 
     sensitivity: Sensitivity
     base: StudyResult
-    base_rows: tuple[Finding, ...]
+    base_case: Case
     cases: tuple[Case, ...]
-
-    @property
-    def base_case(self) -> Case:
-        return Case("base", self.sensitivity.base, self.base.curves, self.base_rows)
 
     def turning(self, statement: str) -> list[Case]:
         """The cases whose verdict on a statement is not the base's."""
-        base = self.base_case.agrees[statement]
         # A setting may change what a statement is about, an iso level say: such a case has another statement.
-        return [case for case in self.cases if case.agrees.get(statement, base) != base]
+        return [case for case in self.cases if statement in case.differing(self.base_case)]
 
     def by_variation(self) -> dict[str, list[Case]]:
         """Variation -> its cases but those of one technology alone; the widest range of the reference's optimum comes first."""
@@ -164,7 +159,7 @@ class SensitivityResult:
         claims = [
             row.as_dict()
             | {"turned_by": [{"variation": case.variation, "label": case.label} for case in self.turning(row.statement)]}
-            for row in self.base_rows
+            for row in self.base_case.rows
         ]
         return {
             "sensitivity": self.sensitivity.model_dump(mode="json", exclude={"quick"}),
@@ -260,21 +255,16 @@ def run_sensitivity(
 def claims(results: list[StudyResult], workers: Workers, progress: Progress) -> list[tuple[Finding, ...]]:
     """What each result says of the paper's own process; nothing where it does not have it."""
     found: list[tuple[Finding, ...]] = [()] * len(results)
-    with_reference = [
-        (number, result)
+    # Each has its own maker: what a worker shares with no other.
+    calls = [
+        (number, partial(StudyResult, result.study, result.curves, result.irradiance, result.camera))
         for number, result in enumerate(results)
-        if any(c.technology == REFERENCE_TECHNOLOGY for c in result.curves)
+        if any(curve.technology == REFERENCE_TECHNOLOGY for curve in result.curves)
     ]
-    calls = [(number, partial(itself, result)) for number, result in with_reference]
     for done, (number, rows) in enumerate(results_of(claims_task, calls, workers), 1):
         found[number] = rows
         progress(done / len(calls))
     return found
-
-
-def itself(result: StudyResult) -> StudyResult:
-    """What a worker shares with no other."""
-    return result
 
 
 def claims_task(number: int, result: StudyResult) -> tuple[int, tuple[Finding, ...]]:
@@ -310,7 +300,8 @@ def assemble(
             curves = tuple(own_curves.get(curve.technology, curve) for curve in base.curves)
             own_rows = next((found for move, _, found in part if move.technology == REFERENCE_TECHNOLOGY), base_rows)
             cases.append(Case(variation, label, curves, (*own_rows, *trends(curves)), technology))
-    return SensitivityResult(sensitivity, base, (*base_rows, *trends(base.curves)), tuple(cases))
+    base_case = Case("base", sensitivity.base, base.curves, (*base_rows, *trends(base.curves)))
+    return SensitivityResult(sensitivity, base, base_case, tuple(cases))
 
 
 def turned_words(settings: Sequence[tuple[str, str]]) -> str:
@@ -376,29 +367,21 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
     }
 
 
-def differing(case: Case, base: Case) -> list[str]:
-    """The statements of the paper whose verdict is not the base's."""
-    return [statement for statement, agrees in case.agrees.items() if agrees != base.agrees.get(statement, agrees)]
-
-
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
     """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; returns the report's path."""
-    plate = tornado(result)
-    ((_, image, data),) = write_plates(folder, [plate])
+    (drawn,) = write_figures(folder, [tornado(result).drawn()])
     write_json(folder / "summary.json", result.as_dict())
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
     page = {
         "interval": interval_words,
         "sensitivity": result.sensitivity,
-        "plate": plate,
-        "image": image,
-        "data": data,
+        "drawn": drawn,
         "claims": [
             (row, len(turning), turned_words([(case.variation, case.label) for case in turning]))
-            for row, turning in ((row, result.turning(row.statement)) for row in result.base_rows)
+            for row, turning in ((row, result.turning(row.statement)) for row in result.base_case.rows)
         ],
-        "cases": [(case, differing(case, result.base_case)) for case in (result.base_case, *result.cases)],
+        "cases": [(case, case.differing(result.base_case)) for case in (result.base_case, *result.cases)],
         "header": result.base.irradiance.header,
         "provenance": provenance,
     }

@@ -20,9 +20,10 @@ from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, Lights, Sampling, first_sampling, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, Sampling, first_sampling, study_pitches_um
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import white_cd_per_m2
+from pixsim.viewer.score import Lights
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -64,8 +65,6 @@ def load_study(
 ) -> Study:
     """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it.
 
-    Parameters
-    ----------
     config : a TOML file, or several, of a sensor, its camera, exposure and display, as `pixsim run` takes them; later files
         win. The well and the dark current of a data sheet go with the photodiode's area.
     parameters : of the scene, over those of the study
@@ -176,8 +175,8 @@ def sweep_pitches(
 ) -> StudyResult:
     """Evaluate what is missing in results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
     white_cd_per_m2(irradiance, study.display)  # refuse an unknown white before any file is made
-    lights, sampling = Lights(study, irradiance, camera), first_sampling(study)
-    evaluations = Evaluations(lights, results, workers)
+    lights, sampling = Lights(irradiance, camera, study.display), first_sampling(study)
+    evaluations = Evaluations(study, lights, results, workers)
     with evaluations.alone():
         while True:
             rows = evaluations.of(sampling, progress())
@@ -207,8 +206,6 @@ def study(
 ) -> StudyResult:
     """Run a study, or go on with an interrupted one, and keep its rows in `out`/results.csv.
 
-    Parameters
-    ----------
     plan : a Study, the name of a packaged one, or a TOML file
     out : folder, made if need be
     config : a TOML file, or several, of a sensor, its camera, exposure and display, over a named study; later ones win
@@ -253,4 +250,4 @@ def study(
     if settled is None:
         return result
     noise = RenderNoise(**irradiance.header["render_noise"])
-    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], result.curves[0].fewest_sensors))
+    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], int(result.curves[0].sensors.min())))

@@ -272,8 +272,6 @@ def frame_luminance(
     A dot shows the mean over itself of the picture interpolated between pixel centres. (Reading the picture at the dots'
     centres would make noise depend on how pixels and dots register: mean ΔE jumps by a quarter where the pitches agree.)
 
-    Parameters
-    ----------
     size_um : (height, width) of the picture on the sensor
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     edges_um : of the dots' rows and columns, as `dot_edges_um` gives them

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Literal, get_args
 
@@ -87,22 +88,57 @@ ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this densi
 ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)  # its kernels are a degree long: beyond, they are one sample, or fill the memory
 
 
+@dataclass(frozen=True)
+class ViewingConditions:
+    """A viewer's white, distance and filters, checked.
+
+    white : XYZ over a power of two that brings its Y to 0.5 … 1
+    exponent : of that power. Powers of two round nothing, and sums over an image neither overflow nor vanish, whatever the unit.
+    """
+
+    white: tuple[float, float, float]
+    exponent: int
+    samples_per_deg: float
+    filters: Filters
+
+    @classmethod
+    def of(cls, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters) -> ViewingConditions:
+        check_choice("filters", filters, get_args(Filters))
+        white = checked_white(white_xyz)
+        if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
+            mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
+            raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
+        low, high = ZHANG1996_SAMPLES_PER_DEG
+        if filters == "zhang1996" and not low <= samples_per_deg <= high:
+            raise refuse("samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or take 'published'.")
+        exponent = math.frexp(white[1])[1]
+        x, y, z = np.ldexp(white, -exponent).tolist()
+        return cls((x, y, z), exponent, float(samples_per_deg), filters)
+
+    @property
+    def relative_from_opponent(self) -> Floats:
+        """X/Xn, Y/Yn and Z/Zn from the opponent channels, (3, 3)."""
+        return XYZ_FROM_OPPONENT / np.array(self.white)[:, np.newaxis]
+
+
 @lru_cache(maxsize=1)  # as large as a picture
-def transfer(filters: Filters, height: int, width: int, samples_per_deg: float) -> Floats:
-    """`new_transfer`, kept for the next picture: it is shared by all calls, and must not be written to."""
-    kept = new_transfer(filters, height, width, samples_per_deg)
-    kept.flags.writeable = False
-    return kept
+def transfer(view: ViewingConditions, height: int, width: int, grey: bool = False) -> Floats:
+    """Factor of each opponent channel for each DCT-II coefficient, (3, height, width); all calls share it.
 
-
-def new_transfer(filters: Filters, height: int, width: int, samples_per_deg: float) -> Floats:
-    """Each opponent channel's factor for each DCT-II coefficient, (3, height, width)."""
-    terms = _published_terms if filters == "published" else _zhang1996_terms
+    grey : from a picture of relative luminance to X/Xn, Y/Yn and Z/Zn as they are seen instead
+    """
+    terms = _published_terms if view.filters == "published" else _zhang1996_terms
     factors = np.zeros((3, height, width))
     for channel, plane in enumerate(factors):
-        along_y, along_x = terms(channel, height, samples_per_deg), terms(channel, width, samples_per_deg)
+        along_y, along_x = terms(channel, height, view.samples_per_deg), terms(channel, width, view.samples_per_deg)
         for (weight, fy), (_, fx) in zip(along_y, along_x, strict=True):
             plane += (weight * fy)[:, np.newaxis] * fx
+    if grey:
+        opponent = (OPPONENT_FROM_XYZ * view.white).sum(axis=1)
+        for rows, strip in strips_of(factors.shape):
+            np.copyto(strip, factors[:, rows])
+            _combine(view.relative_from_opponent * opponent, strip, factors[:, rows])
+    factors.flags.writeable = False
     return factors
 
 
@@ -210,15 +246,15 @@ def filtered_lab(
 
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
-    white, exponent = _checked_view(filters, white_xyz, samples_per_deg)
+    view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
     planes = np.moveaxis(checked_triples("xyz", xyz, dimensions=3), -1, 0)
     opponent = empty_planes(*planes.shape)
     for rows, strip in strips_of(planes.shape):
-        np.ldexp(planes[:, rows], -exponent, out=strip)
+        np.ldexp(planes[:, rows], -view.exponent, out=strip)
         _combine(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
     spectrum = dct(opponent, workers)
-    spectrum *= transfer(filters, *spectrum.shape[1:], float(samples_per_deg))
-    return _whole(_seen(spectrum, XYZ_FROM_OPPONENT / white[:, np.newaxis], filters, workers), spectrum.shape)
+    spectrum *= transfer(view, *spectrum.shape[1:])
+    return _whole(_seen(spectrum, view, workers), spectrum.shape)
 
 
 def filtered_grey_lab(
@@ -237,8 +273,9 @@ def filtered_grey_lab(
 
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
-    spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
-    return _whole(_seen(spectrum, None, filters, workers), spectrum.shape)
+    view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
+    spectrum = _grey_spectrum(luminance, view, workers)
+    return _whole(_seen(spectrum, view, workers, grey=True), spectrum.shape)
 
 
 def grey_delta_e_map(
@@ -258,59 +295,39 @@ def grey_delta_e_map(
 
     Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
     """
-    spectrum = _grey_spectrum(luminance, white_xyz, samples_per_deg, filters, workers)
+    view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
+    spectrum = _grey_spectrum(luminance, view, workers)
     reference, shape = np.asarray(reference_lab, np.float64), (*spectrum.shape[1:], 3)
     if reference.shape != shape:
         raise refuse("reference_lab, shape", reference.shape, str(shape), "Resample one image to the raster of the other.")
     reference = np.moveaxis(reference, -1, 0)
     difference = np.empty(spectrum.shape[1:])
-    for rows, lab in _seen(spectrum, None, filters, workers):
+    for rows, lab in _seen(spectrum, view, workers, grey=True):
         _distance(reference[:, rows], lab, difference[rows])
     if not is_finite(difference):
         checked_triples("reference_lab", reference_lab)
     return difference
 
 
-def _grey_spectrum(
-    luminance: npt.ArrayLike, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters, workers: int
-) -> Floats:
+def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, workers: int) -> Floats:
     """DCT-II of X/Xn, Y/Yn and Z/Zn of a grey picture as they are seen, (3, H, W)."""
-    white, _ = _checked_view(filters, white_xyz, samples_per_deg)
     grey = np.asarray(luminance, np.float64)
     if grey.ndim != 2 or grey.size == 0 or not is_finite(grey):
         raise refuse("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
     picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
     picture[...] = grey
-    factors = _grey_transfer(filters, *grey.shape, float(samples_per_deg), tuple(white.tolist()))
-    return np.multiply(factors, dct(picture, workers), out=spectrum)
+    return np.multiply(transfer(view, *grey.shape, grey=True), dct(picture, workers), out=spectrum)
 
 
-def _checked_view(filters: Filters, white_xyz: npt.ArrayLike, samples_per_deg: float) -> tuple[Floats, int]:
-    """The white over a power of two that brings its Y to 0.5 … 1, and that power's exponent.
-
-    Powers of two round nothing, and sums over an image neither overflow nor vanish, whatever the unit.
-    """
-    check_choice("filters", filters, get_args(Filters))
-    white = checked_white(white_xyz)
-    if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
-        mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
-        raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
-    low, high = ZHANG1996_SAMPLES_PER_DEG
-    if filters == "zhang1996" and not low <= samples_per_deg <= high:
-        raise refuse("samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or take 'published'.")
-    exponent = math.frexp(white[1])[1]
-    return np.ldexp(white, -exponent), exponent
-
-
-def _seen(spectrum: Floats, relative_from_opponent: Floats | None, filters: Filters, workers: int) -> Strips:
-    """Planes of CIELAB, in one memory, from the filtered DCT-II (3, H, W) of the opponent channels, or of X/Xn, Y/Yn and Z/Zn."""
+def _seen(spectrum: Floats, view: ViewingConditions, workers: int, grey: bool = False) -> Strips:
+    """Planes of CIELAB, in one memory, from the filtered DCT-II (3, H, W) of the opponent channels; `grey`: of X/Xn, Y/Yn, Z/Zn."""
     planes = inverse_dct(spectrum, workers)
-    constants = CIE_LAB if filters == "published" else ZHANG1996_LAB
+    constants = CIE_LAB if view.filters == "published" else ZHANG1996_LAB
     for (rows, strip), (_, lab) in zip(strips_of(planes.shape), strips_of(planes.shape), strict=True):
-        if relative_from_opponent is None:
+        if grey:
             np.copyto(strip, planes[:, rows])
         else:
-            _combine(relative_from_opponent, planes[:, rows], strip)
+            _combine(view.relative_from_opponent, planes[:, rows], strip)
         _lab_planes(strip, *constants, out=lab)
         yield rows, lab
 
@@ -392,14 +409,3 @@ def _lab_planes(relative: Floats, threshold: float, slope: float, dark_slope: fl
 def _combine(matrix: Floats, planes: Floats, out: Floats) -> None:
     """3x3 matrix times planes (3, H, W), by einsum's own loop: a BLAS product rounds differently with more threads."""
     np.einsum("ij,jyx->iyx", matrix, planes, out=out, optimize=False)
-
-
-@lru_cache(maxsize=1)  # as large as a picture
-def _grey_transfer(filters: Filters, height: int, width: int, samples_per_deg: float, white: tuple[float, float, float]) -> Floats:
-    """Factors of each DCT-II coefficient of a grey picture for X/Xn, Y/Yn and Z/Zn as they are seen, (3, height, width)."""
-    opponent = (OPPONENT_FROM_XYZ * white).sum(axis=1)
-    transfer = new_transfer(filters, height, width, samples_per_deg)
-    for rows, strip in strips_of(transfer.shape):
-        np.copyto(strip, transfer[:, rows])
-        _combine(XYZ_FROM_OPPONENT / np.array(white)[:, np.newaxis] * opponent, strip, transfer[:, rows])
-    return transfer

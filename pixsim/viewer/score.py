@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv, gammaln, ndtr
 
 from pixsim.base.arrays import Array, stream
@@ -18,9 +17,9 @@ from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage, refuse_impossible_light
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import Frame, capture_rate, dark_spread_e, draw_sensor, frame_of, least_black_level_dn
+from pixsim.sensor.readout import Frame, capture_rate, dark_spread_e, draw_sensor, least_black_level_dn
 from pixsim.show.figures import new_figure
-from pixsim.show.pages import _cell
+from pixsim.show.pages import _cell, rows_csv
 from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
 from pixsim.viewer import display as displays
 from pixsim.viewer.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map, xyz_to_lab
@@ -31,6 +30,8 @@ if TYPE_CHECKING:
 
 CLIPPED_WARNING = 0.01
 HISTOGRAM_BINS = 1 << 14
+PANEL_IN = 3.1  # width of each picture of a figure
+LIGHTS_BYTES = 1 << 28  # of lights that are made at once
 MOST_KEPT_SAMPLES = 1 << 22  # of a running integral, 32 MiB: a film of 2048²
 
 
@@ -60,6 +61,7 @@ class Score:
     def statistics(self) -> dict[str, float]:
         """The numbers that stand in score.json and in a study's rows, each with its unit in its name."""
         p, frame = self.physics, self.frame
+        median, p90, p99 = percentiles(self.delta_e, (50, 90, 99))
         return {
             "pitch_um": p.pitch_um,
             "fill_factor": p.fill_factor,
@@ -67,39 +69,40 @@ class Score:
             "integration_s": frame.integration_s,
             "saturated_fraction": frame.saturated_fraction,
             "mean_electrons_e": float(frame.mean_e.mean()),
-            **delta_e_statistics(self.delta_e),
+            "mean_delta_e": self.mean_delta_e,
+            "median_delta_e": median,
+            "p90_delta_e": p90,
+            "p99_delta_e": p99,
+            "max_delta_e": float(self.delta_e.max()),
         }
 
     def plot(self) -> Figure:
-        """Ideal picture, sensor's picture and ΔE map side by side, a Matplotlib figure."""
-
-        return score_figure(self)
+        """Ideal picture, sensor's picture and ΔE map on the fixed scale, a dot of the display a sample; a Matplotlib figure."""
+        figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
+        axes = figure.subplots(1, 3, sharex=True, sharey=True)
+        for each, picture, title in zip(axes, (self.ideal, self.image), ("ideal", "sensor"), strict=False):
+            each.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+            each.set_title(title)
+        shown = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, interpolation="nearest")
+        axes[2].set_title(f"S-CIELAB ΔE, mean {self.mean_delta_e:.3f}")
+        figure.colorbar(shown, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
+        for each in axes:
+            each.set_xlabel("display dots")
+        return figure
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """`statistics` as CSV, also into a file where a `path` is given."""
-        from pixsim.show.pages import csv_text
-
-        return csv_text([self.statistics()], path)
+        return rows_csv([self.statistics()], path)
 
     def _repr_html_(self) -> str:
-
-        return score_html(self)
+        rows = [(name, f"{value:.6g}") for name, value in self.statistics().items()]
+        title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.mean_delta_e:.3f}"
+        return _cell(title, ("", ""), rows, self.plot())
 
     def __repr__(self) -> str:
         return (
             f"<Score mean ΔE {self.mean_delta_e:.3f}, {self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms>"
         )
-
-
-def delta_e_statistics(delta_e_map: Array) -> dict[str, float]:
-    median, p90, p99 = percentiles(delta_e_map, (50, 90, 99))
-    return {
-        "mean_delta_e": float(delta_e_map.mean()),
-        "median_delta_e": median,
-        "p90_delta_e": p90,
-        "p99_delta_e": p99,
-        "max_delta_e": float(delta_e_map.max()),
-    }
 
 
 def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
@@ -136,47 +139,25 @@ def view_of(display: Display) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Bench:
-    """What all pictures of one pixel type share: its mean signal and the viewer's ideal image."""
+class Screen:
+    """What a viewer looks at: a display, the part of the die that is shown on it, and the ideal image of that part.
 
-    signal_e_per_s: Array
-    physics: PixelPhysics
-    exposure: Exposure
+    size_um : (height, width) of the whole picture on the sensor
+    dot_edges_um : of the rows and columns of dots that are shown and scored
+    ideal, ideal_lab : shown luminance on those dots, and its CIELAB as the eye blurs it
+    full : leave out no transform
+    """
+
     display: Display
     size_um: tuple[float, float]
-    dot_edges_um: tuple[Array, Array]
-    white_e_per_s: float
-    ideal: Array
-    ideal_lab: Array
-    full: bool = False  # leave out no transform
+    dot_edges_um: tuple[Array, Array] = field(repr=False)
+    ideal: Array = field(repr=False)
+    ideal_lab: Array = field(repr=False)
+    full: bool = False
 
-    def score(self, *key: object) -> Score:
-        """Another sensor and another frame for each key."""
-        return self.view(self.capture(*key))
-
-    def score_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Score:
-        """The picture of the sensor that one generator draws, with the temporal noise of the other."""
-        return self.view(self.capture_with(sensor_rng, frame_rng))
-
-    def capture(self, *key: object) -> Frame:
-        """The frame behind `score`."""
-        return self.capture_with(stream(*key, "sensor"), stream(*key, "frame"))
-
-    def capture_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Frame:
-        sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
-        return capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
-
-    def frame_of(self, dn: NDArray[Any], saturated_fraction: float) -> Frame:
-        """The frame that gave these digital numbers."""
-        return frame_of(dn.astype(np.int32), saturated_fraction, self.signal_e_per_s, self.physics, self.exposure)
-
-    def view(self, frame: Frame) -> Score:
-        """What a viewer sees of a frame."""
-        white_e = self.white_e_per_s * frame.integration_s
-        luminance = displays.frame_luminance(frame, self.size_um, white_e, self.display, self.dot_edges_um)
-        image = displays.shown_luminance(luminance, self.display)
-        border_um = float(self.dot_edges_um[0][0]), float(self.dot_edges_um[1][0])
-        return Score(self.delta_e_of(image), self.ideal, image, frame, self.physics, border_um)
+    def luminance(self, frame: Frame, white_e: float) -> Array:
+        """`displays.frame_luminance` on these dots."""
+        return displays.frame_luminance(frame, self.size_um, white_e, self.display, self.dot_edges_um)
 
     def delta_e_of(self, image: Array) -> Array:
         """S-CIELAB difference of a shown picture from the ideal one, (H, W)."""
@@ -186,22 +167,48 @@ class Bench:
 
 
 @dataclass(frozen=True)
+class Bench:
+    """What all pictures of one pixel type share: its mean signal, and what the viewer looks at."""
+
+    signal_e_per_s: Array
+    physics: PixelPhysics
+    exposure: Exposure
+    white_e_per_s: float
+    screen: Screen
+
+    def score(self, *key: object) -> Score:
+        """Another sensor and another frame for each key."""
+        return self.view(self.capture(*key))
+
+    def capture(self, *key: object) -> Frame:
+        """The frame behind `score`."""
+        return self.capture_with(stream(*key, "sensor"), stream(*key, "frame"))
+
+    def capture_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Frame:
+        """The frame of the sensor that one generator draws, with the temporal noise of the other."""
+        sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
+        return capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
+
+    def view(self, frame: Frame) -> Score:
+        """What a viewer sees of a frame."""
+        screen = self.screen
+        image = displays.shown_luminance(screen.luminance(frame, self.white_e_per_s * frame.integration_s), screen.display)
+        border_um = float(screen.dot_edges_um[0][0]), float(screen.dot_edges_um[1][0])
+        return Score(screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um)
+
+
+@dataclass(frozen=True)
 class Projection:
-    """What pixels of one response share, whatever their pitch: the light behind the lens, and the viewer's ideal image.
+    """What pixels of one response share, whatever their pitch: the light behind the lens, and what the viewer looks at.
 
     rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
     white_e_per_s_um2 : of the scene's white, on axis
-    dot_edges_um : of the rows and columns of dots that are shown and scored
-    ideal, ideal_lab : shown luminance on the display's dots, and its CIELAB as the eye blurs it
     """
 
     rate_e_per_s_um2: Array = field(repr=False)
     sample_pitch_um: float
-    size_um: tuple[float, float]
-    dot_edges_um: tuple[Array, Array] = field(repr=False)
     white_e_per_s_um2: float
-    ideal: Array = field(repr=False)
-    ideal_lab: Array = field(repr=False)
+    screen: Screen
 
     @cached_property
     def running_integral(self) -> Array | None:
@@ -234,33 +241,46 @@ def project(
             f"{beyond:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2", stacklevel=4
         )
     ideal = displays.shown_luminance(luminance, display)
-    return Projection(
-        rate_e_per_s_um2=diffracted_rate(irradiance, camera, physics),
-        sample_pitch_um=irradiance.pitch_um,
-        size_um=size_um,
-        dot_edges_um=edges_um,
-        white_e_per_s_um2=displays.white_rate(irradiance, camera, physics, display),
-        ideal=ideal,
-        ideal_lab=seen_lab(ideal, display, full),
-    )
+    rate = diffracted_rate(irradiance, camera, physics)
+    white = displays.white_rate(irradiance, camera, physics, display)
+    screen = Screen(display, size_um, edges_um, ideal, seen_lab(ideal, display, full), full)
+    return Projection(rate, irradiance.pitch_um, white, screen)
 
 
-def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure, display: Display, full: bool = False) -> Bench:
+# What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
+Light = Projection | SpectralImage
+
+
+class Lights:
+    """What the pixels that look at one picture share, made when first asked for, and kept while there is room."""
+
+    def __init__(self, irradiance: SpectralImage, camera: Camera, display: Display) -> None:
+        self.irradiance, self.camera, self.display = irradiance, camera, display
+        self._kept: dict[object, Projection] = {}
+
+    def of(self, key: object, physics: PixelPhysics, border_um: float) -> Light:
+        """For pixels of one response that share a frame, known by any key; `border_um` as `project` takes it."""
+        if self.display.raster == "one_to_one":
+            return self.irradiance
+        if key not in self._kept:
+            if len(self._kept) >= self.room:
+                self._kept.clear()
+            self._kept[key] = project(self.irradiance, self.camera, physics, self.display, border_um=border_um)
+        return self._kept[key]
+
+    @property
+    def room(self) -> int:
+        """How many may be there at once."""
+        planes = 2 * math.prod(self.irradiance.shape) + 4 * self.display.dots**2  # light, spline; ideal image, its CIELAB
+        return max(1, LIGHTS_BYTES // (8 * planes))
+
+
+def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure) -> Bench:
     """A pixel of any pitch under a projection for its response."""
     grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
     signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral)
-    return Bench(
-        signal_e_per_s=np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s),
-        physics=physics,
-        exposure=exposure,
-        display=display,
-        size_um=light.size_um,
-        dot_edges_um=light.dot_edges_um,
-        white_e_per_s=light.white_e_per_s_um2 * physics.photodiode_area_um2,
-        ideal=light.ideal,
-        ideal_lab=light.ideal_lab,
-        full=full,
-    )
+    np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s)
+    return Bench(signal_e_per_s, physics, exposure, light.white_e_per_s_um2 * physics.photodiode_area_um2, light.screen)
 
 
 def make_bench(
@@ -271,7 +291,7 @@ def make_bench(
     if rendered is not None and Camera.model_validate(rendered) != camera:
         warnings.warn("the irradiance was rendered with another camera than the one it is sensed with", stacklevel=3)
     physics = derive(pixel)
-    return bench_of(project(irradiance, camera, physics, display, full), physics, exposure, display, full)
+    return bench_of(project(irradiance, camera, physics, display, full), physics, exposure)
 
 
 def evaluate(
@@ -286,8 +306,6 @@ def evaluate(
 ) -> Score:
     """Sense an irradiance with one individual sensor, show it, and compare it with the ideal image by S-CIELAB.
 
-    Parameters
-    ----------
     camera : the one that the irradiance was rendered with
     exposure, display : None takes the default ones
     seed : of the individual sensor and of its temporal noise
@@ -303,48 +321,6 @@ def evaluate(
     """
     bench = make_bench(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
     return bench.score("evaluate", seed)
-
-
-def describe(score: Score, irradiance: SpectralImage) -> dict[str, Any]:
-    """score.json: numbers, then what made them.
-
-    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the edge of the picture that is not
-    scored.
-    """
-    white = "the lamps' own" if displays.white_spectrum(irradiance) is not None else "D65: the lamps share no spectrum"
-    return {
-        **score.statistics(),
-        "pixels": list(score.frame.dn.shape),
-        "scored_dots": list(score.delta_e.shape),
-        "border_um": list(score.border_um),
-        "pixel": score.physics.pixel.model_dump(),
-        "white_spectrum": white,
-        "irradiance": irradiance.header,
-    }
-
-
-PANEL_IN = 3.1  # width of each picture of a score
-
-
-def score_figure(score: Score) -> Figure:
-    """The ideal picture, the sensor's, and the ΔE map on the fixed scale, one dot of the display a sample."""
-    figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
-    axes = figure.subplots(1, 3, sharex=True, sharey=True)
-    for each, picture, title in zip(axes, (score.ideal, score.image), ("ideal", "sensor"), strict=False):
-        each.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
-        each.set_title(title)
-    shown = axes[2].imshow(score.delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, interpolation="nearest")
-    axes[2].set_title(f"S-CIELAB ΔE, mean {score.mean_delta_e:.3f}")
-    figure.colorbar(shown, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
-    for each in axes:
-        each.set_xlabel("display dots")
-    return figure
-
-
-def score_html(score: Score) -> str:
-    rows = [(name, f"{value:.6g}") for name, value in score.statistics().items()]
-    title = f"{score.physics.pitch_um:g} µm pixels, mean ΔE {score.mean_delta_e:.3f}"
-    return _cell(title, ("", ""), rows, score_figure(score))
 
 
 DSNU_NODES = 64  # of equal weight

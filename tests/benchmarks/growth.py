@@ -111,7 +111,7 @@ def exponent(values: list[int], seconds: list[float]) -> float:
 
 
 def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Path) -> None:
-    from pixsim.show.figures import COLOURS, new_figure, save_svg
+    from pixsim.show.figures import COLOURS, new_figure, svg_text
 
     figure = new_figure(9.0, 5.6)
     grid = figure.subplots(2, len(results) // 2, squeeze=False)
@@ -131,7 +131,7 @@ def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Pat
         axes.minorticks_off()
         axes.grid(alpha=0.25)
         axes.legend(frameon=False, fontsize=6.5)
-    save_svg(figure, path)
+    path.write_text(svg_text(figure), encoding="utf-8")
 
 
 def main() -> None:

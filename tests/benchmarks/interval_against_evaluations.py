@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.dense_curves import covers, simulated, simulation_options
 
 from pixsim.base.parameters import Study
-from pixsim.show.figures import LOOKS, new_figure, save_svg
+from pixsim.show.figures import LOOKS, new_figure, svg_text
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.study import load_study
 
@@ -77,7 +77,7 @@ def draw(grid: tuple[np.ndarray, np.ndarray], rounds: tuple[np.ndarray, np.ndarr
     axes.minorticks_off()
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
-    save_svg(figure, path)
+    path.write_text(svg_text(figure), encoding="utf-8")
 
 
 def main() -> None:

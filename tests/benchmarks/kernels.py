@@ -126,7 +126,7 @@ def plain_evaluation(bench: Bench, mean_e: np.ndarray, white_e: float, seconds: 
     rows, columns = bench.ideal.shape  # the edge above and to the left is not scored
     shown = plain_display(dn / bench.physics.dn_per_e / white_e, DISPLAY.dots)[-rows:, -columns:]
     image = (np.rint(255 * np.clip(shown, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
-    return plain_delta_e(bench.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
+    return plain_delta_e(bench.screen.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
 
 
 # --- Tables ---
@@ -157,7 +157,7 @@ def targets() -> None:
         3,
     )
     light = project(film, CAMERA, physics, DISPLAY)
-    bench = bench_of(light, physics, EXPOSURE, DISPLAY)
+    bench = bench_of(light, physics, EXPOSURE)
     shape, signal = bench.signal_e_per_s.shape, bench.signal_e_per_s
     frame = bench.score(0).frame
     white_e = bench.white_e_per_s * frame.integration_s
@@ -167,11 +167,11 @@ def targets() -> None:
 
     chain = partial(plain_frame, frame.mean_e, physics, frame.integration_s, np.random.default_rng(1))
     row("noise of a sensor and a frame, 512²", 0.03, noise, chain)
-    show = partial(frame_luminance, frame, bench.size_um, white_e, DISPLAY, bench.dot_edges_um)
+    show = partial(frame_luminance, frame, bench.screen.size_um, white_e, DISPLAY, bench.screen.dot_edges_um)
     row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
 
     def evaluation() -> None:
-        bench_of(light, physics, EXPOSURE, DISPLAY).score(1).statistics()
+        bench_of(light, physics, EXPOSURE).score(1).statistics()
 
     plain = partial(plain_evaluation, bench, frame.mean_e, white_e, frame.integration_s)
     row("sense, display, score of a 512² frame", 0.08, evaluation, plain)
@@ -181,9 +181,9 @@ def unavoidable(bench: Bench) -> dict[str, float]:
     """Seconds of the draws, the transforms and the cube roots of one evaluation."""
     p, rng = bench.physics, np.random.default_rng(0)
     mean_e = bench.score(0).frame.mean_e
-    dots = bench.ideal.shape
+    dots = bench.screen.ideal.shape
     grey, planes = empty_planes(*dots), empty_planes(3, *dots)
-    grey[...] = planes[...] = bench.ideal
+    grey[...] = planes[...] = bench.screen.ideal
     relative, roots = np.full((3, *dots), 0.5), np.empty((3, *dots))
     # PRNU, offset, and reset with read noise: three normals a pixel; the dark current's spread; the photons.
     return {
@@ -199,7 +199,7 @@ def parts() -> None:
     print(f"\nan evaluation, ms: {'whole':>8} {'parts':>8} {'ratio':>6}  at most {MOST_TIMES_PARTS:g}")
     light = project(chart(1024), CAMERA, derive(Pixel()), DISPLAY)
     for pitch_um in PITCHES_UM:
-        bench = bench_of(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE, DISPLAY)
+        bench = bench_of(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
         found = unavoidable(bench)
         whole, sum_ = median_s(lambda bench=bench: bench.score(1).statistics(), 21), sum(found.values())
         told = ", ".join(f"{name} {1e3 * each:.1f}" for name, each in found.items())

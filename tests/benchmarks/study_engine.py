@@ -20,8 +20,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.timing import seconds_of
 
 import pixsim
-from pixsim.studies.evaluations import Lights, bench_at, stream_key
+from pixsim.studies.evaluations import bench_at, light_of, stream_key
 from pixsim.studies.study import render_for
+from pixsim.viewer.score import Lights
 
 PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
 TIMED = 100  # evaluations of each pitch that tell what the work costs
@@ -43,7 +44,7 @@ def small_study(repeats: int) -> pixsim.Study:
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
     irradiance, camera = render_for(study)
-    light = Lights(study, irradiance, camera).of("0.35um")
+    light = light_of(study, Lights(irradiance, camera, study.display), "0.35um")
 
     def evaluations() -> None:
         for pitch_um in PITCHES_UM:

@@ -1,6 +1,9 @@
-"""How lines of a figure are told apart."""
+"""How lines of a figure are told apart, and what stands in a page."""
 
 from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
 
 from matplotlib.lines import Line2D
 
@@ -9,3 +12,27 @@ def grey_look(line: Line2D) -> tuple[object, ...]:
     """What is left of a line without its colour."""
     hollow = line.get_markerfacecolor() == "none"
     return line.get_linestyle(), line._unscaled_dash_pattern, line.get_marker(), hollow, line.get_linewidth()
+
+
+class Elements(HTMLParser):
+    """Tags, words, and the values of attributes that make a browser fetch something."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "poster"}]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def text_of(folder: Path) -> str:
+    """Of a folder's report."""
+    return (folder / "report.html").read_text(encoding="utf-8")

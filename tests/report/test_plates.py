@@ -8,11 +8,11 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.looks import grey_look
+from helpers.tiny import PITCHES_UM, TINY
 from matplotlib.axes import Axes
 from matplotlib.image import imread
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -22,32 +22,22 @@ from pixsim.base.parameters import pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
-from pixsim.report.pictures import picture_axes
+from pixsim.report.pictures import MOST_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
 from pixsim.report.views import study_pictures
 from pixsim.scene.charts import DIE_MM
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, save_svg
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, svg_text
 from pixsim.show.pages import Plate
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult, delta_e_against_pitch
 
-PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
-STUDY = {
-    "name": "tiny",
-    "repeats": 2,
-    "iso_delta_e": 1.0,
-    "paper": True,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
-    "pitch": {"values_um": PITCHES_UM},
-    "display": {"dots": 120, "samples_per_deg": 10.0},
-}
 OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
-    return pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path_factory.mktemp("plates"), jobs=1)
+def result(tiny_result: StudyResult) -> StudyResult:
+    return tiny_result
 
 
 @pytest.fixture(scope="module")
@@ -100,12 +90,9 @@ def plates(evidence: Evidence) -> dict[str, Plate]:
 
 
 @pytest.fixture(scope="module")
-def saved(plates: dict[str, Plate], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def saved(plates: dict[str, Plate]) -> dict[str, str]:
     """Name -> SVG."""
-    folder = tmp_path_factory.mktemp("svg")
-    for name, plate in plates.items():
-        save_svg(plate.figure, folder / f"{name}.svg")
-    return {name: (folder / f"{name}.svg").read_text(encoding="utf-8") for name in plates}
+    return {name: svg_text(plate.figure) for name, plate in plates.items()}
 
 
 def test_the_paper_s_figures_come_in_its_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
@@ -212,14 +199,23 @@ def test_a_display_of_one_dot_a_pixel_blurs_nothing(result: StudyResult) -> None
     np.testing.assert_allclose(column(plate, "shown_mtf50_lp_per_mm"), column(plate, "mtf50_lp_per_mm"), rtol=1e-12)
 
 
-def test_the_scene_is_that_of_the_irradiance(plates: dict[str, Plate], result: StudyResult) -> None:
-    """96 samples in 64 cells: of one or two each, so that the cells' own sum is weighed by their sizes."""
-    plate = plates["figure_4_scene"]
-    cells = np.stack([column(plate, name) for name in plate.table if name != "row"], axis=1)
-    assert cells.shape == (64, 64)
-    sizes = np.array([each.size for each in np.array_split(np.arange(96), 64)])
-    weighed = (cells * sizes[:, None] * sizes).sum() / 96**2
-    assert weighed == pytest.approx(result.irradiance.illuminance_lx().mean(), rel=1e-12)
+@pytest.mark.parametrize(
+    ("name", "index", "dots", "cells"),
+    [
+        ("figure_4_scene", "row", 96, (64, 64)),
+        ("figure_5_pictures_8um", "row", 118, (64, 64)),
+        ("delta_e_by_frequency_and_contrast", "contrast", 118, (8, 6)),
+    ],
+)
+def test_coarse_tables_keep_the_mean_of_their_picture(
+    name: str, index: str, dots: int, cells: tuple[int, int], plates: dict[str, Plate], evidence: Evidence
+) -> None:
+    """Cells of one or two dots, or of 14 or 15 by 19 or 20, so that their own sum is weighed by their sizes."""
+    picture = evidence.result.irradiance.illuminance_lx() if name == "figure_4_scene" else evidence.maps[8.0]
+    table = np.stack([column(plates[name], each) for each in plates[name].table if each != index], axis=1)
+    assert table.shape == cells
+    sizes = [[each.size for each in np.array_split(np.arange(dots), parts)] for parts in cells]
+    assert (table * np.outer(*sizes)).sum() / dots**2 == pytest.approx(picture.mean(), rel=1e-12)
 
 
 def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evidence: Evidence) -> None:
@@ -237,24 +233,7 @@ def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evide
     y = (1 - np.log(contrast[here] / (975 / 1025)) / np.log(0.01)) * 120 - cut - 0.5
     level = map_coordinates(smooth, [y, x], order=1, mode="nearest")
     # The contour is drawn by lines between samples: off by the curvature within one.
-    np.testing.assert_allclose(level, STUDY["iso_delta_e"], rtol=0.02)
-
-
-def test_figure_5_s_map_is_the_mean_of_the_sensors(plates: dict[str, Plate], evidence: Evidence) -> None:
-    plate = plates["figure_5_pictures_8um"]
-    cells = np.stack([column(plate, name) for name in plate.table if name != "row"], axis=1)
-    sizes = np.array([each.size for each in np.array_split(np.arange(118), 64)])
-    weighed = (cells * sizes[:, None] * sizes).sum() / 118**2
-    assert weighed == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
-
-
-def test_errors_by_cell_keep_the_mean_of_the_map(plates: dict[str, Plate], evidence: Evidence) -> None:
-    """118 dots in six columns and eight rows: cells of 19 and 20 by 14 and 15 dots."""
-    plate = plates["delta_e_by_frequency_and_contrast"]
-    cells = np.stack([column(plate, name) for name in plate.table if name != "contrast"])
-    assert cells.shape == (6, 8)
-    sizes = [[each.size for each in np.array_split(np.arange(118), parts)] for parts in (6, 8)]
-    assert (cells * np.outer(*sizes)).sum() / 118**2 == pytest.approx(evidence.maps[8.0].mean(), rel=1e-12)
+    np.testing.assert_allclose(level, TINY["iso_delta_e"], rtol=0.02)
 
 
 def test_light_and_detail_are_bought_with_each_other(plates: dict[str, Plate], result: StudyResult) -> None:
@@ -417,13 +396,22 @@ def test_other_pictures_are_labelled_by_position(header: dict[str, object]) -> N
     assert "contrast" not in axes.get_ylabel()
 
 
+@pytest.mark.parametrize(("die_mm", "texts"), [(2.7136, "0 0.5 1 1.5 2 2.5"), (6.0, "0 1 2 3 4 5 6"), (0.0119, "0 0.002 0.004")])
+def test_other_marks_are_round_numbers(die_mm, texts):
+    axes = picture_axes(SpectralImage([550.0], 10.0, 1e3 * die_mm / 16, data=np.ones((8, 16, 1))))
+    across, down = axes.across, axes.down
+    assert " ".join(text for _, text in across.ticks).startswith(texts)
+    assert all(at == pytest.approx(float(text)) for at, text in across.ticks)
+    assert 3 <= len(across.ticks) <= MOST_TICKS
+    assert across.ticks[-1][0] <= die_mm * (1 + 1e-6)
+    assert down.ticks[-1][0] <= die_mm / 2 * (1 + 1e-6)
+
+
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def test_figures_are_the_same_bytes_each_time(evidence: Evidence, saved: dict[str, str], tmp_path: Path) -> None:
-    for name, plate in every_plate(evidence).items():
-        save_svg(plate.figure, tmp_path / "again.svg")
-        assert (tmp_path / "again.svg").read_text(encoding="utf-8") == saved[name], name
+def test_figures_are_the_same_bytes_each_time(evidence: Evidence, saved: dict[str, str]) -> None:
+    assert {name: svg_text(plate.figure) for name, plate in every_plate(evidence).items()} == saved
 
 
 def test_every_reference_in_a_figure_has_its_target(saved: dict[str, str]) -> None:

@@ -5,29 +5,24 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
+from helpers.looks import Elements, text_of
+from helpers.tiny import tiny
 
 import pixsim
+from pixsim.report.merit import blur_words
 from pixsim.report.settings import Light
 from pixsim.report.study import plates_of_curves, write_report
+from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.technology import label_of
 from pixsim.studies.result import StudyResult
 
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"
-STUDY = {
-    "name": "tiny",
-    "title": TITLE,
-    "technologies": ["0.35um", "<b>&process.toml"],
-    "repeats": 2,
-    "iso_delta_e": 1.0,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
-    "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
-    "display": {"dots": 96, "samples_per_deg": 10.0},
-}
+OTHER = "<b>&process.toml"
 
 
 @pytest.fixture(scope="module")
@@ -37,32 +32,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         other = process.read_text(encoding="utf-8").replace('name = "0.35um"', 'name = "other"')
-        Path(STUDY["technologies"][1]).write_text(other, encoding="utf-8")
-        result = pixsim.study(pixsim.Study.model_validate(STUDY), folder / "out", jobs=1)
+        Path(OTHER).write_text(other, encoding="utf-8")
+        result = pixsim.study(tiny(title=TITLE, technologies=["0.35um", OTHER]), folder / "out", jobs=1)
         write_report(result, folder / "out", {"render": 1.25})
         yield result, folder / "out"
-
-
-class Elements(HTMLParser):
-    """Tags, and the values of attributes that make a browser fetch something."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.links: list[str] = []
-        self.words: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.links += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "poster"}]
-
-    def handle_data(self, data: str) -> None:
-        self.words.append(data)
-
-
-def text_of(folder: Path) -> str:
-    return (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_report_is_one_file_that_opens_offline(made: tuple[StudyResult, Path]) -> None:
@@ -84,10 +57,14 @@ def test_words_from_files_stay_words(made: tuple[StudyResult, Path]) -> None:
 
 
 def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]) -> None:
+    result = made[0]
     words = " ".join("".join(Elements(text_of(made[1])).words).split())
     for curve in json.loads((made[1] / "summary.json").read_text(encoding="utf-8"))["curves"]:
         best = curve["optimum"]
         assert best["inside"]
+        physics = physics_of(result.study, curve["technology"], best["pitch_um"])
+        blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
+        assert f"What blurs with {best['pitch_um']:.2f} µm pixels, {label_of(curve['technology'])}. {blur}" in words
         (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
         assert f"{best['pitch_um']:.2f} µm, 95 % interval {low:.2f} to {high:.2f} µm." in words
         assert f"within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
@@ -95,18 +72,6 @@ def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
             assert f"{pitch_um:.3f}" in words
             assert f"{delta_e:.4f}" in words
-
-
-def test_the_report_names_what_blurs_at_the_best_size_of_each_technology(made: tuple[StudyResult, Path]) -> None:
-    """96 dots on 2713.6 µm and lines between pixels, at 1000/30 lp/mm."""
-    words = " ".join("".join(Elements(text_of(made[1])).words).split())
-    for curve in made[0].curves:
-        best_um = curve.optimum.pitch_um
-        interpolation, dot = np.sinc(best_um / 30) ** 2, np.sinc(2713.6 / 96 / 30)
-        assert (
-            f"What blurs with {best_um:.2f} µm pixels, {curve.label}. At 33.3 lp/mm, the highest frequency of the chart, " in words
-        )
-        assert f"leaves {interpolation:.3f} of that, and the dots {dot:.3f}: " in words
 
 
 def test_a_minimum_at_the_end_is_not_sold_as_the_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
@@ -147,7 +112,7 @@ def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
         path.parent.mkdir()
         text = process.read_text(encoding="utf-8")
         path.write_text(text.replace('name = "0.35um"', f'name = "{path.parent.name}"'), encoding="utf-8")
-    study = pixsim.Study.model_validate(STUDY | {"technologies": [str(path) for path in paths]})
+    study = tiny(title=TITLE, technologies=[str(path) for path in paths])
     result = pixsim.study(study, tmp_path / "out", jobs=1)
     assert [curve.technology for curve in result.curves] == [str(path) for path in paths]
     assert repr(result).count(str(tmp_path)) == 0
@@ -212,13 +177,6 @@ def test_a_render_noisier_than_asked_is_told(
     assert (told in words_of(tmp_path)) == noisy
 
 
-def test_the_viewing_distance_is_that_of_a_screen_of_96_dots_per_inch(made: tuple[StudyResult, Path]) -> None:
-    """The study's display has 10 dots a degree: 10 × 25.4/96 mm are seen under one degree from their length over its tangent."""
-    distance_mm = 10 * 25.4 / 96 / np.tan(np.radians(1))
-    (told_mm,) = re.findall(r"\((\d+) mm away", text_of(made[1]))
-    assert float(told_mm) == pytest.approx(distance_mm, abs=0.6)
-
-
 def test_descriptions_are_written_for_readers(made: tuple[StudyResult, Path]) -> None:
     page = re.sub(r'"data:[^"]*"', "", text_of(made[1]))
     assert "`" not in page
@@ -237,7 +195,7 @@ SHEET = {
 
 def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> None:
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
-    result = pixsim.study(pixsim.Study.model_validate(STUDY | more), tmp_path, jobs=1)
+    result = pixsim.study(tiny(**more), tmp_path, jobs=1)
     write_report(result, tmp_path)
     page, words = text_of(tmp_path), words_of(tmp_path)
     rows = re.findall(r"<tr><td>(\w+)</td>", page)
@@ -252,14 +210,14 @@ def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> Non
 
 def text_of_a_process(folder: Path) -> str:
     """The same pages of a process, which uses those settings."""
-    study = pixsim.Study.model_validate(STUDY | {"name": "process", "technologies": ["0.35um"], "title": ""})
+    study = tiny(name="process")
     return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
 
 
 def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_turn_it(tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
-    own = {"name": "paper", "technologies": ["0.35um"], "title": "", "paper": True, "pixel": {"response": "literal"}}
-    result = pixsim.study(pixsim.Study.model_validate(STUDY | own), tmp_path, jobs=1)
+    own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}
+    result = pixsim.study(tiny(**own), tmp_path, jobs=1)
     write_report(result, tmp_path)
     words = words_of(tmp_path)
     assert "read literally, as a quantum efficiency: it peaks at 0.0415. The process 0.35um states 0.37 (A: measured" in words

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.tiny import TINY, tiny
 from PIL import Image
 
 import pixsim
@@ -22,7 +23,7 @@ from pixsim.show.pictures import (
     COLUMNS,
     DETAIL_DOTS,
     TITLE,
-    Tile,
+    Picture,
     Window,
     contact_sheet_png,
     delta_e_colours,
@@ -36,20 +37,12 @@ from pixsim.show.pictures import SHEET_GAP as GAP
 from pixsim.show.pictures import SHEET_MARGIN as MARGIN
 from pixsim.studies.result import StudyResult
 
-STUDY = {
-    "name": "views",
-    "repeats": 2,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
-    "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]},
-    "display": {"dots": 160, "samples_per_deg": 10.0},
-}
-
 WHOLE = Window(0.0, 0.0, 1.0, 1.0)
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
-    return pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path_factory.mktemp("views"), jobs=1)
+def result(tiny_result: StudyResult) -> StudyResult:
+    return tiny_result
 
 
 def decoded(png: bytes) -> np.ndarray:
@@ -136,8 +129,8 @@ def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how:
 
 def test_a_study_with_a_dot_a_pixel_has_views_of_pixels_as_large_as_a_detail(tmp_path: Path) -> None:
     """Their pictures have one dot to 17: no window of the finest picture is empty in any."""
-    more = {"display": {"raster": "one_to_one", "samples_per_deg": 10.0}, "pitch": {"values_um": [20, 40, 400, 900, 2000]}}
-    result = pixsim.study(pixsim.Study.model_validate(STUDY | more | {"name": "coarse"}), tmp_path, jobs=1)
+    more = {"display": {"raster": "one_to_one"}, "pitch": {"values_um": [20, 40, 400, 900, 2000]}}
+    result = pixsim.study(tiny(**more, name="coarse"), tmp_path, jobs=1)
     curve = result.curves[0]
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)
@@ -150,16 +143,16 @@ def test_whole_pictures_of_a_study_are_bounded_and_details_are_not(result: Study
     curve = result.curves[0]
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)
-    assert views.factor == 3
-    means = best.ideal[:156, :156].reshape(52, 3, 52, 3).mean(axis=(1, 3))
+    assert views.factor == 2
+    means = best.ideal.reshape(59, 2, 59, 2).mean(axis=(1, 3))
     np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(means))
-    assert {(each.width, each.height) for each in views.outputs} == {(52, 52)}
+    assert {(each.width, each.height) for each in views.outputs} == {(59, 59)}
     assert {(each.width, each.height) for each in views.tiles} == {(112, 112)}
 
 
 @pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
 def test_the_views_of_a_study(raster: str, tmp_path: Path) -> None:
-    study = pixsim.Study.model_validate(STUDY | {"display": STUDY["display"] | {"raster": raster}, "detail": [0.9, 0.9]})
+    study = tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9])
     result = pixsim.study(study, tmp_path, jobs=1)
     curve = result.curves[0]
     at = best_place(curve)
@@ -219,7 +212,7 @@ def test_the_bar_of_colours_is_the_maps_scale() -> None:
 
 def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
     rng = np.random.default_rng(1)
-    tiles = [Tile(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
+    tiles = [Picture(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
     sheet = decoded(contact_sheet_png("a title", tiles))
     for number, tile in enumerate(tiles):
         x = MARGIN + number % COLUMNS * (112 + GAP)
@@ -232,7 +225,7 @@ def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
 
 @pytest.mark.parametrize("title", ["two\nlines\tand \x1b[31m", "n" * 5000, "\u202e", ""])
 def test_no_title_breaks_a_sheet_or_widens_it_beyond_bounds(title: str) -> None:
-    tiles = [Tile(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
+    tiles = [Picture(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
     sheet = decoded(contact_sheet_png(title, tiles))
     assert sheet.shape[0] == decoded(contact_sheet_png("plain", tiles)).shape[0]
     assert sheet.shape[1] < 2500
@@ -242,13 +235,13 @@ def test_no_title_breaks_a_sheet_or_widens_it_beyond_bounds(title: str) -> None:
 
 
 def test_the_place_of_the_detail_does_not_change_a_row(result: StudyResult, tmp_path: Path) -> None:
-    study = pixsim.Study.model_validate(STUDY | {"detail": [0.1, 0.2]})
+    study = tiny(paper=True, display={"dots": 120}, detail=[0.1, 0.2])
     again = pixsim.study(study, tmp_path, jobs=1)
     np.testing.assert_array_equal(again.curves[0].delta_e, result.curves[0].delta_e)
     assert replace(again, study=result.study).as_dict() == result.as_dict()
     text = (tmp_path / "results.csv").read_text(encoding="utf-8")
     (tmp_path / "results.csv").unlink()
-    pixsim.study(pixsim.Study.model_validate(STUDY), tmp_path, jobs=1)
+    pixsim.study(result.study, tmp_path, jobs=1)
     assert (tmp_path / "results.csv").read_text(encoding="utf-8") == text
 
 
@@ -257,4 +250,4 @@ def test_a_place_outside_the_picture_is_refused(detail: object) -> None:
     from pixsim.base.parameters import Layer
 
     with pytest.raises(PixsimError, match="detail"):
-        checked(pixsim.Study, [Layer(STUDY | {"detail": detail}, "a test")])
+        checked(pixsim.Study, [Layer(TINY | {"detail": detail}, "a test")])

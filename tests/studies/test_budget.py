@@ -70,7 +70,7 @@ def work_of(found: Calibration, tolerance: float, free: bool = True) -> float:
     """Of the choice, found again among the options."""
     choice = choose(found, tolerance, film_is_free=free)
     options = [e for w in widths_of(found) for e in options_of(found, w, tolerance - found.film(w).delta_e)]
-    return min(each.work for each in options if replace(each.choice, met=True) == choice)
+    return min(each.work for each in options if replace(each, met=True) == choice)
 
 
 # --- Films ---

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
 from helpers.tasks import die_always, die_once, double, fail, nothing, warn
+from helpers.tiny import tiny_toml
 
 import pixsim
 from pixsim.base import cache
@@ -32,20 +33,13 @@ from pixsim.studies.study import load_study
 from pixsim.viewer.score import Bench
 
 COMMAND = Path(sys.executable).with_name("pixsim")
-TOML = """
-name = "tiny"
-repeats = 4
-scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
-pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
-display = { dots = 96, samples_per_deg = 10.0 }
-"""
 ROWS = 24
 
 
 @pytest.fixture(scope="module")
 def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("study") / "tiny.toml"
-    path.write_text(TOML, encoding="utf-8")
+    path.write_text(tiny_toml(repeats=4), encoding="utf-8")
     return path
 
 
@@ -290,8 +284,14 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield running
 
 
-def test_a_cluster_gives_the_same_bytes(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
-    pixsim.study(toml, tmp_path, scheduler=cluster)
+@pytest.mark.parametrize("by", ["address", "client"])
+def test_a_cluster_gives_the_same_bytes(by: str, cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+    from distributed import Client
+
+    with Client(cluster) as client:
+        pixsim.study(toml, tmp_path, scheduler=client if by == "client" else cluster)
+        assert client.status == "running", "it stays open"
+        assert len(client.scheduler_info()["workers"]) == 2
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
@@ -318,16 +318,6 @@ def test_a_technology_is_sent_to_the_workers(cluster: str, toml: Path, tmp_path:
         assert there == here
         found.append(here)
     assert found[0] != found[1]
-
-
-def test_a_client_serves_and_stays_open(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
-    from distributed import Client
-
-    with Client(cluster) as client:
-        pixsim.study(toml, tmp_path, scheduler=client)
-        assert client.status == "running"
-        assert len(client.scheduler_info()["workers"]) == 2
-    assert (tmp_path / "results.csv").read_bytes() == expected
 
 
 @pytest.mark.parametrize(

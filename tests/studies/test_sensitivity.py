@@ -5,9 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-import shlex
+import tomllib
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +14,10 @@ import numpy as np
 import pytest
 from benchmarks.paper_table import claims_table, counts, tornado_table
 from helpers.browser import BROWSER, assert_fits, assert_prints
+from helpers.commands import command
+from helpers.tiny import PITCHES_UM, rows, tiny_toml
 
 import pixsim
-from pixsim import cli
 from pixsim.base.config import packaged, read_toml
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import load_technology
@@ -31,7 +31,6 @@ from pixsim.studies.sensitivity import (
     Sensitivity,
     SensitivityResult,
     cases_of,
-    differing,
     file_name,
     moves_of,
     run_sensitivity,
@@ -41,32 +40,14 @@ from pixsim.studies.sensitivity import (
 )
 from pixsim.studies.study import load_study, refuse_bad_pitches
 
-PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
-BASE_TOML = """
-name = "tiny"
-seed = 1
-target_ci_um = 0.5
-technologies = ["0.35um", "0.25um"]
-scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
-display = { dots = 96, samples_per_deg = 10.0 }
-pixel = { prnu = 0.02 }
-"""
-SENSITIVITY = {
-    "name": "tiny-sensitivity",
-    "base": "tiny.toml",
-    "repeats": 2,
-    "pitch": {"values_um": PITCHES_UM},
-    "vary": [
-        {"name": "PRNU", "settings": [{"label": "2 %", "set": {"pixel": {"prnu": 0.02}}}]},
-        {
-            "name": "light",
-            "settings": [
-                {"label": "half", "set": {"scene": {"parameters": {"luminance_cd_per_m2": 50.0}}}},
-                {"label": "f/2.8", "set": {"camera": {"f_number": 2.8}}},
-            ],
-        },
-    ],
-}
+BASE_TOML = tiny_toml(
+    repeats=4,
+    seed=1,
+    target_ci_um=0.5,
+    technologies=["0.35um", "0.25um"],
+    pixel={"prnu": 0.02},
+    pitch={"values_um": [4.0, 5, 6, 7, 8]},
+)
 SENSITIVITY_TOML = """
 name = "tiny-sensitivity"
 base = "tiny.toml"
@@ -84,6 +65,9 @@ settings = [
 """
 
 
+SENSITIVITY = tomllib.loads(SENSITIVITY_TOML)
+
+
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A working folder with both files."""
@@ -98,11 +82,6 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def done(desk: Path) -> tuple[SensitivityResult, Path]:
     return run_sensitivity(Sensitivity.model_validate(SENSITIVITY), desk / "one", jobs=1), desk / "one"
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def cases(folder: Path) -> dict[str, bytes]:
@@ -152,16 +131,6 @@ def test_a_second_run_evaluates_nothing_and_a_lost_case_is_done_again(
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
-
-
-def command(line: str) -> tuple[int, str, str]:
-    """`pixsim LINE` in this process: exit code, stdout, stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        words = shlex.split(line)
-        with pytest.raises(SystemExit) as end:
-            cli.main(words)
-    return end.value.code, out.getvalue(), err.getvalue()
 
 
 def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[SensitivityResult, Path]) -> None:
@@ -231,27 +200,6 @@ WORSE = "The best mean ΔE gets worse as technology shrinks"
 PAPER = [6.5, 5.2, 4.1], [0.5, 0.55, 0.6]  # 18.6, 20.8 and 22.8 features
 
 
-@pytest.mark.parametrize(
-    ("sizes_um", "best", "missed"),
-    [
-        (*PAPER, set()),
-        ([6.5, 6.6, 4.1], PAPER[1], {SHRINKS, SLOWER}),  # 26.4 features in the middle
-        ([6.5, 4.6, 3.0], PAPER[1], {SLOWER}),  # 16.7 features at last
-        (PAPER[0], [0.5, 0.6, 0.4], {WORSE}),
-        (PAPER[0], [0.5, 0.65, 0.6], {WORSE}),  # worse on the whole, better at one step
-        ([6.5, 6.6, 3.0], [0.5, 0.6, 0.4], {SHRINKS, SLOWER, WORSE}),
-    ],
-)
-def test_what_the_optima_say_about_scaling(sizes_um: list[float], best: list[float], missed: set[str]) -> None:
-    found = case(sizes_um, best)
-    assert found.agrees == {name: name not in missed for name in (SHRINKS, SLOWER, WORSE)}
-    assert set(differing(found, case(*PAPER))) == missed
-
-
-def test_one_technology_says_nothing_about_scaling() -> None:
-    assert scaling_rows([curve(0.35, 6.5, 0.5)]) == []
-
-
 def synthetic() -> SensitivityResult:
     """Optima of the first technology 6.5 (base); narrow 6.4; wide 6 to 8; one-sided 7."""
     moved = [("narrow", "a", 6.4), ("wide", "b", 6.0), ("one-sided", "c", 7.0), ("wide", "d", 8.0)]
@@ -263,7 +211,8 @@ def synthetic() -> SensitivityResult:
     )
     found = tuple(case([size, *PAPER[0][1:]], PAPER[1], *names) for *names, size in moved)
     alone = replace(case([12.0, *PAPER[0][1:]], PAPER[1], "narrow", "0.35um"), alone="0.35um")
-    return SensitivityResult(sensitivity, base, tuple(scaling_rows(base.curves)), (*found, alone))
+    base_case = Case("base", sensitivity.base, base.curves, tuple(scaling_rows(base.curves)))
+    return SensitivityResult(sensitivity, base, base_case, (*found, alone))
 
 
 def test_what_turns_a_verdict_is_found_by_hand() -> None:
@@ -368,7 +317,7 @@ def test_a_technology_that_stays_is_not_computed_again(ranged: tuple[Sensitivity
     assert sorted(map(len, technologies)) == [1] * 6 + [2] * 2
     (alone,) = [each for each in result.cases if each.label == "0.25um 9"]
     assert alone.curves[0] is result.base.curves[0]
-    assert alone.rows[: len(alone.rows) - 3] == result.base_rows[: len(alone.rows) - 3]
+    assert alone.rows[: len(alone.rows) - 3] == result.base_case.rows[: len(alone.rows) - 3]
 
 
 def test_the_page_and_the_summary_say_what_turns_each_verdict(ranged: tuple[SensitivityResult, Path], desk: Path) -> None:

@@ -1,21 +1,20 @@
 """Studies: what is computed, what is kept, and that neither depends on workers, threads, order or interruptions."""
 
-import csv
-import io
 import json
 import shlex
 import signal
 import subprocess
 import sys
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.commands import command
 from helpers.processes import HANG_S, signalled
+from helpers.tiny import PITCHES_UM, keys, rows, tiny_toml
+from helpers.tiny import tiny as tiny_study
 
 import pixsim
-from pixsim import cli
 from pixsim.base import cache
 from pixsim.base.arrays import stream
 from pixsim.base.config import packaged, read_toml
@@ -29,40 +28,13 @@ from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study
 from pixsim.viewer.score import Bench
 
-PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+OWN = {"repeats": 3, "seed": 1}
+TINY_TOML = tiny_toml(**OWN)
 FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
-# Dim, so that few and coarse dots show a minimum between noise and blur.
-TINY = {
-    "name": "tiny",
-    "repeats": 3,
-    "seed": 1,
-    "iso_delta_e": 1.0,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
-    "pitch": {"values_um": PITCHES_UM},
-    "display": {"dots": 96, "samples_per_deg": 10.0},
-}
-TINY_TOML = """
-name = "tiny"
-repeats = 3
-seed = 1
-iso_delta_e = 1.0
-scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
-pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
-display = { dots = 96, samples_per_deg = 10.0 }
-"""
 
 
 def tiny(**over: object) -> pixsim.Study:
-    return pixsim.Study.model_validate(merge(TINY, over))
-
-
-def rows(folder: Path) -> list[dict[str, str]]:
-    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def keys(folder: Path) -> list[str]:
-    return [row["key"] for row in rows(folder)]
+    return tiny_study(**OWN | over)
 
 
 @pytest.fixture(scope="module")
@@ -93,11 +65,9 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("command")
     toml = folder / "tiny.toml"
     toml.write_text(TINY_TOML, encoding="utf-8")
-    with redirect_stdout(io.StringIO()) as out:
-        words = ["study", str(toml), "--out", str(folder / "out"), "--jobs", "1"]
-        with pytest.raises(SystemExit, match="0"):
-            cli.main(words)
-    (folder / "stdout").write_text(out.getvalue(), encoding="utf-8")
+    code, told, _ = command(f"study {toml} --out {folder / 'out'} --jobs 1")
+    assert code == 0
+    (folder / "stdout").write_text(told, encoding="utf-8")
     return folder
 
 
@@ -142,18 +112,6 @@ def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluati
     assert evaluations == []
     assert (folder / "results.csv").read_bytes() == before
     assert again.as_dict() == done[0].as_dict()
-
-
-def test_sensors_that_a_target_asked_for_are_kept_too(tmp_path: Path, evaluations: list[Frame]) -> None:
-    study = tiny(repeats=2, target_ci_um=1e-6, max_repeats=4, pitch={"values_um": FIVE_UM})
-    first = pixsim.study(study, tmp_path, jobs=1)
-    evaluated = len(evaluations)
-    assert 10 < evaluated == first.curves[0].sensors.sum() <= 20
-    before = (tmp_path / "results.csv").read_bytes()
-    again = pixsim.study(study, tmp_path, jobs=1)
-    assert len(evaluations) == evaluated, "evaluated again"
-    assert (tmp_path / "results.csv").read_bytes() == before
-    assert again.as_dict() == first.as_dict()
 
 
 # 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
@@ -250,26 +208,6 @@ def test_numbers_of_one_technology_leave_the_others_rows_alone(done: tuple[Study
     assert tiny(process={}).content_hash == tiny().content_hash
 
 
-@pytest.mark.parametrize(
-    ("process", "told"),
-    [
-        ({"0.25um": {"dsnu": 0.1}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
-        ({"0.35um": {"dsn": 0.1}}, r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'"),
-        ({"0.35um": {"dsnu": -0.1}}, r"process\.0\.35um: dsnu: got -0\.1; allowed: greater"),
-        ({"0.35um": {"voltage_swing_v": 9.0}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
-        ({"0.35um": {"fill_factor_zero_pitch_features": 16.0}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
-        ({"0.35um": {"dsnu": float("nan")}}, r"(?s)process.*dsnu.*finite"),
-    ],
-)
-def test_numbers_that_a_technology_cannot_have_are_refused_before_the_render(
-    process: dict[str, dict[str, float]], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
-    with pytest.raises(ValueError, match=told):
-        pixsim.study(tiny(process=process), tmp_path / "out", jobs=1)
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_data_sheet_has_no_numbers_of_a_process() -> None:
     sheet = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1, "quantum_efficiency": 0.5, "data_sheet_pitch_um": 3}
     study = tiny(technologies=("none",), pixel=sheet, process={"none": {"dsnu": 0.1}})
@@ -297,11 +235,8 @@ def test_pixel_options_are_the_file_s_own_table_bit_for_bit(tmp_path: Path) -> N
     (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
     (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
     told = "--pixel.response scaled --pixel.prnu 0.01"
-    for line in (f"plain.toml {told} --out option", "scaled.toml --out file", "plain.toml --out plain"):
-        name, *words = line.split()
-        out = tmp_path / words.pop()
-        with redirect_stdout(io.StringIO()), pytest.raises(SystemExit, match="0"):
-            cli.main(["study", str(tmp_path / name), *words, str(out), "--jobs", "1"])
+    for words, out in ((f"plain.toml {told}", "option"), ("scaled.toml", "file"), ("plain.toml", "plain")):
+        assert command(f"study {tmp_path}/{words} --out {tmp_path / out} --jobs 1")[0] == 0
     pixsim.study(tmp_path / "plain.toml", tmp_path / "python", pixel={"response": "scaled", "prnu": 0.01}, jobs=1)
     results = {name: (tmp_path / name / "results.csv").read_bytes() for name in ("option", "file", "plain", "python")}
     assert results["option"] == results["file"] == results["python"]
@@ -433,6 +368,12 @@ def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], 
         ({"pitch": {"values_um": [6, 7, 8, 9, 2714]}}, r"2714.*2713\.6 µm"),
         ({"technologies": ("0.35um", "0.3um")}, r"0\.3um"),
         ({"technologies": ("0.35um", "0.35um")}, r"0\.35um"),
+        ({"process": {"0.25um": {"dsnu": 0.1}}}, r"process: got '0\.25um'; allowed: technologies of the study: 0\.35um"),
+        ({"process": {"0.35um": {"dsn": 0.1}}}, r"process\.0\.35um: got 'dsn'; allowed: .*Did you mean 'dsnu'"),
+        ({"process": {"0.35um": {"dsnu": -0.1}}}, r"process\.0\.35um: dsnu: got -0\.1; allowed: greater"),
+        ({"process": {"0.35um": {"voltage_swing_v": 9.0}}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
+        ({"process": {"0.35um": {"fill_factor_zero_pitch_features": 16.0}}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
+        ({"process": {"0.35um": {"dsnu": float("nan")}}}, r"(?s)process.*dsnu.*finite"),
     ],
 )
 def test_what_cannot_be_made_is_refused_before_the_render(

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import shutil
-import tomllib
 from collections.abc import Iterator
-from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.commands import command
 from helpers.dense_curves import simulated
+from helpers.tiny import keys, tiny_toml
+from helpers.tiny import tiny as tiny_study
 
 import pixsim
-from pixsim import cli
 from pixsim.report.wording import target_notes
 from pixsim.sensor.readout import Frame
 from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
@@ -130,7 +128,8 @@ def test_the_variance_of_the_rise_is_that_of_drawn_curves(fit: FittedCurve) -> N
     low, high = fit.optimum.interval_um
     places = fit.places_of(np.array([low, fit.optimum.pitch_um, high]))
     mean = np.interp(fit.places_of(PITCH), fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
-    posterior = Posterior(replace(fit.design, noise=fit.noise * mean**2), fit.stiffness, fit.residual, PITCH)
+    best = fit.likeliest
+    posterior = Posterior(replace(best.design, noise=fit.noise * mean**2), best.stiffness, best.residual, PITCH)
     covariance = posterior.covariance(places)
     rises = sum(covariance[end, end] + covariance[1, 1] - 2 * covariance[end, 1] for end in (0, 2))
     assert variance == pytest.approx(rises, rel=1e-6)
@@ -216,39 +215,25 @@ def test_rounds_narrow_the_interval(seed: int) -> None:
 
 # --- Studies with pictures ---------------------------------------------------------------------------------------------
 
-TOML = """
-name = "tiny"
-repeats = 2
-seed = 1
-target_ci_um = 0.01
-max_evaluations = 30
-scene = { file = "csf", parameters = { resolution = 96, spp = 4, luminance_cd_per_m2 = 100.0 } }
-pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
-display = { dots = 96, samples_per_deg = 10.0 }
-"""
+OWN = {"seed": 1, "target_ci_um": 0.01, "max_evaluations": 30}
 EVALUATIONS = 28  # 12 to begin with and two rounds of 8; a third would be more than allowed
 
 
 @pytest.fixture
 def toml(tmp_path: Path) -> Path:
     path = tmp_path / "tiny.toml"
-    path.write_text(TOML, encoding="utf-8")
+    path.write_text(tiny_toml(**OWN), encoding="utf-8")
     return path
 
 
 def tiny(**over: object) -> pixsim.Study:
-    return pixsim.Study.model_validate(tomllib.loads(TOML) | over)
+    return tiny_study(**OWN | over)
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     folder = tmp_path_factory.mktemp("done")
     return pixsim.study(tiny(), folder, jobs=1), folder
-
-
-def keys(folder: Path) -> list[str]:
-    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
-        return [row["key"] for row in csv.DictReader(file)]
 
 
 def summary(result: StudyResult) -> str:
@@ -326,12 +311,12 @@ def test_without_its_target_a_study_keeps_the_other_rows_aside(
 
 def test_the_command_says_which_limit_ended_it(done: tuple[StudyResult, Path], toml: Path, tmp_path: Path) -> None:
     shutil.copytree(done[1], tmp_path / "out")
-    with redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit, match="0"):
-        cli.main(["study", str(toml), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    code, told, _ = command(f"study {toml} --out {tmp_path / 'out'} --jobs 1")
+    assert code == 0
     (note,) = target_notes(done[0])
     half_um = done[0].curves[0].optimum.half_width_um
     where = f"± {half_um:.2g} µm" if half_um < np.inf else "open at an end"
-    assert note in out.getvalue()
+    assert note in told
     done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations in all (max_evaluations)"
     assert note == f"note: 0.35um: the interval is {where} after {done_of}, not ± 0.01 µm (target_ci_um)"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

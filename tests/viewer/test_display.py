@@ -144,18 +144,6 @@ def test_averaging_over_dots_keeps_the_mean(pixels):
         np.testing.assert_allclose(shown, blocks / 1000, atol=1e-6)
 
 
-def test_averaging_by_hand():
-    # Cells of 1, 5, 3 from 0 to 3: means over [0.5, 2], [2, 2.5] and, going on constant, over [2.5, 6].
-    edges = np.array([0.5, 2.0, 2.5, 6.0])
-    found = displays.average_axis(np.array([1.0, 5.0, 3.0]), 1.0, 0.0, edges, 0, 0)
-    np.testing.assert_allclose(found, [(0.5 + 5) / 1.5, 3.0, 3.0], rtol=1e-12)
-    # The line from 0 at 0.5 to 1 at 1.5, constant beyond: ∫ over [1, 2] is (0.5 + 1)/2 · 0.5 + 0.5.
-    line = displays.average_axis(np.array([0.0, 1.0]), 1.0, 0.0, np.array([-1.0, 0.5, 1.5]), 1, 0)
-    np.testing.assert_allclose(line, [0.0, 0.5], atol=1e-12)
-    after = displays.average_axis(np.array([0.0, 1.0]), 1.0, 0.0, np.array([1.0, 2.0, 4.0]), 1, 0)
-    np.testing.assert_allclose(after, [0.875, 1.0], rtol=1e-12)
-
-
 @pytest.mark.parametrize(("interpolation", "weight"), [("nearest", 0.5), ("linear", 2 * (7**2 + 1) / 16**2)])
 def test_averaging_makes_noise_fall_with_the_number_of_pixels(interpolation, weight):
     # Four equal pixels a dot halve the noise; the dot's mean of lines between pixels weighs 1, 7, 7, 1 sixteenths an axis.
@@ -300,7 +288,7 @@ def test_a_pixel_fewer_leaves_no_seam():
     ends, mean = [], []
     for pitch_um in (6.7840, 6.7847):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = bench_of(project(light, camera, physics, Display(), border_um=15.0), physics, LONG, Display())
+        bench = bench_of(project(light, camera, physics, Display(), border_um=15.0), physics, LONG)
         map_ = bench.score("seam").delta_e
         assert map_.shape[1] == 506
         ends.append([map_[:, 0].mean(), map_[:, -1].mean()])
@@ -382,8 +370,10 @@ def test_ever_smaller_perfect_pixels_show_the_ideal_image(csf, bits, most):
     display, found = Display(bits=bits), {}
     for pitch_um in (5.3, 2.65, 1.325, 0.53):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = bench_of(project(irradiance, camera, physics, display, border_um=15.0), physics, LONG, display)
-        found[pitch_um] = bench.score_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator)).mean_delta_e
+        bench = bench_of(project(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
+        found[pitch_um] = bench.view(
+            bench.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator))
+        ).mean_delta_e
     assert 0 < found[0.53] <= most
     for pitch_um in (5.3, 2.65):
         assert 3.3 < found[pitch_um] / found[pitch_um / 2] < 4.5

@@ -1,0 +1,47 @@
+"""A study that takes a second: few samples, few dots, six pixel sizes; and its rows as they lie in a folder."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pixsim
+from pixsim.base.parameters import merge
+
+PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
+# Dim, so that few and coarse dots show a minimum between noise and blur.
+TINY: dict[str, Any] = {
+    "name": "tiny",
+    "repeats": 2,
+    "iso_delta_e": 1.0,
+    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
+    "pitch": {"values_um": PITCHES_UM},
+    "display": {"dots": 96, "samples_per_deg": 10.0},
+}
+
+
+def tiny(**over: Any) -> pixsim.Study:
+    return pixsim.Study.model_validate(merge(TINY, over))
+
+
+def tiny_toml(**over: Any) -> str:
+    """The same as the text of a file."""
+    return "".join(f"{name} = {toml_of(value)}\n" for name, value in merge(TINY, over).items())
+
+
+def toml_of(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(name)} = {toml_of(each)}" for name, each in value.items()) + " }"
+    return json.dumps(value)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """Of results.csv in a folder, or of a file."""
+    with (path / "results.csv" if path.is_dir() else path).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def keys(folder: Path) -> list[str]:
+    return [row["key"] for row in rows(folder)]

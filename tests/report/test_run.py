@@ -1,0 +1,355 @@
+"""`pixsim run` through the command: pictures made before or elsewhere; and the page of one picture, which opens alone."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
+from helpers.commands import assert_refused, command
+from helpers.looks import text_of
+
+import pixsim
+from pixsim.base.parameters import CameraOptions
+from pixsim.light.exr import read_channels, write_channels
+from pixsim.optics.exchange import read_with_camera, write_npz
+from pixsim.report.run import FILES, shown_picture
+from pixsim.show.pictures import MOST_PICTURE_DOTS as MOST_DOTS
+from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced
+
+OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
+LENS = "--camera.f-number 2.8"
+
+
+def scored(line: str) -> tuple[dict, str]:
+    """score.json, and what was warned of."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        code, out, err = command(line)
+    assert code == 0, err
+    return json.loads(out), err
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """A run's folder and its score."""
+    out = tmp_path_factory.mktemp("rendered")
+    line = f"run csf --variant scalar_spectral -D resolution=64 {LENS} {OPTIONS} --json --out {out}"
+    return out, scored(line)[0]
+
+
+@pytest.mark.parametrize("lens", ["", LENS])
+def test_a_runs_irradiance_gives_its_score_again(rendered, lens, tmp_path):
+    folder, before = rendered
+    after, err = scored(f"run {folder / 'irradiance.exr'} {lens} {OPTIONS} --json --out {tmp_path / 'again'}")
+    assert err == ""
+    for name in ("mean_delta_e", "max_delta_e", "mean_electrons_e", "integration_s", "camera", "irradiance"):
+        assert after[name] == before[name], name
+    for name in ("raw.exr", "delta_e.exr", "image.png", "ideal.png", "irradiance.exr"):
+        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
+    assert "render_noise" not in after
+    assert "plan" not in after
+    assert before["camera"]["f_number"] == 2.8
+
+
+def test_another_pixel_or_seed_gives_another_score(rendered, tmp_path):
+    folder, before = rendered
+    for option, other in (("--seed 3", "--seed 4"), ("--pixel.pitch-um 21.2", "--pixel.pitch-um 42.4")):
+        after, _ = scored(f"run {folder / 'irradiance.exr'} {OPTIONS.replace(option, other)} --json --out {tmp_path}")
+        assert after["mean_delta_e"] != before["mean_delta_e"]
+
+
+def test_an_npz_gives_the_same_score(rendered, tmp_path):
+    """Its bands are at their centres: at 400 and 800 nm, where the response begins and ends, that is half a band too much."""
+    folder, before = rendered
+    write_npz(tmp_path / "picture.npz", pixsim.read_exr(folder / "irradiance.exr"))
+    after, err = scored(f"run {tmp_path / 'picture.npz'} {LENS} {OPTIONS} --json --out {tmp_path / 'out'}")
+    assert err == ""
+    assert after["irradiance"]["luminance_cd_per_m2"] == pytest.approx(1000, rel=1e-5)  # d65 at the digits of emitter_scale
+    electrons = after["mean_electrons_e"] / after["integration_s"]
+    assert electrons == pytest.approx(before["mean_electrons_e"] / before["integration_s"], rel=1e-2)
+    # Other noise, and D65 as white where the file tells no lamp.
+    assert after["mean_delta_e"] == pytest.approx(before["mean_delta_e"], rel=0.02)
+
+
+def test_a_camera_from_the_file_has_the_pictures_die(rendered):
+    folder, _ = rendered
+    image, camera = read_with_camera(folder / "irradiance.exr", CameraOptions())
+    assert camera == pixsim.Camera(f_number=2.8)
+    assert camera.die_mm == pytest.approx(image.pitch_um * 64 / 1e3)
+
+
+def test_another_lens_than_the_files_is_warned_of(rendered, tmp_path):
+    folder, _ = rendered
+    _, err = scored(f"run {folder / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}")
+    assert err.startswith("warning: the irradiance was rendered with another camera")
+
+
+# --- Pictures made elsewhere ---
+
+NM = np.array([450.0, 550.0, 650.0])
+
+
+def foreign_exr(path: Path, units: str | None, light: float = 0.01) -> Path:
+    """A ramp of 4 × 64 × 64 samples in the layout of Fichet et al."""
+    ramp = np.tile(np.linspace(0.2, 1, 64, dtype=np.float32) * light, (64, 1))
+    header = {"spectralLayoutVersion": "1.0"} | ({"emissiveUnits": units} if units else {})
+    write_channels(path, {f"S0.{int(nm)},000000nm": ramp for nm in NM}, header)
+    return path
+
+
+def test_light_without_units_is_refused_with_the_way_to_state_them(tmp_path):
+    path = foreign_exr(tmp_path / "bare.exr", None)
+    out = tmp_path / "out"
+    assert_refused(*command(f"run {path} {OPTIONS} --out {out}"), ["bare.exr", "none in the file", "--units", "W.m^-2.nm^-1"])
+    assert not out.exists()
+    stated, err = scored(f"run {path} --units W.m^-2.nm^-1 {OPTIONS} --json --out {out}")
+    assert "the scene does not tell its white" in err
+    told, _ = scored(f"run {foreign_exr(path, 'W.m^-2.nm^-1')} {OPTIONS} --json --out {out}")
+    assert told["mean_electrons_e"] == stated["mean_electrons_e"]
+    micro, _ = scored(f"run {foreign_exr(path, None, 1.0)} --units uW/cm^2/nm {OPTIONS} --json --out {out}")
+    assert micro["mean_electrons_e"] == pytest.approx(stated["mean_electrons_e"], rel=1e-6)  # 1 µW/cm² is 0.01 W/m²
+
+
+def test_radiance_is_seen_through_the_lens(tmp_path):
+    path = foreign_exr(tmp_path / "seen.exr", "W.m^-2.sr^-1.nm^-1", 0.1)
+    exposure = "--exposure.integration-s 1e-4"
+    rates = [
+        scored(f"run {path} --camera.f-number {n} {exposure} {OPTIONS} --json --out {tmp_path / 'out'}")[0]["mean_electrons_e"]
+        for n in (4, 8)
+    ]
+    m = pixsim.Camera().magnification
+    # On the axis; 20° off it .5 % more. 4 for 1/N² alone is 1.2 % off.
+    expected = (1 + 4 * 64 * (1 + m) ** 2) / (1 + 4 * 16 * (1 + m) ** 2)
+    assert rates[0] / rates[1] == pytest.approx(expected, rel=5e-3)
+
+
+def test_the_white_of_a_picture_that_tells_none_is_measured(tmp_path):
+    path = foreign_exr(tmp_path / "ramp.exr", "W.m^-2.sr^-1.nm^-1")
+    told, err = scored(f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}")
+    image, camera = read_with_camera(path, CameraOptions())
+    lens = camera.image_distance_mm, camera.f_number, camera.magnification
+    luminance = image.illuminance_lx() / pixsim.optics.field_factor(image.shape, image.pitch_um, *lens)
+    white = float(f"{np.percentile(luminance, 99):.2g}")
+    assert told["irradiance"]["luminance_cd_per_m2"] == white
+    assert told["irradiance"]["white_from"] == "99th percentile"
+    # 683.002 ∫ ȳ L of the ramp's light end, even over bands of 100 nm, within the two digits.
+    fine_nm = NM[:, None] + np.linspace(-49.5, 49.5, 100)
+    bands = 683.002 * 0.01 * float(pixsim.spectral.photopic_efficiency(fine_nm).sum())
+    assert white == pytest.approx(bands, rel=0.06)
+    assert err == (
+        f"warning: the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
+        f"set --display.white-cd-per-m2 {white:g} to keep it\n"
+    )
+    kept, err = scored(f"run {path} --display.white-cd-per-m2 {white:g} {OPTIONS} --json --out {tmp_path / 'out'}")
+    assert err == ""
+    assert kept["mean_delta_e"] == told["mean_delta_e"]
+    assert "white_from" not in kept["irradiance"]
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("csf --units W.m^-2.nm^-1", ["--units", "csf", "a picture"]),
+        ("{exr} -D resolution=64", ["-D", "irradiance.exr", "a Mitsuba scene"]),
+        ("{exr} --sensor camera", ["--sensor", "irradiance.exr"]),
+        ("{exr} --variant scalar_spectral", ["--variant", "irradiance.exr"]),
+        ("{exr} --units W.m^-2.sr^-1.nm^-1", ["units", "W.m^-2.nm^-1 in the file"]),
+        ("{exr} --camera.die-mm 5", ["pitch", "die_mm"]),
+        ("{exr} --pixel.pitch-um 3000", ["pitch_um", "3000", "2713.6"]),
+        ("gone.exr", ["gone.exr", "does not exist"]),
+        ("gone.npz", ["gone.npz"]),
+    ],
+)
+def test_what_does_not_go_together_is_refused(rendered, line, wanted, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(*command("run " + line.format(exr=rendered[0] / "irradiance.exr") + " --out out"), wanted)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_holds_one_run(rendered, tmp_path):
+    """What an earlier run wrote and this one leaves out is not of these pictures; the light that they are of stays."""
+    folder, _ = rendered
+    light = tmp_path / "irradiance.exr"
+    light.write_bytes((folder / "irradiance.exr").read_bytes())
+    here = f"--no-irradiance {OPTIONS} --json --out {tmp_path}"
+    scored(f"run {light} {here} --raw tiff")
+    assert {"irradiance.exr", "raw.tiff", "report.html"} <= {path.name for path in tmp_path.iterdir()}
+    assert "irradiance.exr" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+    scored(f"run {folder / 'irradiance.exr'} {here}")
+    assert not {"irradiance.exr", "raw.tiff"} & {path.name for path in tmp_path.iterdir()}
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert {name for name in ("raw.tiff", "raw.exr", "score.json") if f'href="{name}"' in page} == {"raw.exr", "score.json"}
+
+
+# --- The page of one picture ---
+
+LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("ran") / "out"
+    code, told, err = command(f"{LINE} {out}")
+    assert code == 0, err
+    assert told.splitlines()[0].endswith(f"report: {out / 'report.html'}")
+    return out
+
+
+def test_it_tells_what_score_json_holds(ran: Path) -> None:
+    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
+    page = " ".join(text_of(ran).split())
+    assert f"<b>{score['mean_delta_e']:.3f}</b>" in page
+    for name in ("full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e", "p99_delta_e", "max_delta_e"):
+        assert f"<td>{score[name]:.5g}</td>" in page, name
+    assert "256 × 256 pixels of 10.6 µm (0.35um) on 2.714 × 2.714 mm" in page
+    assert "3.86 mm at f/4" in page
+    assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
+    assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
+    assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the lens leaves 0.9" in page  # tests/studies/test_paper.py
+
+
+def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
+    """Irradiance as another program wrote it: a picture of ones and twos, these about half as bright as white."""
+    nm = np.arange(400.0, 701.0, 20.0)
+    data = 5e-5 * steps[:, :, None] * np.ones(nm.size)
+    np.savez(path, data=data, wavelength_nm=nm, units="W m^-2 nm^-1", pitch_um=pitch_um, white_cd_per_m2=300.0)
+    return path
+
+
+def test_it_tells_where_the_largest_errors_are(tmp_path: Path) -> None:
+    """The detail of 112 dots a side with the largest mean, on the map beside the page; fine stripes are up on the right."""
+    y, x = np.indices((128, 128))
+    light = light_file(tmp_path / "stripes.npz", 1 + ((x // 2) % 2) * (x > 80) * (y < 40), 10.0)
+    camera = "--camera.die-mm 1.28 --display.dots 256 --pixel.pitch-um 15"
+    code, _, err = command(f"run {light} {camera} --out {tmp_path / 'out'}")
+    assert code == 0, err
+    delta_e = read_channels(tmp_path / "out/delta_e.exr")[0]["delta_e"]
+    assert delta_e.shape == (250, 250)  # a pixel of 15 µm is three dots of 5 µm
+    starts = sorted({*range(0, 250 - 112 + 1, 28), 250 - 112})
+    means = {(left, top): delta_e[top : top + 112, left : left + 112].mean() for left in starts for top in starts}
+    left, top = max(means, key=means.__getitem__)
+    assert top < 40 < 100 < left
+    x_mm, y_mm = ((3 + at + 56) / 256 * 1.28 for at in (left, top))
+    page = text_of(tmp_path / "out")
+    assert f"its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
+
+
+def test_it_tells_how_to_look_at_it(ran: Path) -> None:
+    page = " ".join(text_of(ran).split())
+    distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
+    assert f"look at 100 % zoom, from where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots" in page
+    # `assert_sliders_move` meets the pictures on those sides.
+    assert "Left of the border the ideal image, right of it the sensor's picture." in page
+    assert 'alt="The sensor\'s picture (10.6 µm pixels)"' in page
+
+
+def test_it_tells_how_bright_the_scene_was(ran: Path) -> None:
+    page = " ".join(text_of(ran).split())
+    assert "display white is 1000 cd/m² in the scene; exposed for" in page
+    told = "<td>white_cd_per_m2</td><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>"
+    assert told in page
+    assert "<td>resolution</td><td>128</td>" in page
+
+
+SHEET = "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-per-s 10 --pixel.quantum-efficiency 0.6"
+
+
+def test_a_picture_from_elsewhere_and_a_sensor_of_a_data_sheet(tmp_path: Path) -> None:
+    """The page names the file, and lists no setting of a process, nor a fill factor that nobody told."""
+    y, x = np.indices((6, 3000))
+    light_file(tmp_path / "mine.npz", 1 + (x // 50 + y) % 2, 1.5)
+    sensor = f"--pixel.technology none {SHEET} --pixel.pitch-um 1.5 --display.dots 4096"
+    code, _, err = command(f"run {tmp_path / 'mine.npz'} {sensor} --camera.die-mm 4.5 --out {tmp_path / 'out'}")
+    assert code == 0, err
+    page = " ".join(text_of(tmp_path / "out").split())
+    assert "<h1>mine with 1.5 µm pixels</h1>" in page
+    assert "Irradiance: read from mine.npz." in page
+    assert str(tmp_path) not in page
+    assert "(data sheet)" in page
+    assert "What the data sheet does not tell is taken as none." in page
+    assert "comes from the technology" not in page
+    rows = set(re.findall(r"<tr><td>([^<]+)</td>", page))
+    assert {"full_well_e", "technology"} <= rows
+    assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law", "photodiode area over pixel area"} & rows
+    assert "Each dot of the whole pictures is the mean of 4 × 4 dots of the display." in page
+
+
+def test_a_picture_of_few_dots_is_enlarged_by_a_whole_number(tmp_path: Path) -> None:
+    line = f"run csf --variant scalar_spectral -D resolution=64 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
+    assert command(line)[0] == 0
+    page = text_of(tmp_path)
+    assert "--dots: 228px" in page  # 38 of 40 dots are shown
+    assert "(each dot enlarged 6 ×)" in page
+
+
+def test_its_pictures_are_the_files_beside_it(ran: Path) -> None:
+    embedded = {base64.b64decode(each) for each in re.findall(r'src="data:image/png;base64,([^"]+)"', text_of(ran))}
+    for name in ("ideal.png", "image.png", "delta_e.png"):
+        assert (ran / name).read_bytes() in embedded
+
+
+def test_it_links_to_every_file_and_fetches_none(ran: Path) -> None:
+    page = text_of(ran)
+    links = set(re.findall(r'href="([^"]+)"', page))
+    assert links == {path.name for path in ran.iterdir()} - {"report.html"}
+    assert links == {*FILES, "raw.png"}
+    assert all(each.startswith("data:") for each in re.findall(r'src="([^"]+)"', page))
+    assert "<script" not in page
+    assert str(ran.parent) not in page
+
+
+def test_it_is_the_same_bytes_each_time(ran: Path, tmp_path: Path) -> None:
+    assert command(f"{LINE} {tmp_path}")[0] == 0
+    assert (tmp_path / "report.html").read_bytes() == (ran / "report.html").read_bytes()
+
+
+@pytest.mark.parametrize(("shape", "small"), [((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))])
+def test_a_long_thin_picture_is_shown_whole_along_its_short_side(shape: tuple[int, int], small: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    whole = rng.random(shape)
+    shown = reduced(whole)
+    assert shown.shape == small
+    down, across = (n // m for n, m in zip(shape, small, strict=True))
+    assert shown[-1, -1] == pytest.approx(whole[-down:, -across:].mean())
+
+
+@pytest.mark.parametrize(("shape", "factor"), [((1024, 1024), 1), ((1025, 8), 2), ((700, 3000), 3)])
+def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], factor: int, tmp_path: Path) -> None:
+    assert factor_for(np.zeros(shape)) == factor
+    rng = np.random.default_rng(2)
+    small = rng.random([n // factor for n in shape])
+    (tmp_path / "own.png").write_bytes(b"the file's own bytes")
+    whole = np.zeros(shape)
+    inner = np.kron(small, np.ones((factor, factor)))
+    whole[: inner.shape[0], : inner.shape[1]] = inner
+    shown = shown_picture(tmp_path / "own.png", whole, "a name")
+    if factor == 1:
+        assert shown.png == b"the file's own bytes"
+    else:
+        assert shown == Picture(grey_codes(small), "a name")
+    assert (shown.height, shown.width) == small.shape
+    assert max(small.shape) <= MOST_DOTS
+
+
+@needs_browser
+def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(ran: Path, tmp_path: Path) -> None:
+    found = assert_fits(ran / "report.html", tmp_path)
+    assert_sliders_move(found, pictures=1)
+    for seen in found:
+        assert len(seen.tiles) == 3
+        assert {tuple(tile) for tile in seen.tiles} == {(112,) * 4}
+
+
+@needs_browser
+def test_it_prints(ran: Path, tmp_path: Path) -> None:
+    headings = re.findall(r"<h2>(.*?)</h2>", text_of(ran))
+    assert len(headings) == 6
+    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
+    told = [f"Mean ΔE {score['mean_delta_e']:.3f}", "score.json", "10.6 µm pixels"]
+    assert_prints(ran / "report.html", tmp_path, range(3, 6), told, headings, headings[:3])
