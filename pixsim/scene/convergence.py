@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.base.arrays import Array, row_blocks
+from pixsim.base.arrays import Array, strips
 from pixsim.base.parameters import Camera, Exposure, Pixel, content_hash
 from pixsim.light.spectral import WHOLE, SpectralImage
 from pixsim.scene.plan import Plan
@@ -128,7 +128,7 @@ def render_until(
 def _add(sums: list[Array], pictures: Sequence[Picture], weight: int) -> None:
     """Add weighted pictures in place, a few rows at a time."""
     for sum_, picture in zip(sums, pictures, strict=True):
-        for rows in row_blocks(*sum_.shape[:2]):
+        for rows in strips(*sum_.shape[:2]):
             sum_[rows] += weight * picture[rows]
 
 

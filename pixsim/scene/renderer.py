@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array, row_blocks
+from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import refuse
 from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import WHOLE, SpectralImage
-from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.scene.bands import Pulse
 from pixsim.scene.mitsuba import children, nodes_of, plain, speaking_mitsuba
 from pixsim.scene.plan import Light, Plan, make_render_plan
@@ -239,13 +239,8 @@ class Renderer:
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Of irradiance, relative to that on the axis, at the middle of each sample of some rows and columns."""
-        y_um, x_um = (
-            ((np.arange(n) + 0.5) - n / 2)[part] * self.pitch_um for n, part in zip(self.size, (rows, columns), strict=True)
-        )
-        camera = self.camera
-        tan_field = np.hypot(x_um[None, :], y_um[:, None]) / (1e3 * camera.image_distance_mm)
-        factor = irradiance_factor(camera.f_number, tan_field, camera.magnification)
-        return factor * (camera.transmittance / self.on_axis)
+        lens = self.camera.image_distance_mm, self.camera.f_number, self.camera.magnification
+        return field_factor(self.size, self.pitch_um, *lens, (rows, columns)) * (self.camera.transmittance / self.on_axis)
 
     def _integrator(self, mi: Any, scene: Any) -> Any:
         own = None if self.plan.integrator else scene.integrator()
@@ -326,13 +321,13 @@ class Renderer:
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored = np.empty((len(planes), *self.size), np.float32)
-            for rows in row_blocks(*self.size):
+            for rows in strips(*self.size):
                 fall_off = self.fall_off(rows)
                 for place, plane in zip(stored, planes, strict=True):
                     place[rows] = plane[rows] * fall_off
             return self._image(header, factors=(self.spectra, stored))
         data = np.empty((*self.size, self.plan.bands.width_nm.size), np.float32)
-        for rows in row_blocks(*self.size):
+        for rows in strips(*self.size):
             for band, values in enumerate(self._bands([picture[rows] for picture in pictures], self.fall_off(rows))):
                 data[rows, :, band] = values
         return self._image(header, data=data)

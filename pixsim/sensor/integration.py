@@ -8,10 +8,9 @@ Each column has a spline of its own: columns can be taken in strips of any width
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +21,7 @@ from scipy.sparse import csr_array
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import refuse
 from pixsim.base.parameters import Camera
-from pixsim.light.spectral import SpectralImage, photons_per_joule, refuse_impossible_light
+from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.diffraction import diffract_sum
 from pixsim.sensor.pixel import PixelPhysics
 
@@ -43,14 +42,6 @@ class Columns:
     columns: Callable[[int, int], ArrayLike]
 
 
-def strips_of_columns(picture: Array | Columns) -> Iterator[tuple[slice, Array]]:
-    """(which, the columns) of a picture (H, W)."""
-    for first in range(0, picture.shape[1], STRIP_COLUMNS):
-        last = min(first + STRIP_COLUMNS, picture.shape[1])
-        strip = picture.columns(first, last) if isinstance(picture, Columns) else picture[:, first:last]
-        yield slice(first, last), np.asarray(strip, float)
-
-
 def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
     """What `of_columns`, (which, (n, columns)) -> (count, columns), makes of a picture (H, W) along an axis, strip by strip.
 
@@ -59,8 +50,9 @@ def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[
     if axis == 1 and not isinstance(picture, Columns):
         return along(picture.T, 0, count, of_columns).T
     found = np.empty((count, picture.shape[1]))
-    for which, strip in strips_of_columns(picture):
-        found[:, which] = of_columns(which, strip)
+    for which in strips(picture.shape[1], 1, STRIP_COLUMNS):
+        strip = picture.columns(which.start, which.stop) if isinstance(picture, Columns) else picture[:, which]
+        found[:, which] = of_columns(which, np.asarray(strip, float))
     return found
 
 
@@ -167,7 +159,6 @@ def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
 
 M2_PER_UM2 = 1e-12
 MOST_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
-STRIP_VALUES = 1 << 18  # of all bands, 1 MiB in float32
 
 
 def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
@@ -198,29 +189,9 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
     """Electrons s⁻¹ µm⁻² of photodiode behind a lens without diffraction, (H, W)."""
-    rate = weighted(irradiance, electrons_per_joule(physics, irradiance))
+    rate = irradiance.weighted(electrons_per_joule(physics, irradiance))
     rate *= M2_PER_UM2
     return rate
-
-
-def weighted(irradiance: SpectralImage, weight: Array) -> Array:
-    """`SpectralImage.weighted` a few rows at a time: faster, and without planes to work in."""
-    total = np.empty(irradiance.shape)
-    values_a_row = total.shape[1] * len(irradiance.factors[0] if irradiance.factors else weight)
-    for rows in strips(total.shape[0], values_a_row, STRIP_VALUES):
-        total[rows] = rows_of(irradiance, rows).weighted(weight)
-    return total
-
-
-def rows_of(irradiance: SpectralImage, rows: slice) -> SpectralImage:
-    """Some rows of an image, in the same memory, without its header."""
-    light: dict[str, Any]
-    if irradiance.factors:
-        light = {"factors": (irradiance.factors[0], irradiance.factors[1][:, rows])}
-    else:
-        light = {"data": irradiance.data[rows]}
-    bands = irradiance.wavelength_nm, irradiance.band_width_nm
-    return SpectralImage(*bands, irradiance.pitch_um, within=irradiance.within, **light)
 
 
 def pixel_count(length_um: float, pitch_um: float) -> int:
@@ -306,7 +277,7 @@ def photodiode_edges_um(length_um: float, pitch_um: float, side_um: float) -> tu
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
     """Mean photo-electrons a second of every pixel, (rows, columns), before any non-uniformity."""
-    refuse_impossible_light(irradiance)
+    irradiance.validate()
     rate = diffracted_rate(irradiance, camera, physics, workers)
     signal = integrate_pixels(rate, irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um)
     return np.maximum(signal, 0.0, out=signal)

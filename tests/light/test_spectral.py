@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import struct
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
 import pytest
 
 import pixsim
-from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
 from pixsim.light import exr, spectral
 from pixsim.light.exr import _merged, read_channels, read_header, write_channels
@@ -49,25 +49,27 @@ def factored(shape: tuple[int, int] = (5, 7)) -> SpectralImage:
 # --- Files ---
 
 
-def test_a_general_image_comes_back_bit_for_bit(tmp_path):
-    image = general()
-    pixsim.write_exr(tmp_path / "image.exr", image)
-    back = pixsim.read_exr(tmp_path / "image.exr")
-    assert back.factors is None
+def assert_comes_back(image: SpectralImage, path: Path) -> None:
+    """Written and read again, bit for bit."""
+    pixsim.write_exr(path, image)
+    back = pixsim.read_exr(path)
     assert np.array_equal(bits(back.data), bits(image.data))
-    assert np.array_equal(back.wavelength_nm, image.wavelength_nm)
-    assert np.array_equal(back.band_width_nm, image.band_width_nm)
+    assert (back.factors is None) == (image.factors is None)
+    if image.factors:
+        assert np.array_equal(back.factors[0], image.factors[0])  # float64
+        assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
+    for name in ("wavelength_nm", "band_width_nm", "within"):
+        assert np.array_equal(getattr(back, name), getattr(image, name))
     assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
 
 
-def test_a_factored_image_comes_back_bit_for_bit(tmp_path):
-    image = factored()
-    pixsim.write_exr(tmp_path / "image.exr", image)
-    back = pixsim.read_exr(tmp_path / "image.exr")
-    assert np.array_equal(back.factors[0], image.factors[0])  # float64
-    assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
-    assert np.array_equal(bits(back.data), bits(image.data))
-    assert back.pitch_um == image.pitch_um
+@pytest.mark.parametrize("spread", [False, True])
+@pytest.mark.parametrize("make", [general, factored])
+def test_an_image_comes_back_bit_for_bit(make, spread, tmp_path):
+    image, rng = make(), np.random.default_rng(3)
+    if spread:  # over its bands
+        image.within = (image.wavelength_nm[:, None] + rng.uniform(-5, 5, (46, 3)), rng.dirichlet(np.ones(3), 46))
+    assert_comes_back(image, tmp_path / "image.exr")
 
 
 def fine_bands(seed: int) -> SpectralImage:
@@ -89,14 +91,7 @@ def test_a_factored_image_with_fine_bands_comes_back_bit_for_bit(seed, tmp_path)
     image = fine_bands(seed)
     assert image.band_width_nm.min() < 5
     assert image.band_width_nm.size > 60
-    pixsim.write_exr(tmp_path / "image.exr", image)
-    back = pixsim.read_exr(tmp_path / "image.exr")
-    assert np.array_equal(back.factors[0], image.factors[0])  # float64
-    assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
-    for name in ("wavelength_nm", "band_width_nm"):
-        assert np.array_equal(getattr(back, name), getattr(image, name))
-    assert np.array_equal(back.within[0], image.within[0])
-    assert np.array_equal(back.within[1], image.within[1])
+    assert_comes_back(image, tmp_path / "image.exr")
     # For other readers: at most one channel for each of the 48 bands of 10 nm and less.
     channels, _ = read_channels(tmp_path / "image.exr")
     shown = {float(name[3:-2].replace(",", ".")): plane for name, plane in channels.items() if name.startswith("S0.")}
@@ -120,17 +115,6 @@ def test_merged_bands_are_means_of_neighbours():
     np.testing.assert_allclose(merged.wavelength_nm, [5, 15, 25, 37.5, 50], rtol=1e-14)
     middle = (2 * 2.5 + 3 * 2.5 + 4 * 1.25 + 5 * 1.25 + 6 * 2.5) / 10
     np.testing.assert_allclose(merged.factors[0][0], [0.5, middle, 7, 8, 9.5], rtol=1e-14)
-
-
-@pytest.mark.parametrize("make", [general, factored])
-def test_where_the_light_is_comes_back(make, tmp_path):
-    image = make()
-    rng = np.random.default_rng(3)
-    image.within = (image.wavelength_nm[:, None] + rng.uniform(-5, 5, (46, 3)), rng.dirichlet(np.ones(3), 46))
-    pixsim.write_exr(tmp_path / "image.exr", image)
-    back = pixsim.read_exr(tmp_path / "image.exr")
-    assert np.array_equal(back.within[0], image.within[0])
-    assert np.array_equal(back.within[1], image.within[1])
 
 
 @pytest.mark.parametrize("make", [general, factored])
@@ -158,19 +142,18 @@ def test_rows_come_in_blocks_of_any_size(blocks, tmp_path, monkeypatch):
     image = factored((23, 7))
     pixsim.write_exr(tmp_path / "whole.exr", image)
     monkeypatch.setattr(exr, "BLOCK_BYTES", blocks * (8 + 48 * 7 * 4))
-    monkeypatch.setattr(arrays, "BLOCK_SAMPLES", blocks * 7)
+    monkeypatch.setattr(spectral, "STRIP_VALUES", blocks * 7 * 48)
     pixsim.write_exr(tmp_path / "blocks.exr", image)
     assert (tmp_path / "blocks.exr").read_bytes() == (tmp_path / "whole.exr").read_bytes()
     lux = image.illuminance_lx()
     monkeypatch.undo()
     assert np.array_equal(lux, image.illuminance_lx())
-    part = image.weighted_part(image.luminous_weight(), np.s_[3:17, 2:5])
-    assert np.array_equal(part, lux[3:17, 2:5])
+    assert np.array_equal(image.weighted_part(image.luminous_weight(), np.s_[3:17, 2:5]), lux[3:17, 2:5])
 
 
 @pytest.mark.parametrize("make", [general, factored])
 def test_a_weighted_sum_needs_no_second_picture(make, monkeypatch):
-    monkeypatch.setattr(arrays, "BLOCK_SAMPLES", 1 << 12)
+    monkeypatch.setattr(spectral, "STRIP_VALUES", 1 << 12)
     image = make((256, 256))
     weight = image.luminous_weight()
     tracemalloc.start()
@@ -186,15 +169,11 @@ def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, m
     pixsim.write_exr(tmp_path / "bands.exr", image)
     assert len(read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
     monkeypatch.setattr(exr, "MOST_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
-    pixsim.write_exr(tmp_path / "image.exr", image)
+    assert_comes_back(image, tmp_path / "image.exr")
     channels, header = read_channels(tmp_path / "image.exr")
     assert sorted(channels) == ["Y", "factor.0", "factor.1"]
     assert header["illuminanceUnits"] == "lx"
     assert np.array_equal(channels["Y"], image.illuminance_lx().astype(np.float32))
-    back = pixsim.read_exr(tmp_path / "image.exr")
-    assert np.array_equal(back.factors[0], image.factors[0])
-    assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
-    assert np.array_equal(bits(back.data), bits(image.data))
     pixsim.write_exr(tmp_path / "general.exr", general())  # nothing else tells its bands
     assert len(read_header(tmp_path / "general.exr")["channels"]) == 46
 
@@ -233,17 +212,21 @@ def test_a_truncated_file_is_refused(tmp_path, share):
         pixsim.read_exr(path)
 
 
-@pytest.mark.parametrize("content", [b"not an EXR", struct.pack("<II", 20000630, 2) + b"\xff" * 400])
-def test_another_kind_of_file_is_refused(tmp_path, content):
-    (tmp_path / "image.exr").write_bytes(content)
-    with pytest.raises(PixsimError, match="allowed: a readable OpenEXR file"):
+@pytest.mark.parametrize(
+    ("content", "got"),
+    [
+        (b"not an EXR", "does not begin as one"),
+        (struct.pack("<II", 20000630, 2) + b"\xff" * 400, "damaged"),
+        (None, "which does not exist"),
+    ],
+)
+def test_another_kind_of_file_is_refused(tmp_path, content, got):
+    if content:
+        (tmp_path / "image.exr").write_bytes(content)
+    with pytest.raises(PixsimError, match=rf"{got}.*; allowed: a readable OpenEXR file"):
         pixsim.read_exr(tmp_path / "image.exr")
-
-
-@pytest.mark.parametrize("name", ["nowhere.exr", "."])
-def test_a_missing_file_is_refused(tmp_path, name):
-    with pytest.raises(PixsimError, match=r"(which does not exist|a folder); allowed: a readable OpenEXR file"):
-        pixsim.read_exr(tmp_path / name)
+    with pytest.raises(PixsimError, match="a folder; allowed: a readable OpenEXR file"):
+        pixsim.read_exr(tmp_path)
 
 
 OWN = {"wavelength_nm": [550.0], "band_width_nm": [10.0], "pitch_um": 1.0, "header": {}}
@@ -332,12 +315,6 @@ def test_illuminance_of_bands(name):
     assert image.illuminance_lx()[0, 0] == pytest.approx(colour.colorimetry.luminous_flux(lamp), rel=1e-4)
 
 
-def test_illuminance_of_a_laser():
-    image = SpectralImage([555.0], 1.0, 1.0, data=np.full((2, 3, 1), 2.0))
-    # 2 W/m² where the eye is best: 683 lm/W by the SI, for 555.016 nm in air.
-    np.testing.assert_allclose(image.illuminance_lx(), np.full((2, 3), 2 * 683), rtol=1e-5)
-
-
 def test_light_is_taken_at_the_centre_unless_told_where_it_is():
     centred = SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)))
     np.testing.assert_array_equal(centred.band_mean(lambda nm: nm**2), [550.0**2, 600.0**2])
@@ -349,8 +326,11 @@ def test_light_is_taken_at_the_centre_unless_told_where_it_is():
     np.testing.assert_allclose(image.band_mean(lambda nm: nm**2) - [551.25**2, 600**2], [49 * 3 / 16, 8], rtol=1e-9)
 
 
-def test_illuminance_of_a_laser_off_the_centre_of_its_band():
-    # 2 W/m² in a band of 10 nm. CIE tabulates ȳ = .8849624 at 532 nm and .8620 at 530 nm.
+def test_illuminance_of_a_laser():
+    image = SpectralImage([555.0], 1.0, 1.0, data=np.full((2, 3, 1), 2.0))
+    # 2 W/m² where the eye is best: 683 lm/W by the SI, for 555.016 nm in air.
+    np.testing.assert_allclose(image.illuminance_lx(), np.full((2, 3), 2 * 683), rtol=1e-5)
+    # Off the centre of its band: 2 W/m² in a band of 10 nm. CIE tabulates ȳ = .8849624 at 532 nm and .8620 at 530 nm.
     data = np.full((1, 1, 1), 0.2)
     image = SpectralImage([530.0], 10.0, 1.0, data=data, within=([[532.0]], [[1.0]]))
     assert image.illuminance_lx()[0, 0] == pytest.approx(2 * 683.002 * 0.8849624, rel=1e-6)

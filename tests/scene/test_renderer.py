@@ -512,7 +512,7 @@ def large(monkeypatch):
     scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=1024, spp=4)
     job = Renderer(scene, scene.camera(), make_render_plan(scene), 0)
     assert job._loaded
-    monkeypatch.setattr(arrays, "BLOCK_SAMPLES", 1 << 13)
+    monkeypatch.setattr(arrays, "STRIP_SAMPLES", 1 << 13)
     monkeypatch.setattr(mitsuba, "render", grey)
     return job
 
