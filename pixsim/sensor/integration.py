@@ -112,11 +112,6 @@ def spline_coefficients(samples: Array) -> Array:
     return lapack.dgbtrs(spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True)[0]
 
 
-def values_at(edges: Array, n: int) -> csr_array:
-    """What turns the coefficients of n cells into running integrals at positions from 0 to n, (positions, n + 1)."""
-    return design_matrix(edges, knots_of(n).knots, knots_of(n).degree)
-
-
 def running_integral(samples: Array) -> Array:
     """`spline_coefficients` of all columns of a picture (n, columns), strip by strip."""
     return along(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
@@ -126,12 +121,6 @@ def is_steep(samples: Array) -> bool:
     """Whether light changes by more than `EDGE_CONTRAST` : 1 from one sample of a column to the next."""
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
-
-
-def difference(running: Array) -> Array:
-    """The second half of (2 m, columns) less the first."""
-    low, high = np.split(running, 2)
-    return high - low
 
 
 def rising(running: Array, edges: Array) -> Array:
@@ -197,8 +186,7 @@ def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
 def pixel_count(length_um: float, pitch_um: float) -> int:
     """⌊length/pitch⌋; a pitch that divides the length but for rounding counts as dividing it. At most `MOST_PIXELS`."""
     pixels = length_um / pitch_um * (1 + 1e-9)
-    if pixels > MOST_PIXELS:
-        raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
+    refuse_too_many([pixels], pitch_um)
     return math.floor(pixels)
 
 
@@ -210,7 +198,7 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
     return count
 
 
-def refuse_too_many(shape: Iterable[int], pitch_um: float) -> None:
+def refuse_too_many(shape: Iterable[float], pitch_um: float) -> None:
     """PixsimError for more pixels than memory holds."""
     if (pixels := math.prod(shape)) > MOST_PIXELS:
         raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
@@ -226,13 +214,15 @@ def integrate_axis(
     `running_integral` of the samples, where it is at hand; axis 0 only.
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
-    at_edges = values_at(edges, samples.shape[axis])
+    spline = knots_of(samples.shape[axis])
+    at_edges = design_matrix(edges, spline.knots, spline.degree)  # times coefficients: running integrals at the edges
     below_zero: list[bool] = []
     ringing: list[bool] = []
 
     def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
         sums = at_edges @ (spline_coefficients(strip) if running is None else running[:, which])
-        found = difference(rising(without_ringing(sums, strip, edges), edges) if limited else sums)
+        low, high = np.split(rising(without_ringing(sums, strip, edges), edges) if limited else sums, 2)
+        found = high - low
         below_zero.append(bool(strip.min() < 0))
         ringing.append(bool(found.min() < 0) or is_steep(strip))
         return found * sample_pitch_um
