@@ -94,8 +94,8 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
         [
             light.lamp.spectrum is None,
             sorted(light.lamp.pictures.items()),
-            [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.pulses],
-            light.passes,
+            [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses],
+            light.fit.passes,
         ]
         for light in plan.lights
     ]
@@ -281,9 +281,9 @@ class Renderer:
             renders = -(-asked // SPP_PER_RENDER)
             spp = mi.load_dict({"type": self.plan.sampler, "sample_count": -(-asked // renders)}).sample_count()
             for light, (scene, integrator) in zip(self.plan.lights, self._loaded, strict=True):
-                planes = np.zeros((*self.size, len(light.pulses)), np.float32)
-                for each in light.passes:
-                    films = [film_response(light.pulses[pulse]) for pulse in each]
+                planes = np.zeros((*self.size, len(light.fit.pulses)), np.float32)
+                for each in light.fit.passes:
+                    films = [film_response(light.fit.pulses[pulse]) for pulse in each]
                     first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE
                     job = _Pass(scene, integrator, films, spp, renders, first, index * self.plan.passes + number)
                     for rows, values in self._strips(mi, job, _part(progress, number, self.plan.passes)):
@@ -338,14 +338,14 @@ class Renderer:
         for band in range(self.plan.bands.width_nm.size):
             total = np.zeros(fall_off.shape)
             for light, planes in zip(self.plan.lights, pictures, strict=True):
-                for pulse in np.flatnonzero(light.spectra[:, band]):
-                    total += light.spectra[pulse, band] * planes[:, :, pulse]
+                for pulse in np.flatnonzero(light.fit.spectra[:, band]):
+                    total += light.fit.spectra[pulse, band] * planes[:, :, pulse]
             yield total * factor
 
     @property
     def spectra(self) -> Array:
         """Irradiance on the axis, (pulses, B) W m⁻² nm⁻¹, for each unit of each pulse's picture."""
-        return np.vstack([light.spectra for light in self.plan.lights]) * self.on_axis
+        return np.vstack([light.fit.spectra for light in self.plan.lights]) * self.on_axis
 
     @property
     def units(self) -> SpectralImage:

@@ -209,7 +209,7 @@ LINES_NM = [
 
 def told(lamp: Spectrum, found: Bands) -> tuple[np.ndarray, float, float]:
     """Energy of each band, of all of them, and the mean wavelength at which their pulses look."""
-    every, _ = every_band(lamp, found)
+    every = every_band(lamp, found)
     energy = every.spectra * found.width_nm
     at = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in every.pulses]
     return energy.sum(axis=0), float(energy.sum()), float((energy.sum(axis=1) * at).sum() / energy.sum())
@@ -328,7 +328,7 @@ def test_every_lit_band_once_in_fours_that_do_not_touch(lit):
     edges = [366, 367, 373 + 10 * (lit - 1), 374 + 10 * (lit - 1)]
     lamp = spectrum(edges, [0, 1, 1, 0])
     found = place_bands([lamp], NONE, WITNESSES, 1.0)
-    every, order = every_band(lamp, found)
+    every = every_band(lamp, found)
     assert len(every.pulses) == lit
     assert all(is_sound(pulse) for pulse in every.pulses)
     # Each pulse stands for a band of its own, which has light.
@@ -336,10 +336,10 @@ def test_every_lit_band_once_in_fours_that_do_not_touch(lit):
     np.testing.assert_array_equal(np.flatnonzero(every.spectra.any(axis=0)), np.arange(1, 1 + lit))
     np.testing.assert_allclose(every.spectra.sum(axis=0), lamp.cell_means(found.edges_nm), rtol=1e-13)
     # 1, 2 or 4 channels a pass, the last filled up with one of its own.
-    assert {len(each) for each in order} == ({4} if lit >= 8 else {1})
-    assert len(order) == (-(-lit // 4) if lit >= 8 else lit)
-    assert sorted(index for each in order for index in set(each)) == list(range(lit))
-    assert all(apart([every.pulses[index] for index in each]) for each in order)
+    assert {len(each) for each in every.passes} == ({4} if lit >= 8 else {1})
+    assert len(every.passes) == (-(-lit // 4) if lit >= 8 else lit)
+    assert sorted(index for each in every.passes for index in set(each)) == list(range(lit))
+    assert all(apart([every.pulses[index] for index in each]) for each in every.passes)
 
 
 @pytest.mark.parametrize("count", range(1, 33))
@@ -347,28 +347,28 @@ def test_narrow_bands_do_not_touch_either(count):
     edges = np.concatenate([[360, 500], 500 + 1.25 * np.arange(1, count + 1), [830]])
     centre = (edges[1:] + edges[:-1]) / 2
     lamp = spectrum([500, 500, edges[-2], edges[-2]], [0, 1, 1, 0])
-    every, order = every_band(lamp, Bands(edges, centre, centre[:, None], np.ones((centre.size, 1))))
+    every = every_band(lamp, Bands(edges, centre, centre[:, None], np.ones((centre.size, 1))))
     assert len(every.pulses) == count
-    assert sorted({index for each in order for index in each}) == list(range(count))
-    assert all(apart([every.pulses[index] for index in each]) for each in order)
+    assert sorted({index for each in every.passes for index in each}) == list(range(count))
+    assert all(apart([every.pulses[index] for index in each]) for each in every.passes)
 
 
 def test_dark_bands_are_skipped():
     lamp = spectrum([365, 366, 367], [0, 1, 0])  # touches the border of a band, from above
-    every, order = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
+    every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
     assert len(every.pulses) == 1
-    assert order == [[0]]
+    assert every.passes == [[0]]
     dark = spectrum([900, 1000], [1, 1])
-    every, order = every_band(dark, place_bands([dark], NONE, WITNESSES, TOLERANCE))
-    assert (every.pulses, order) == ((), [])
+    every = every_band(dark, place_bands([dark], NONE, WITNESSES, TOLERANCE))
+    assert (every.pulses, every.passes) == ((), [])
 
 
 def test_flat_pulses_for_lamps_that_stay_in_place():
     found = place_bands([], NONE, WITNESSES, TOLERANCE)
-    every, order = every_band(None, found)
+    every = every_band(None, found)
     np.testing.assert_array_equal(every.spectra, np.eye(48))
     assert all(is_sound(pulse) for pulse in every.pulses)
-    assert len(order) == 12
+    assert len(every.passes) == 12
     for low, high, pulse in zip(BAND_EDGES_NM[:-1], BAND_EDGES_NM[1:], every.pulses, strict=True):
         at = (pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()
         # In the middle of its band; the first and last need room for their flanks.
@@ -381,7 +381,7 @@ def test_pulses_of_bands_add_up_to_the_lamp(lamp):
     nm = np.arange(361.0, 829.001, 1 / 8)  # between the folded ends of the range
     light = None if lamp is None else Spectrum(np.array([360.0, 830.0]), np.array([1.0, 5.0]))
     found = place_bands([light] if light else [], NONE, WITNESSES, TOLERANCE)
-    every, _ = every_band(light, found)
+    every = every_band(light, found)
     mean = np.ones(48) if light is None else light.cell_means(found.edges_nm)
     total = sum(
         np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) * width * level
@@ -591,12 +591,12 @@ def furnace(mi: Any, responses: list[dict[str, Any]], spp: int = 16) -> np.ndarr
 def test_wavelengths_bring_no_noise(name, variant):
     if name == "a band and its repeat":
         lamp = spectrum([366, 367, 443 + 10, 444 + 10], [0, 1, 1, 0])  # nine bands: the last pass has three
-        every, order = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
-        assert len(set(order[-1])) == 3
-        pulses = [every.pulses[index] for index in order[-1]]
+        every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
+        assert len(set(every.passes[-1])) == 3
+        pulses = [every.pulses[index] for index in every.passes[-1]]
     elif name == "fine lines":
         lamps = [line(centre, 0.1) for centre in (435.83, 546.07, 579.07, 632.8)]
-        pulses = [every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))[0].pulses[0] for lamp in lamps]
+        pulses = [every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE)).pulses[0] for lamp in lamps]
     else:
         found, _ = made(shipped(name), macbeth(), 1e-2)
         pulses = [found.pulses[index] for index in passes(len(found.pulses))[-1]]
@@ -611,7 +611,7 @@ def test_wavelengths_bring_no_noise(name, variant):
 
 @VARIANTS
 def test_adjoining_pulses_would_bring_noise(variant):
-    every, _ = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, WITNESSES, TOLERANCE))
+    every = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, WITNESSES, TOLERANCE))
     with speaking_mitsuba(variant, Path()) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in every.pulses[10:15]])
     assert seen.std(axis=(0, 1)).max() > 1e-2  # so the gate above means something

@@ -185,7 +185,7 @@ def test_every_subject_has_a_line_with_its_reason(name, full):
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     assert len(told["wavelength_nm"]) == len(told["band_width_nm"]) == plan.bands.width_nm.size
     assert sum(told["band_width_nm"]) == pytest.approx(470)
-    assert told["passes"] == sum(len(light.passes) for light in plan.lights) <= told["passes_full"]
+    assert told["passes"] == sum(len(light.fit.passes) for light in plan.lights) <= told["passes_full"]
 
 
 def test_noise_sources_that_are_zero_are_named():

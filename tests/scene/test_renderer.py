@@ -255,7 +255,7 @@ def test_one_pass_serves_every_band_of_a_chart():
     # Passes have seeds of their own, or noise would not average out over bands. Two passes' correlation scatters by 0.05
     # (most of the noise is in few samples), so 0.3 is 6σ: false alarm below 1e-6.
     noise = (full.data - other.data).reshape(-1, full.data.shape[2]).astype(float)
-    first, second = make_render_plan(scene, full=True).lights[0].passes[4:6]
+    first, second = make_render_plan(scene, full=True).lights[0].fit.passes[4:6]
     assert np.corrcoef(noise[:, first[0]], noise[:, first[1]])[0, 1] > 0.9  # of one pass: the same rays
     assert abs(np.corrcoef(noise[:, first[0]], noise[:, second[0]])[0, 1]) < 0.3
 
@@ -466,7 +466,7 @@ def test_a_fitted_lamp_beside_one_whose_colours_vary(tmp_path):
     path = edited(tmp_path, "macbeth", (END, sky))
     scene = pixsim.load_scene(path, lamp="spectra/fl11.spd", resolution=32, variant="scalar_spectral")
     plan = make_render_plan(scene)
-    assert [bool(light.spectra.min() < 0) for light in plan.lights] == [True, False]
+    assert [bool(light.fit.spectra.min() < 0) for light in plan.lights] == [True, False]
     image = pixsim.render(scene, plan=plan)
     assert image.data.min() < 0 <= image.factors[1].min()
     pixsim.write_exr(tmp_path / "image.exr", image)
@@ -532,7 +532,7 @@ def test_an_image_takes_the_memory_of_what_it_is(large):
     assert most < 1.2 * image.factors[1].nbytes + TEXTURE_BYTES
     small = large.source.with_parameters(resolution=256)
     full = Renderer(small, large.camera, make_render_plan(small, full=True), 0)
-    pulses = [np.full((256, 256, len(light.pulses)), 0.5, np.float32) for light in full.plan.lights]
+    pulses = [np.full((256, 256, len(light.fit.pulses)), 0.5, np.float32) for light in full.plan.lights]
     image, most = traced(lambda: full.image(pulses, 4))
     assert most < 1.1 * image.data.nbytes + TEXTURE_BYTES
 

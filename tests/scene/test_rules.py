@@ -228,7 +228,7 @@ def test_a_slide_makes_a_light_of_its_own(folder):
     name = "a spot with a coloured slide"
     plan = render_plan(edited(folder, *KEPT[name][:1], *KEPT[name][1]))
     assert [light.lamp.spectrum is None for light in plan.lights] == [False, True]
-    assert len(plan.lights[1].pulses) == plan.bands.width_nm.size
+    assert len(plan.lights[1].fit.pulses) == plan.bands.width_nm.size
 
 
 @pytest.mark.parametrize("plugin", ["volpath", "direct", "volpathmis"])
