@@ -53,39 +53,30 @@ class Lamp:
         return float(LM_PER_W * LUMINANCE_STEP_NM * (self.spectrum.cell_means(edges) * photopic_efficiency(at)).sum())
 
 
-@dataclass(frozen=True)
-class _Emission:
-    """An emitter's spectrum (a hashable key) × scale × neutral picture (a texture node)."""
-
-    name: str
-    key: tuple[Any, ...]
-    scale: float
-    picture: int | None
-
-
 def find_lamps(state: Any, variant: str) -> list[Lamp]:
     """Emitters by spectrum, in the order of the scene; those whose colour varies over them come last, together."""
-    groups: dict[tuple[Any, ...], list[tuple[int, _Emission]]] = {}
+    groups: dict[tuple[Any, ...], list[tuple[int, str, float, int | None]]] = {}
     coloured: dict[int, tuple[str, int | float]] = {}
     for index, node in nodes_of(state, "Emitter"):
-        part = _emission(state, node)
-        if part is None:
-            coloured[index] = (EMISSION.get(node.props.plugin_name(), ""), 1.0)
+        name = EMISSION.get(node.props.plugin_name(), "")
+        emission = _emission(state, node)
+        if emission is None:
+            coloured[index] = name, 1.0
         else:
+            key, scale, picture = emission
             # Pictures cannot be scaled in place: emitters with one share a group only at the same power.
-            groups.setdefault((part.key, part.scale if part.picture is not None else None), []).append((index, part))
+            groups.setdefault((key, None if picture is None else scale), []).append((index, name, scale, picture))
     for key, scale in list(groups):
         if scale is None and (host := next((each for each in groups if each[0] == key and each[1] is not None), None)):
             groups[host] += groups.pop((key, None))  # those without a picture can have any power
     lamps = []
     for (key, scale), parts in groups.items():
-        first = max(part.scale for _, part in parts) if scale is None else scale
-        spectrum = evaluate(key, variant) * first
+        first = max(own for _, _, own, _ in parts) if scale is None else scale
         pictures: dict[int, tuple[str, int | float]] = {
-            index: (part.name, part.picture if part.picture is not None else (part.scale / first if first else 1.0))
-            for index, part in parts
+            index: (name, picture if picture is not None else (own / first if first else 1.0))
+            for index, name, own, picture in parts
         }
-        lamps.append(Lamp(spectrum, pictures))
+        lamps.append(Lamp(evaluate(key, variant) * first, pictures))
     return [*lamps, Lamp(None, coloured)] if coloured else lamps
 
 
@@ -95,46 +86,47 @@ def find_lamp(state: Any, variant: str) -> Lamp | None:
     return lamps[0] if len(lamps) == 1 and lamps[0].spectrum is not None else None
 
 
-def _emission(state: Any, emitter: Any) -> _Emission | None:
+def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | None] | None:
+    """An emitter's spectrum (a hashable key), scale and neutral picture (a texture node); None where they are not apart."""
     name = EMISSION.get(emitter.props.plugin_name())
     if name is None:
         return None
     if name not in emitter.props:  # Mitsuba's default: a d65 of scale 1
-        return _Emission(name, ("d65",), 1.0, None)
+        return (("d65",), 1.0, None)
     beside = [index for key, index in children(emitter, state).items() if key != name]
     if any(not is_neutral(state.nodes[index]) for index in beside if state.nodes[index].type.name == "Texture"):
         return None  # the slide of a spot
     kind = emitter.props.type(name).name
     if kind == "Float":  # a plain number is a d65 of that scale
-        return _Emission(name, ("d65",), float(emitter.props[name]), None)
+        return (("d65",), float(emitter.props[name]), None)
     if kind == "Color":
-        return _Emission(name, ("rgb", emitter.props.as_string(name)), 1.0, None)
+        return (("rgb", emitter.props.as_string(name)), 1.0, None)
     if kind == "Spectrum":
         value = emitter.props[name]
         if value.is_uniform():
-            return _Emission(name, ("uniform",), float(value.values[0]), None)
-        return _Emission(name, ("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
+            return (("uniform",), float(value.values[0]), None)
+        return (("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
     if kind not in ("ResolvedReference", "Reference"):
         return None
     index = children(emitter, state)[name]
     node = state.nodes[index]
     plugin = node.props.plugin_name()
     if plugin == "bitmap" and is_neutral(node):
-        return _Emission(name, ("uniform",), 1.0, index)
+        return (("uniform",), 1.0, index)
     nested = list(children(node, state).values())
     if len(nested) > 1 or (nested and not is_neutral(state.nodes[nested[0]])):
         return None
     picture = nested[0] if nested else None
     values = {key: value for key, value in plain(node) if isinstance(value, (int, float, str))}
     if plugin == "uniform":
-        return _Emission(name, ("uniform",), float(values.get("value", 1.0)), picture)
+        return (("uniform",), float(values.get("value", 1.0)), picture)
     if plugin == "d65":
-        return _Emission(name, ("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
+        return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
     table = table_of(node)
     if table is not None:
-        return _Emission(name, ("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
+        return (("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
     if plugin == "blackbody":
-        return _Emission(name, (plugin, *sorted(values.items())), 1.0, picture)
+        return ((plugin, *sorted(values.items())), 1.0, picture)
     return None
 
 
@@ -357,9 +349,7 @@ class Body:
         for across, tangent in ((x, tan_x), (y, tan_x / aspect)):
             # The edge rays of the outermost sample start at the far rim of the lens and cross in the plane in focus.
             focus = tangent * camera.object_distance_m
-            reach = np.maximum(
-                np.abs(a + (focus - a) * z / camera.object_distance_m), np.abs(-a + (focus + a) * z / camera.object_distance_m)
-            )
+            reach = np.maximum(*(np.abs(rim + (focus - rim) * z / camera.object_distance_m) for rim in (a, -a)))
             if np.all(across > reach) or np.all(across < -reach):
                 return False
         return bool(np.any(z > IN_FRONT_M))
@@ -452,9 +442,7 @@ def blur_um(camera: Camera, depth_m: float) -> float:
 
 
 def greatest_blur_um(camera: Camera, body: Body) -> float:
-    if body.corners is None:
-        return np.inf
-    return max(blur_um(camera, depth) for depth in body.depths_m)
+    return np.inf if body.corners is None else max(blur_um(camera, depth) for depth in body.depths_m)
 
 
 def face_one_way(bodies: list[Body]) -> bool:
@@ -489,7 +477,12 @@ def _file_of(node: Any, folder: Path) -> Path:
 
 def check_textures(state: Any, folder: Path) -> None:
     """Refuse NaN, infinite and negative texels: Mitsuba lets them pass, and spreads them over their neighbours."""
-    maps = _maps(state)
+    steering: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
+    others: set[int] = set()
+    for node in state.nodes:
+        for name, index in children(node, state).items():
+            (steering if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
+    maps = steering - others
     files = {index: _file_of(node, folder) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
     numbers = {path for index, path in files.items() if index in maps}
@@ -498,36 +491,19 @@ def check_textures(state: Any, folder: Path) -> None:
             judge_picture(path)
         if path in numbers and path not in raw:
             continue
+        what = f"texture '{path}'"
         if path in raw and path.suffix.lower() in EIGHT_BIT:
-            raise refuse(
-                f"texture '{path}'", f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes"
-            )
+            raise refuse(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes")
         if path.suffix.lower() == ".exr":
             channels = read_channels(path)[0]
             if path in raw and len(channels) > 1:
-                raise refuse(
-                    f"texture '{path}'", f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture"
-                )
+                raise refuse(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture")
             for name, texels in channels.items():
-                bad = ~(np.isfinite(texels) & (texels >= 0))
-                if bad.any():
-                    row, column = np.argwhere(bad)[0]
-                    raise refuse(
-                        f"texture '{path}'",
-                        f"{texels[row, column]} at row {row}, column {column} of channel {name}",
-                        "finite texels of 0 or more",
-                    )
-
-
-def _maps(state: Any) -> set[int]:
-    """Textures that only steer: normals, bumps, opacity, weights, roughness."""
-    maps: set[int] = set()
-    others: set[int] = set()
-    for node in state.nodes:
-        for name, index in children(node, state).items():
-            steers = node.props.plugin_name() in MAPS or name in MAP_NAMES
-            (maps if steers else others).add(index)
-    return {index for index in maps - others if state.nodes[index].type.name == "Texture"}
+                bad = np.argwhere(~(np.isfinite(texels) & (texels >= 0)))
+                if bad.size:
+                    row, column = bad[0]
+                    got = f"{texels[row, column]} at row {row}, column {column} of channel {name}"
+                    raise refuse(what, got, "finite texels of 0 or more")
 
 
 def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:

@@ -148,9 +148,7 @@ def _judge_element(tag: str, attributes: dict[str, str], path: Path, told: Told,
         if told.includes > MOST_INCLUDES or includes_deep >= DEEPEST_INCLUDE:
             got = "includes without end" if includes_deep >= DEEPEST_INCLUDE else f"more than {MOST_INCLUDES} includes"
             raise refuse(f"scene '{path}'", got, f"{MOST_INCLUDES} in all, {DEEPEST_INCLUDE} in each other")
-        by_user = any(f"${name}" in written for name in told.given)
-        found = _included(own.get("filename", ""), path, told, by_user)
-        _judge(found, told, includes_deep + 1)
+        _judge(_included(own.get("filename", ""), written, path, told), told, includes_deep + 1)
     elif tag == "spectrum" and "filename" in own:
         for folder in (path.parent, told.folder, Path()):
             judge_asset(folder / own["filename"], "spectrum", LARGEST_SPECTRUM)
@@ -158,20 +156,15 @@ def _judge_element(tag: str, attributes: dict[str, str], path: Path, told: Told,
         raise refuse(f"scene '{path}'", f'<path value="{own.get("value", "")}"/>', "none", "Name files with their folders.")
 
 
-def _included(name: str, path: Path, told: Told, by_user: bool) -> Path:
+def _included(name: str, written: str, path: Path, told: Told) -> Path:
     """The file that Mitsuba will include: beside the including one, else beside the scene, else where the command is given."""
-    folders = (path.parent, told.folder, Path())
-    found = _found(name, folders)
+    places = [folder / name for folder in (path.parent, told.folder, Path())]
+    found = next((place for place in places if os.path.lexists(place)), places[0])
     inside = any(Path(os.path.realpath(found)).is_relative_to(os.path.realpath(folder)) for folder in (told.folder, Path()))
-    if not (inside or by_user):
+    if not (inside or any(f"${parameter}" in written for parameter in told.given)):
         mend = "Put the file beside the scene, or name it by a parameter, -D part=FILE."
         raise refuse(f"scene '{path}'", f'<include filename="{name}"/>', f"files in '{told.folder}' and below", mend)
     return found
-
-
-def _found(name: str, folders: tuple[Path, ...]) -> Path:
-    """The first that is there; the first of all, where none is."""
-    return next((folder / name for folder in folders if os.path.lexists(folder / name)), folders[0] / name)
 
 
 def judge_asset(path: Path, what: str, most_bytes: int = LARGEST_ASSET) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -188,23 +187,6 @@ def render(
     return job.image(*job.run(0, progress))
 
 
-@dataclass(frozen=True)
-class _Pass:
-    """What one pass over a scene renders; its seeds start where those of the pass before end."""
-
-    scene: Any
-    integrator: Any
-    responses: list[dict[str, Any]]
-    spp: int
-    renders: int
-    first_seed: int
-    number: int
-
-
-def _part(progress: Progress | None, number: int, of: int) -> Progress | None:
-    return (lambda done: progress((number + done) / of)) if progress else None
-
-
 class Renderer:
     """One scene, loaded once for each lamp spectrum, when first needed; every run is an independent picture of it.
 
@@ -274,42 +256,41 @@ class Renderer:
         return found
 
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
+        """Each strip of each pass is the average of some renders, in float64; all of a job's seeds follow each other."""
         pictures, number = [], 0
         with self._mitsuba() as mi:
             # Long renders are averages of shorter ones; most samplers round their samples up to what it can stratify.
             asked = self.plan.spp * LEVEL_FACTOR**level
             renders = -(-asked // SPP_PER_RENDER)
-            spp = mi.load_dict({"type": self.plan.sampler, "sample_count": -(-asked // renders)}).sample_count()
+            sampler = {"type": self.plan.sampler}
+            spp = mi.load_dict(sampler | {"sample_count": -(-asked // renders)}).sample_count()
+            parts = [slice(*each) for each in pairwise(self._strip_borders(spp))]
+            first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
             for light, (scene, integrator) in zip(self.plan.lights, self._loaded, strict=True):
                 planes = np.zeros((*self.size, len(light.fit.pulses)), np.float32)
-                for each in light.fit.passes:
-                    films = [film_response(light.fit.pulses[pulse]) for pulse in each]
-                    first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE
-                    job = _Pass(scene, integrator, films, spp, renders, first, index * self.plan.passes + number)
-                    for rows, values in self._strips(mi, job, _part(progress, number, self.plan.passes)):
-                        planes[rows, :, list(each)] = values
-                    number += 1
+                for channels in light.fit.passes:
+                    responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
+                    for rows in parts:
+                        total = np.zeros((rows.stop - rows.start, self.size[1], len(channels)))
+                        crop = film(responses, self.size, rows.start, rows.stop)
+                        sensor = mi.load_dict(self.sensor | {"sampler": sampler | {"sample_count": spp}, "film": crop})
+                        for _ in range(renders):
+                            seed = (first + number) % 2**32
+                            rendered = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
+                            total += _checked(np.asarray(rendered, float), len(channels)) / renders
+                            number += 1
+                            if progress:
+                                progress(number / (self.plan.passes * renders * len(parts)))
+                        planes[rows, :, list(channels)] = total
                 pictures.append(planes)
         return pictures, renders * spp
 
-    def _strips(self, mi: Any, job: _Pass, progress: Progress | None) -> Iterator[tuple[slice, Array]]:
-        """Radiance through each response, (rows, W, channels) float64, strip after strip; averages of renders."""
+    def _strip_borders(self, spp: int) -> list[int]:
+        """Rows at which a render begins anew: some of its pixels at a time, so that Ctrl-C is heard between them."""
         height, width = self.size
-        samples = height * width * job.spp
+        samples = height * width * spp
         strips = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP)) if self.scalar else -(-samples // SAMPLES_PER_KERNEL)
-        rows = np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
-        count = job.renders * (len(rows) - 1)
-        sampler = {"sampler": {"type": self.plan.sampler, "sample_count": job.spp}}
-        for strip, (top, bottom) in enumerate(pairwise(rows)):
-            total = np.zeros((bottom - top, width, len(job.responses)))
-            sensor = mi.load_dict(self.sensor | sampler | {"film": film(job.responses, self.size, top, bottom)})
-            for index in range(strip * job.renders, (strip + 1) * job.renders):
-                seed = (job.first_seed + job.number * count + index) % 2**32
-                rendered = mi.render(job.scene, sensor=sensor, integrator=job.integrator, spp=job.spp, seed=seed)
-                total += _checked(np.asarray(rendered, float), len(job.responses)) / job.renders
-                if progress:
-                    progress((index + 1) / count)
-            yield slice(top, bottom), total
+        return np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
         """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
