@@ -15,7 +15,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light import exr, spectral
 from pixsim.light.exr import _merged, read_channels, read_header, write_channels
-from pixsim.light.spectral import SpectralImage
+from pixsim.light.spectral import SpectralImage, Spectrum
 from pixsim.scene import variant
 from pixsim.scene.bands import BAND_EDGES_NM
 from pixsim.scene.mitsuba import import_mitsuba
@@ -371,6 +371,7 @@ def test_factors_are_the_data_they_stand_for():
         ({"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))}, r"factors: got \(2, 1\) and \(1, 2, 2\)"),
         ({"data": np.ones((2, 2, 1)), "pitch_um": 0.0}, "positive pitch"),
         ({"data": np.ones((2, 2, 1)), "band_width_nm": -1.0}, "positive pitch and band widths"),
+        *(({"data": np.ones((2, 2, 1)), "wavelength_nm": [nm]}, "positive wavelengths") for nm in (0.0, -550.0, np.nan)),
         (
             {"data": np.ones((2, 2, 1)), "within": ([[550.0]], [[0.5, 0.5]])},
             r"within: got \(1, 1\) and \(1, 2\); allowed: .*\(B, n\)",
@@ -381,3 +382,9 @@ def test_factors_are_the_data_they_stand_for():
 def test_shapes_that_do_not_fit_are_refused(arguments, message):
     with pytest.raises(PixsimError, match=message):
         SpectralImage(**{"wavelength_nm": [550.0], "band_width_nm": 10.0, "pitch_um": 1.0, **arguments})
+
+
+@pytest.mark.parametrize("values", [[1.0, np.nan], [np.inf, 1.0]])
+def test_a_spectrum_of_no_numbers_is_refused(values):
+    with pytest.raises(PixsimError, match="spectrum: got nan or infinity"):
+        Spectrum(np.array([400.0, 500.0]), np.array(values))
