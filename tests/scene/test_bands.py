@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.edits import FOLDER, VARIANTS
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Pixel
@@ -16,21 +17,13 @@ from pixsim.scene import bands as spectral_bands
 from pixsim.scene.bands import BAND_EDGES_NM, SHAPE_TOLERANCE, Bands, Pulse, Witness, every_band, fit, passes, place_bands
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.renderer import film, film_response
-from pixsim.scene.variant import choose, find_llvm
 from pixsim.sensor.pixel import derive
 
-NEEDS_LLVM = pytest.mark.skipif(find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
-VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), "scalar_spectral"])
-SPECTRA = Path(__file__).parents[2] / "scenes" / "spectra"
+SPECTRA = FOLDER / "spectra"
 FINE_STEP_NM = 0.01  # each table here is linear over cells of this width, or nearly: 1e-6 of any integral
 FINE_NM = np.arange(360 + FINE_STEP_NM / 2, 830, FINE_STEP_NM)
 NONE = np.zeros((0, 471))
 TOLERANCE = 2.5e-4  # what the bands may cost in a render: BANDS_SHARE of the default tolerance
-
-
-@pytest.fixture(autouse=True, scope="module")
-def llvm_before_mitsuba() -> None:
-    choose(None)
 
 
 def spectrum(nodes: Any, values: Any) -> Spectrum:

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.edits import END, edited
+from helpers.edits import END, edited, lens_sr, load
 
 import pixsim
-from pixsim import optics
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import CameraOptions
 from pixsim.light import spectral
@@ -38,11 +37,6 @@ def write_scene(folder: Path, *parts: str) -> Path:
     path = folder / "scene.xml"
     path.write_text(f'<scene version="3.0.0">{"".join(parts)}</scene>')
     return path
-
-
-def load(path: Path | str, **options) -> pixsim.scene.Scene:
-    """Nothing here depends on the variant, and the scalar one is everywhere."""
-    return pixsim.load_scene(path, variant="scalar_spectral", **options)
 
 
 # --- Loading and parameters ---
@@ -209,9 +203,7 @@ def crossings_um(picture: np.ndarray, sample_um: float) -> np.ndarray:
 def test_lp_per_mm_hold_on_the_sensor_for_any_lens(lens):
     camera = pixsim.Camera(**lens)
     image = pixsim.render(pixsim.load_scene("csf", resolution=512, spp=4), camera)
-    fall_off = optics.field_factor(
-        image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification
-    ) / optics.irradiance_factor(camera.f_number, 0, camera.magnification)
+    fall_off = lens_sr(image, camera) / lens_sr(image, camera).max()
     found_um = crossings_um(image.factors[1][0] / fall_off, image.pitch_um)[:29]
     # Half cycles of a frequency that rises from 1 to 33.3 lp/mm, up to 20 lp/mm; 512 samples are 5.3 µm each.
     growth = np.log(1e3 / 30)
