@@ -133,13 +133,8 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
 
     Raises PixsimError where `path` cannot be written.
     """
-    arrays: dict[str, Any] = {
-        "data": image.data,
-        "wavelength_nm": image.wavelength_nm,
-        "units": IRRADIANCE_UNIT,
-        "band_width_nm": image.band_width_nm,
-        "pitch_um": image.pitch_um,
-    }
+    arrays: dict[str, Any] = {"data": image.data, "wavelength_nm": image.wavelength_nm, "units": IRRADIANCE_UNIT}
+    arrays |= {"band_width_nm": image.band_width_nm, "pitch_um": image.pitch_um}
     if "luminance_cd_per_m2" in image.header:
         arrays["white_cd_per_m2"] = image.header["luminance_cd_per_m2"]
     try:
@@ -172,11 +167,8 @@ def _bands(path: Path, cube: Cube) -> tuple[Array, Array]:
         raise refuse(f"wavelengths in '{path}'", got, allowed, "Leave out the other bands.")
     if cube.band_width_nm is not None:
         width_nm = np.asarray(cube.band_width_nm)
-        if (
-            width_nm.shape not in ((), nm.shape)
-            or width_nm.dtype.kind not in "iuf"
-            or not np.all((width_nm > 0) & (width_nm < np.inf))
-        ):
+        numbers = width_nm.shape in ((), nm.shape) and width_nm.dtype.kind in "iuf"
+        if not (numbers and np.all((width_nm > 0) & (width_nm < np.inf))):
             raise refuse(f"band widths in '{path}'", width_nm, f"one, or {nm.size}, positive, in nm")
         return nm, np.broadcast_to(width_nm.astype(float), nm.shape)
     if nm.size == 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, product
 from pathlib import Path
@@ -18,17 +19,11 @@ from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, grid_nm, photopic_efficiency, tabulated
 from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W
 from pixsim.scene.files import judge_asset
-from pixsim.scene.mitsuba import children, evaluate_emitter, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
+from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
 # What the stock emitters call their spectrum.
-EMISSION = {
-    "area": "radiance",
-    "constant": "radiance",
-    "point": "intensity",
-    "spot": "intensity",
-    "directional": "irradiance",
-    "directionalarea": "radiance",
-}
+EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
+EMISSION |= {"point": "intensity", "spot": "intensity", "directional": "irradiance"}
 LUMINANCE_STEP_NM = 1 / 8
 
 
@@ -148,18 +143,15 @@ def parsed_table(value: Any) -> Spectrum:
 def table_of(node: Any) -> Spectrum | None:
     """The table of a `regular` or `irregular` spectrum that is written out."""
     props, plugin = node.props, node.props.plugin_name()
-    try:
-        if plugin == "irregular":
-            return Spectrum(np.array(numbers(props["wavelengths"])), np.array(numbers(props["values"])))
-        if plugin == "regular":
-            values = np.array(numbers(props["values"]))
-            if "wavelength_min" in props:
-                low, high = float(props["wavelength_min"]), float(props["wavelength_max"])
-            else:
-                low, high = numbers(props["range"])
-            return Spectrum(np.linspace(low, high, values.size), values)
-    except (KeyError, ValueError):
+    if plugin not in ("regular", "irregular"):
         return None
+    with suppress(KeyError, ValueError):
+        values = np.array(numbers(props["values"]))
+        if plugin == "irregular":
+            return Spectrum(np.array(numbers(props["wavelengths"])), values)
+        ends = (props["wavelength_min"], props["wavelength_max"]) if "wavelength_min" in props else numbers(props["range"])
+        low, high = map(float, ends)
+        return Spectrum(np.linspace(low, high, values.size), values)
     return None
 
 
@@ -169,8 +161,9 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
         return Spectrum(np.array(key[1]), np.array(key[2]))
     if key[0] == "uniform":
         return tabulated(np.ones(grid_nm().size))
-    if key[0] == "rgb":
-        return tabulated(evaluate_emitter({"type": "rgb", "value": numbers(key[1])}, variant))
+    if key[0] == "rgb":  # as an emitter takes it: times d65
+        colour = {"type": "rgb", "value": numbers(key[1])}
+        return tabulated(evaluate_spectrum({"type": "constant", "radiance": colour}, variant))
     return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))
 
 
@@ -184,25 +177,16 @@ def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
 
 
 # The spectra of the stock BSDFs by name. What is not named here leaves the spectrum as it is.
-SPECTRA = {
-    "diffuse": ("reflectance",),
-    "plastic": ("diffuse_reflectance", "specular_reflectance"),
-    "roughplastic": ("diffuse_reflectance", "specular_reflectance"),
-    "conductor": ("specular_reflectance",),
-    "roughconductor": ("specular_reflectance",),
-    "dielectric": ("specular_reflectance", "specular_transmittance"),
-    "roughdielectric": ("specular_reflectance", "specular_transmittance"),
-    "thindielectric": ("specular_reflectance", "specular_transmittance"),
-    "twosided": (),
-    "blendbsdf": (),
-    "mask": (),
-    "bumpmap": (),
-    "normalmap": (),
-    "null": (),
-}
 LAMBERTIAN = ("diffuse", "twosided")
 METALS = ("conductor", "roughconductor")
 INSIDE = ("plastic", "roughplastic")  # light that goes to and fro under a coat: ρ/(1 - F ρ)
+SPECTRA: dict[str, tuple[str, ...]] = {
+    "diffuse": ("reflectance",),
+    **dict.fromkeys(INSIDE, ("diffuse_reflectance", "specular_reflectance")),
+    **dict.fromkeys(METALS, ("specular_reflectance",)),
+    **dict.fromkeys(("dielectric", "roughdielectric", "thindielectric"), ("specular_reflectance", "specular_transmittance")),
+    **dict.fromkeys(("twosided", "blendbsdf", "mask", "bumpmap", "normalmap", "null"), ()),
+}
 INTERNAL_REFLECTION = 0.6  # of a coat of index 1.49, from inside
 METAL_COSINES = (1.0, 0.7, 0.3)
 HIGHEST_POWER = 3  # of a reflectance, for light that goes to and fro between like surfaces; what goes on longer is little
@@ -409,7 +393,7 @@ def _box(node: Any) -> Array | None:
         centre = np.array(props.get("center", [0.0, 0.0, 0.0]), float).ravel()
         unit = centre + float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
     elif plugin == "cylinder":
-        ends = [np.array(props.get(name, default), float).ravel() for name, default in (("p0", [0.0, 0, 0]), ("p1", [0.0, 0, 1]))]
+        ends = [np.array(props.get(f"p{end}", [0.0, 0, end]), float).ravel() for end in (0, 1)]
         radius = float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
         unit = np.vstack([end + radius for end in ends])
     else:

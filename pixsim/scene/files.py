@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -178,22 +179,11 @@ def judge_tree(nodes: list[list[int]]) -> None:
 
     nodes : of each node, those that it refers to
     """
-    depth = [0] * len(nodes)
-    users = [0] * len(nodes)
-    for each in nodes:
-        for index in each:
-            users[index] += 1
-    free = [index for index, count in enumerate(users) if not count]
-    seen = 0
-    while free:
-        index = free.pop()
-        seen += 1
-        for child in nodes[index]:
-            depth[child] = max(depth[child], depth[index] + 1)
-            users[child] -= 1
-            if not users[child]:
-                free.append(child)
-    if seen < len(nodes):
-        raise PixsimError("scene: got references in a circle; allowed: none that lead back to where they begin.")
-    if max(depth, default=0) > DEEPEST:
-        raise refuse("scene", f"nodes that refer to others {max(depth)} deep", f"at most {DEEPEST}")
+    below = [0] * len(nodes)  # how deep each refers to others
+    try:
+        for index in TopologicalSorter(dict(enumerate(nodes))).static_order():
+            below[index] = max((below[child] + 1 for child in nodes[index]), default=0)
+    except CycleError:
+        raise PixsimError("scene: got references in a circle; allowed: none that lead back to where they begin.") from None
+    if max(below, default=0) > DEEPEST:
+        raise refuse("scene", f"nodes that refer to others {max(below)} deep", f"at most {DEEPEST}")

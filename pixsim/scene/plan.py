@@ -176,6 +176,13 @@ def make_render_plan(
     diffraction = decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
     emitters = nodes_of(state, "Emitter")
     bound_e = sum(each.bound_e for each in (*spectral, focus, diffraction))
+    told = []
+    if surfaces.short:
+        ranges = ", ".join(surfaces.short)
+        told.append(f"reflectance tables of {ranges}: Mitsuba takes 0 outside; extend them to 360-830 nm")
+    if bound_e > tolerance_e:
+        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MOST_BANDS} of them, are the finest"
+        told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
     return Plan(
         lights=tuple(lights),
@@ -191,19 +198,8 @@ def make_render_plan(
         full_spp=most,
         chart=chart,
         tolerance_e=tolerance_e,
-        warnings=_warnings(surfaces, bound_e, tolerance_e),
+        warnings=tuple(told),
     )
-
-
-def _warnings(surfaces: Surfaces, bound_e: float, tolerance_e: float) -> tuple[str, ...]:
-    told = []
-    if surfaces.short:
-        ranges = ", ".join(surfaces.short)
-        told.append(f"reflectance tables of {ranges}: Mitsuba takes 0 outside; extend them to 360-830 nm")
-    if bound_e > tolerance_e:
-        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MOST_BANDS} of them, are the finest"
-        told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
-    return tuple(told)
 
 
 def _witnesses(pixel: Pixel | None) -> list[Witness]:
@@ -253,14 +249,10 @@ def _lights(
     placing = Decision("wavelength bands", True, told, bound_e=alone)
     fewest = sum(len(light.fit.passes) for light in lights)
     error = max(light.fit.error for light in lights)
-    rank = Decision(
-        "spectral rank",
-        fewest >= most,
-        _rank_reason(lamps, surfaces, met, reasons, full),
-        f"{fewest} of {most} passes" if fewest < most else "",
-        max(0.0, error - alone),  # the fit's error includes that of its bands
-        bounded=all(lamp.spectrum is not None for lamp in lamps) and known,
-    )
+    reason, saved = _rank_reason(lamps, surfaces, met, reasons, full), f"{fewest} of {most} passes" if fewest < most else ""
+    bounded = all(lamp.spectrum is not None for lamp in lamps) and known
+    # The fit's error includes that of its bands.
+    rank = Decision("spectral rank", fewest >= most, reason, saved, max(0.0, error - alone), bounded)
     return lights, bands, most, [placing, rank]
 
 

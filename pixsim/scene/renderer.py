@@ -89,15 +89,10 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
 
     state : the scene as parsed for the camera
     """
-    lights = [
-        [
-            light.lamp.spectrum is None,
-            sorted(light.lamp.pictures.items()),
-            [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses],
-            light.fit.passes,
-        ]
-        for light in plan.lights
-    ]
+    lights = []
+    for light in plan.lights:
+        pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
+        lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
     how = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
     tree = hash_of_tree(state, scene.path.parent)
     made_by = cache.made_by("mitsuba", "drjit")
@@ -198,11 +193,8 @@ class Renderer:
         state = scene.for_camera(camera)
         node = sensor_node(state, scene.sensor_id)[1]
         self.size = film_size(state, node)
-        for name, value, (low, high) in (
-            ("resolution", max(self.size), ALLOWED_RESOLUTION),
-            ("resolution", min(self.size), ALLOWED_RESOLUTION),
-            ("spp", plan.spp, ALLOWED_SPP),
-        ):
+        sides = [("resolution", side, ALLOWED_RESOLUTION) for side in (max(self.size), min(self.size))]
+        for name, value, (low, high) in (*sides, ("spp", plan.spp, ALLOWED_SPP)):
             if not low <= value <= high:
                 raise refuse(name, value, f"{low} to {high}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]

@@ -242,9 +242,8 @@ def decide_lens(
     error = BLURRED_EDGE * blur / side_um
     if error > tolerance_e * BLUR_SHARE:
         return "thinlens", Decision("lens samples", True, f"not all in focus: {told}; samples are added until its noise is small")
-    return "perspective", Decision(
-        "lens samples", False, f"all that is seen is matt and in focus ({told})", "2 of 5 dimensions", error
-    )
+    reason = f"all that is seen is matt and in focus ({told})"
+    return "perspective", Decision("lens samples", False, reason, "2 of 5 dimensions", error)
 
 
 def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:

@@ -70,12 +70,8 @@ class Scene:
 
     def for_camera(self, camera: Camera) -> Any:
         """The parser state with the camera's numbers in the scene's parameters, the chart's size with them."""
-        lens = {
-            "fov": camera.fov_deg,
-            "aperture_radius": camera.aperture_radius_m,
-            "focus_distance": camera.object_distance_m,
-            "chart_half_width": camera.chart_half_width_m,
-        }
+        lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
+        lens["chart_half_width"] = camera.chart_half_width_m
         return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
 
     def with_parameters(self, **more: object) -> Scene:
@@ -284,15 +280,10 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
 
 def hash_of_tree(state: Any, folder: Path) -> str:
     """16 hexadecimal digits. PixsimError for a file that is missing."""
-    tree = [
-        [
-            node.type.name,
-            node.props.plugin_name(),
-            sorted((name, in_full(value)) for name, value in plain(node, numbers_only=False)),
-            sorted(children(node, state).items()),
-        ]
-        for node in state.nodes
-    ]
+    tree = []
+    for node in state.nodes:
+        values = sorted((name, in_full(value)) for name, value in plain(node, numbers_only=False))
+        tree.append([node.type.name, node.props.plugin_name(), values, sorted(children(node, state).items())])
     digests = []
     for path in texture_files(state, folder):
         with path.open("rb") as file:

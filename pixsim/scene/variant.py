@@ -173,9 +173,8 @@ def choose(asked: str | None = None) -> Choice:
         mend = "import pixsim.scene.renderer before mitsuba and drjit, or set " + LLVM_VARIABLE
         if asked is not None:
             raise refuse("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {mend}.")
-        warnings.warn(
-            f"rendering with scalar_spectral, since Mitsuba was imported before its LLVM was judged; {mend}", stacklevel=2
-        )
+        why = "Mitsuba was imported before its LLVM was judged"
+        warnings.warn(f"rendering with scalar_spectral, since {why}; {mend}", stacklevel=2)
         return Choice("scalar_spectral", None, "Mitsuba was imported before pixsim could judge its LLVM")
     path, reason = find_llvm()
     if path is not None:

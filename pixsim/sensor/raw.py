@@ -74,12 +74,10 @@ class RawFrame:
     def __repr__(self) -> str:
         words = [f"{name}={value:g}" for name in FACTS if (value := getattr(self, name)) is not None]
         if self.saturated_fraction is None:
-            at_top = self.top_code_fraction
-            words.append(
-                "saturation not known, without a white level"
-                if at_top is None
-                else f"{at_top:.3g} of the pixels at the top code; saturated ones below it cannot be counted from the file"
-            )
+            at_top, told = self.top_code_fraction, "saturation not known, without a white level"
+            if at_top is not None:
+                told = f"{at_top:.3g} of the pixels at the top code; saturated ones below it cannot be counted from the file"
+            words.append(told)
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 

@@ -172,10 +172,8 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
     """The technology with another fill-factor law (`Pixel.fill_factor_law`)."""
     if law not in OTHER_FILL_FACTOR_LAWS:
         return technology
-    limit, zero_pitch, inset = OTHER_FILL_FACTOR_LAWS[law]
-    return technology.model_copy(
-        update={"fill_factor_limit": limit, "fill_factor_zero_pitch_features": zero_pitch, "fill_factor_inset_features": inset}
-    )
+    names = "fill_factor_limit", "fill_factor_zero_pitch_features", "fill_factor_inset_features"
+    return technology.model_copy(update=dict(zip(names, OTHER_FILL_FACTOR_LAWS[law], strict=True)))
 
 
 def load_technology(name: str) -> Technology:
