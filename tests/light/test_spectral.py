@@ -128,12 +128,8 @@ def test_the_file_has_fichets_layout(make, tmp_path):
         names = [name for name in channels if name.startswith("S0.")]
         assert names == [f"S0.{nm},000000nm" for nm in range(370, 821, 10)]
         assert np.array_equal(bits(channels[D65_TEXT].pixels), bits(image.data[:, :, 18]))
-
-
-def test_fractions_of_a_nanometre_have_a_decimal_comma(tmp_path):
     pixsim.write_exr(tmp_path / "image.exr", SpectralImage([632.8, 1064.25], 0.1, 1.0, data=np.ones((1, 1, 2))))
-    with OpenEXR.File(str(tmp_path / "image.exr"), separate_channels=True) as file:
-        assert sorted(file.channels()) == ["S0.1064,250000nm", "S0.632,800000nm"]
+    assert sorted(read_header(tmp_path / "image.exr")["channels"]) == ["S0.1064,250000nm", "S0.632,800000nm"]
     assert pixsim.read_exr(tmp_path / "image.exr").wavelength_nm.tolist() == [632.8, 1064.25]
 
 
@@ -200,16 +196,6 @@ def test_strided_arrays_are_written_as_they_look(tmp_path):
     channels, _ = read_channels(tmp_path / "plane.exr")
     assert np.array_equal(bits(channels["Y"]), bits(plane))
     assert np.array_equal(bits(channels["Z"]), bits(plane[::-1]))
-
-
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.7, 0.99])
-def test_a_truncated_file_is_refused(tmp_path, share):
-    path = tmp_path / "image.exr"
-    pixsim.write_exr(path, general((64, 64)))
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(PixsimError, match=r"EXR file: got '.*image\.exr' .*; allowed: a readable OpenEXR file"):
-        pixsim.read_exr(path)
 
 
 @pytest.mark.parametrize(

@@ -208,6 +208,13 @@ def told(lamp: Spectrum, found: Bands) -> tuple[np.ndarray, float, float]:
     return energy.sum(axis=0), float(energy.sum()), float((energy.sum(axis=1) * at).sum() / energy.sum())
 
 
+def assert_seen(lamp: Spectrum, found: Bands, energy: np.ndarray, responses: dict[str, Any] = RESPONSES) -> None:
+    """Each response gets its energy, to 1e-3. Bands' centres instead of a line would be 1e-2 off."""
+    for response in responses.values():
+        truth = (fine(lamp) * response(FINE_NM)).sum() * FINE_STEP_NM
+        assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
+
+
 @pytest.mark.parametrize("width_nm", [1.0, 0.1])
 @pytest.mark.parametrize("centre_nm", LINES_NM)
 def test_no_line_is_missed(centre_nm, width_nm):
@@ -216,11 +223,8 @@ def test_no_line_is_missed(centre_nm, width_nm):
     energy, total, at_nm = told(lamp, found)
     # Its nodes are rounded to 1e-13 nm.
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12 / width_nm)
+    assert_seen(lamp, found, energy, SEEING)
     light = fine(lamp)
-    for response in SEEING.values():
-        truth = (light * response(FINE_NM)).sum() * FINE_STEP_NM
-        # The energy that a response sees, to 1e-3. Bands' centres instead of the line would be 1e-2 off.
-        assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
     # Its pulses look where it is, to a quarter of their grid's step; at the ends of what Mitsuba samples flanks of two steps
     # need room.
     reach = 2.25 if min(centre_nm - 360, 830 - centre_nm) < 4 * lamp.step_nm else 0.25
@@ -233,10 +237,8 @@ def test_energies_of_shipped_lamps(name):
     found = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
     energy, total, at_nm = told(lamp, found)
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12)
+    assert_seen(lamp, found, energy)
     light = fine(lamp)
-    for response in RESPONSES.values():
-        truth = (light * response(FINE_NM)).sum() * FINE_STEP_NM
-        assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
     # Pulses are bands with the nodes at both their edges: half a nanometre too much at either side, which nearly cancels.
     assert at_nm == pytest.approx((light * FINE_NM).sum() / light.sum(), abs=0.25)
 
@@ -251,9 +253,7 @@ def test_two_lamps_with_different_lines_in_one_band(one_nm, other_nm):
     for lamp in lamps:
         energy, total, _ = told(lamp, found)
         assert total == pytest.approx(1, rel=1e-12)
-        for response in RESPONSES.values():
-            truth = (fine(lamp) * response(FINE_NM)).sum() * FINE_STEP_NM
-            assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
+        assert_seen(lamp, found, energy)
 
 
 def test_lamps_share_a_band_at_equal_energies():

@@ -18,14 +18,14 @@ from scipy.integrate import quad
 import pixsim
 from pixsim.accuracy import stability
 from pixsim.accuracy.solvers import dn_against_light, response_plate, solve_ode, solvers
-from pixsim.accuracy.stability.photodiode import charge_to_e, closed_form_e
+from pixsim.accuracy.stability.photodiode import charge_to_e
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Exposure, Pixel
 from pixsim.scene.plan import decide_saturation
 from pixsim.sensor import photodiode as saturation
 from pixsim.sensor import readout as sensors
 from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
-from pixsim.sensor.pixel import E_PER_FC, WELL_REFERENCE_S, Diode, derive, diode_full_v, junction_charge_fc, junction_ff
+from pixsim.sensor.pixel import WELL_REFERENCE_S, Diode, derive, diode_full_v, junction_charge_fc, junction_ff
 
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 SATURATED = (1e9, 0.03)  # e-/s, s: 30 million electrons into a well of 0.2
@@ -126,31 +126,12 @@ def test_impossible_arguments_are_refused(wrong):
         collected_charge_e(1.0, wrong)
 
 
-def test_the_closed_form_can_tell_a_wrong_capacitance():
-    diode = diode_of(Pixel(capacitance="paper"))
-    current = np.array([1e3, 1e7, 1e12])
-    total = current + diode.saturation_current_e_per_s
-    for factor, agrees in ((1.0, True), (1 + 1e-6, False)):
-        expected = closed_form_e(total, np.full(3, 0.03), factor * E_PER_FC * diode.node_capacitance_ff, diode)
-        assert np.allclose(collected_charge_e(current, 0.03, diode)[1:], expected[1:], rtol=1e-8, atol=0) is agrees
-
-
 def test_a_varying_capacitance_is_no_constant_one():
     # The mean over the swing misses the saturated charge by more than 10 %: C grows in forward bias.
     physics = derive(pixel())
     flat = {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": physics.capacitance_ff}
     constant = replace(diode_of(physics), **flat)
     assert collected_charge_e(*SATURATED) / collected_charge_e(*SATURATED, constant) > 1.1
-
-
-@pytest.mark.parametrize("technology", PITCHES_UM)
-def test_saturation_ends_at_the_open_circuit_voltage(technology):
-    diode = diode_of(pixel(technology))
-    v_oc = -diode.thermal_v * math.log(1 + 1e9 / diode.saturation_current_e_per_s)
-    assert diode.open_circuit_v(1e9) == pytest.approx(v_oc, rel=1e-12)
-    assert collected_charge_e(1e9, 10.0, diode) == pytest.approx(charge_to_e(diode, v_oc), rel=1e-10)
-    # A forward voltage 1 mV off shows.
-    assert abs(charge_to_e(diode, v_oc - 1e-3) / charge_to_e(diode, v_oc) - 1) > 1e-4
 
 
 @pytest.mark.parametrize("reset_v", [1e-3, 0.02, 0.3])
@@ -179,14 +160,6 @@ def test_the_explicit_solver_does_well_where_nothing_is_stiff():
     rows = solvers(default_diode(), 1e6, 0.03)
     assert not any(row.failure for row in rows)
     assert max(row.relative_error for row in rows) < 1e-8
-
-
-@pytest.mark.parametrize("saturation_e_per_s", [0.0, 5e-324, 1e-200])
-def test_without_a_diode_current_all_light_is_kept(saturation_e_per_s):
-    diode = replace(default_diode(), saturation_current_e_per_s=saturation_e_per_s)
-    # Within three wells: with 5e-324 e-/s the diode conducts at 19 V forward.
-    light = np.array([0, 1e-3, 1e6, 2e7])
-    np.testing.assert_allclose(collected_charge_e(light, 0.03, diode), 0.03 * light, rtol=1e-12, atol=1e-200)
 
 
 def test_the_open_circuit_voltage_of_extreme_currents():
@@ -334,20 +307,6 @@ def test_before_saturation_both_limits_give_the_same_bits():
     np.testing.assert_array_equal(swing, diode)
     swing, diode = (frame(derive(pixel(well_limit=limit, **options)), 148_000) for limit in ("swing", "diode"))
     assert np.any(swing != diode)
-
-
-@pytest.mark.parametrize("options", [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}])
-def test_the_default_is_a_hard_clip_bit_for_bit(options):
-    physics = derive(Pixel(**options))
-    sensor = sensors.draw_sensor(physics, SHAPE, np.random.default_rng(1))
-    mean_e = np.random.default_rng(2).uniform(0, 1.4 * physics.full_well_e, SHAPE)
-    found = sensors.expose(mean_e, 0.05, sensor, np.random.default_rng(3))
-    rng = np.random.default_rng(3)
-    dark = 0.05 * physics.dark_current_e_per_s * (1 if sensor.dark_gain is None else sensor.dark_gain)
-    level = np.minimum(sensors.shot_noise(mean_e * sensor.gain + dark, rng), physics.full_well_e)
-    level += math.hypot(physics.reset_noise_e, physics.read_noise_e) * rng.standard_normal(SHAPE)
-    level = level + sensor.offset_e + sensor.column_offset_e
-    np.testing.assert_array_equal(found, sensors.quantise(level * physics.dn_per_e, 10))
 
 
 @pytest.mark.parametrize("technology", PITCHES_UM)

@@ -168,18 +168,11 @@ def test_fixed_pattern_maps():
     assert (clean.gain, clean.dark_gain, clean.offset_e, clean.column_offset_e) == (None, None, None, None)
 
 
-@pytest.mark.parametrize("mean_e", [0.3, 50.0, 0.99e9, 1.01e9, 1e12, 1e15])
-def test_shot_noise_has_the_variance_of_its_mean(mean_e):
-    counts = sensors.shot_noise(np.full(SHAPE, mean_e), seeded(5))
-    # NumPy's own Poisson has 3.5 % too much variance at 1e15: 25σ here.
-    assert all(abs(score) < SIGMAS for score in standard_scores(counts, mean_e, mean_e))
-    np.testing.assert_array_equal(counts, np.rint(counts))
-
-
 def test_shot_noise_of_dim_and_bright_pixels_together():
     mean_e = np.array([[0.0, 2.0, 1e12]])
     counts = sensors.shot_noise(np.repeat(mean_e, 1000, axis=0), seeded(6))
     assert not counts[:, 0].any()
+    np.testing.assert_array_equal(counts, np.rint(counts))
     assert 0 <= counts[:, 1].min() < counts[:, 1].max() < 20
     # 5σ: a standard error of √(m/1000).
     assert np.all(np.abs(counts.mean(axis=0) - mean_e) <= SIGMAS * np.sqrt(mean_e / 1000))
@@ -207,19 +200,6 @@ def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, 
     frame = sensors.capture_rate(rate, sensor, Exposure(integration_s=0.01), seeded(32))
     assert frame.saturated_fraction >= np.mean(frame.dn == 2**pixel.bits - 1)
     return frame.saturated_fraction
-
-
-README_SHEET = {"technology": "none", "pitch_um": 3.75, "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3}
-README_SHEET |= {"quantum_efficiency": 0.62, "bits": 12, "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2}
-
-
-@pytest.mark.parametrize(
-    "options", [{}, README_SHEET, {"conversion": "junction"}, {"well_limit": "diode"}, {"technology": "4t-bsi", "pitch_um": 2.8}]
-)
-def test_flat_light_saturates_all_pixels_or_none(options):
-    """14 wells and half a well are 30 σ of shot noise and PRNU away from the well; half is below where a diode turns forward."""
-    assert saturated_fraction(Pixel(**options), 14.0) == 1.0
-    assert saturated_fraction(Pixel(**options), 0.5) == 0.0
 
 
 @pytest.mark.parametrize("wells", [0.99, 1.0, 1.01])
@@ -313,28 +293,18 @@ def test_the_same_stream_gives_the_same_bits_and_another_one_others():
     assert 0.5 < np.mean(one != other) < 1.0
 
 
-def test_a_dark_room_reads_dark():
-    frame = sensors.capture(
-        even_light(np.zeros((1, 3)), [1.0]),
-        Camera(),
-        sensors.make_sensor(Pixel(pitch_um=20, **CLEAN), Camera()),
-        rng=seeded(0),
-    )
-    np.testing.assert_array_equal(frame.dn, 1000)
-    np.testing.assert_array_equal(frame.electrons, 0.0)
-
-
 def test_a_sensor_of_another_shape_is_refused():
     sensor = sensors.make_sensor(Pixel(pitch_um=20), Camera(die_mm=2.0))
     with pytest.raises(PixsimError, match=r"sensor: got \(100, 100\) pixels .*\(135, 135\).*Make the sensor"):
         sensors.capture(even_light(np.ones((1, 3)), [1.0]), Camera(), sensor, rng=seeded(0))
 
 
-@pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
-def test_a_frame_is_the_chain_stage_by_stage(technology):
-    """Each stage written out, with the same numbers drawn in the same order: the same codes, bit for bit."""
-    p = derive(Pixel(technology=technology, pitch_um=6.5, well_limit="swing"))
-    mean_e = np.random.default_rng(1).uniform(0, 0.5 * p.full_well_e, (40, 30))
+@pytest.mark.parametrize("options", [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}])
+def test_a_frame_is_the_chain_stage_by_stage(options):
+    """Each stage written out, with the same numbers drawn in the same order: the same codes, bit for bit, beyond the well too."""
+    p = derive(Pixel(pitch_um=6.5, **options))
+    assert p.pixel.well_limit == "swing"
+    mean_e = np.random.default_rng(1).uniform(0, 1.4 * p.full_well_e, (40, 30))
     kept = mean_e.copy()
     sensor = sensors.draw_sensor(p, mean_e.shape, np.random.default_rng(2))
     found = sensors.expose(mean_e, 0.05, sensor, np.random.default_rng(3))
@@ -384,12 +354,6 @@ def test_no_light_and_no_dark_current_takes_the_longest_exposure():
     dark, sensor = even_light(np.zeros((1, 3)), [1.0]), sensors.make_sensor(Pixel(pitch_um=20, dark_current_e_per_s=0), Camera())
     frame = sensors.capture(dark, Camera(), sensor, Exposure(max_integration_s=3.0), rng=seeded(0))
     assert (frame.integration_s, frame.mean_e.max(), frame.mean_dark_e) == (3.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("dsnu", [5e-324, 1e-300, 1e-160, 1e-17])
-def test_a_vanishing_dsnu_is_none(dsnu):
-    sensor = sensors.draw_sensor(derive(Pixel(dsnu=dsnu)), (4, 4), seeded(0))
-    assert sensor.dark_gain is None or np.all(sensor.dark_gain == 1)
 
 
 def test_the_most_uneven_dark_charge_is_still_a_count():
