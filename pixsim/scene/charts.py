@@ -106,12 +106,7 @@ def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
     return np.ones((height, width), np.float32)
 
 
-CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
-    "csf": csf,
-    "flat": flat,
-    "siemens_star": siemens_star,
-    "slanted_edge": slanted_edge,
-}
+CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {each.__name__: each for each in (csf, flat, siemens_star, slanted_edge)}
 
 
 def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:

@@ -327,19 +327,15 @@ def decide_oversampling(
         f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
     )
     uniform = plan.chart is not None and plan.chart.uniform
-    error = _fall_off_error(camera, UNIFORM_RESOLUTION)
+    # Of the fall-off at the middle of a sample as its mean over it: by halving the sample, since it goes with the width's square.
+    lens = camera.image_distance_mm, camera.f_number, camera.magnification
+    n = UNIFORM_RESOLUTION
+    middle, parts = (field_factor((each, each), 1e3 * camera.die_mm / each, *lens) for each in (n, 2 * n))
+    error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
     if uniform and not full and free and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
         reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across tell the fall-off"
         return UNIFORM_RESOLUTION, Decision("oversampling", False, reason, f"{UNIFORM_RESOLUTION}² of {width}² samples", error)
     return None, Decision("oversampling", True, told)
-
-
-def _fall_off_error(camera: Camera, width: int) -> float:
-    """Greatest relative error of the lens's fall-off at the middle of a sample as its mean over it, by halving the sample."""
-    lens = camera.image_distance_mm, camera.f_number, camera.magnification
-    middle, parts = (field_factor((n, n), 1e3 * camera.die_mm / n, *lens) for n in (width, 2 * width))
-    means = parts.reshape(width, 2, width, 2).mean(axis=(1, 3))
-    return float(4 / 3 * np.abs(middle / means - 1).max())  # the error goes with the square of the width
 
 
 def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:

@@ -206,7 +206,7 @@ class Renderer:
     @cached_property
     def _loaded(self) -> list[tuple[Any, Any]]:
         """Mitsuba's scene and integrator for each light."""
-        with self._mitsuba() as mi:
+        with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
             states = ((light, self.source.for_camera(self.camera)) for light in self.plan.lights)
             scenes = [load_light(mi, self.source, state, light, self.scalar, self.plan.regular_tables) for light, state in states]
             return [(each, self._integrator(mi, each)) for each in scenes]
@@ -220,18 +220,13 @@ class Renderer:
         own = None if self.plan.integrator else scene.integrator()
         return own or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.plan.integrator or {}))
 
-    def _mitsuba(self) -> Any:
-        return speaking_mitsuba(self.source.choice.variant, self.source.path.parent)
-
     def _sensor(self, node: Any) -> dict[str, Any]:
-        left_out = ["focal_length", "fov_axis"]
-        lens: dict[str, Any] = {"type": self.plan.lens, "fov": self.camera.fov_deg}
-        if self.plan.lens == "thinlens":
-            lens |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
-        else:
-            left_out += ["aperture_radius", "focus_distance"]
+        left_out = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")
         kept = {key: value for key, value in plain(node) if key not in left_out}
-        return kept | lens
+        kept |= {"type": self.plan.lens, "fov": self.camera.fov_deg}
+        if self.plan.lens == "thinlens":
+            kept |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
+        return kept
 
     def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
         """Picture of each pulse of each light, (H, W, pulses) relative to its lamp, and the samples of a film cell.
@@ -250,7 +245,7 @@ class Renderer:
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
         """Each strip of each pass is the average of some renders, in float64; all of a job's seeds follow each other."""
         pictures, number = [], 0
-        with self._mitsuba() as mi:
+        with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
             # Long renders are averages of shorter ones; most samplers round their samples up to what it can stratify.
             asked = self.plan.spp * LEVEL_FACTOR**level
             renders = -(-asked // SPP_PER_RENDER)

@@ -163,21 +163,14 @@ def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, hig
     return zero_bias_ff * (charge(high_v) - charge(low_v)) / (high_v - low_v)
 
 
-def photodiode_capacitance_ff(area_um2: float, junction: Junction) -> float:
-    """Mean capacitance of a square photodiode and its node over the swing: area, sidewall and fixed parts."""
-    t = junction
-    high_v, low_v = t.reset_voltage_v, t.reset_voltage_v - t.voltage_swing_v
-    area_ff = mean_junction_ff(t.cj_ff_per_um2 * area_um2, t.pb_v, t.mj, high_v, low_v)
-    side_ff = mean_junction_ff(t.cjsw_ff_per_um * 4 * math.sqrt(area_um2), t.pbsw_v, t.mjsw, high_v, low_v)
-    return area_ff + side_ff + t.node_capacitance_ff
-
-
-def reset_capacitance_ff(area_um2: float, junction: Junction) -> float:
-    """Capacitance at the reset voltage, where the reset transistor opens and kTC noise freezes."""
-    j, v = junction, junction.reset_voltage_v
-    area_ff = j.cj_ff_per_um2 * area_um2 * (1 + v / j.pb_v) ** -j.mj
-    side_ff = j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
-    return area_ff + side_ff + j.node_capacitance_ff
+def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[float, float]:
+    """Of a square photodiode and its node: the mean over the swing, and at the reset voltage, where kTC noise freezes."""
+    j, high_v = junction, junction.reset_voltage_v
+    area_ff, side_ff = j.cj_ff_per_um2 * area_um2, j.cjsw_ff_per_um * 4 * math.sqrt(area_um2)
+    swing_v = high_v, high_v - j.voltage_swing_v
+    mean_ff = mean_junction_ff(area_ff, j.pb_v, j.mj, *swing_v) + mean_junction_ff(side_ff, j.pbsw_v, j.mjsw, *swing_v)
+    reset_ff = area_ff * (1 + high_v / j.pb_v) ** -j.mj + side_ff * (1 + high_v / j.pbsw_v) ** -j.mjsw
+    return mean_ff + j.node_capacitance_ff, reset_ff + j.node_capacitance_ff
 
 
 def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
@@ -228,7 +221,7 @@ def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_p
         swing_v = PAPER_SWING_V
         own |= {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": mean_ff}
     else:
-        mean_ff, reset_ff = photodiode_capacitance_ff(area_um2, junction), reset_capacitance_ff(area_um2, junction)
+        mean_ff, reset_ff = photodiode_capacitances_ff(area_um2, junction)
         swing_v = junction.voltage_swing_v
     own |= {"saturation_current_e_per_s": dark_current_e_per_s, "temperature_k": pixel.temperature_k}
     diode = Diode(area_um2=area_um2, perimeter_um=4 * math.sqrt(area_um2), **own)
