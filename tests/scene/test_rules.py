@@ -103,60 +103,46 @@ def test_lamps_of_one_spectrum_are_one_light(tmp_path):
 
 # --- What must stay ---
 
-ALONE = {"spectral rank", "bounces"}
+ALONE, DETAIL, MATT = {"spectral rank", "bounces"}, {"texture samples", "diffraction"}, {"bounces", "lens samples"}
+FILM = '<translate z="$focus_distance"/>'
+NEAR, BEHIND = '<scale value="0.05"/><translate z="0.8"/>', '<translate z="-0.1"/>'
+INSIDE = '<bsdf type="null"/><medium type="homogeneous" name="interior"><rgb name="albedo" value="0.9, 0.2, 0.1"/></medium>'
+SLIDE = '<texture type="bitmap" name="texture"><string name="filename" value="coloured.exr"/></texture>'
+
+
+def shining(plugin: str) -> str:
+    return f'<emitter type="{plugin}">{NEUTRAL_LAMP.format("radiance")}</emitter>'
+
+
+# name: (scene, edits, the rules that must not fire)
 KEPT = {
-    # name: (scene, edits, the rules that must not fire)
     "chart out of focus": ("slanted_edge", [moved_chart('<translate z="1.3"/>'), bigger(1.5)], RULES - ALONE),
     "uniform chart out of focus": ("flat", [moved_chart('<translate z="0.9"/>')], RULES - ALONE),
-    "tilted chart": (
-        "flat",
-        [moved_chart('<rotate x="1" angle="20"/><translate z="$focus_distance"/>'), bigger(1.5)],
-        RULES - ALONE,
-    ),
-    "chart smaller than the film": ("flat", [bigger(0.9)], {"texture samples", "diffraction"}),
-    "chart beside the axis": (
-        "slanted_edge",
-        [bigger(2), moved_chart('<translate x="0.3"/><translate z="$focus_distance"/>')],
-        {"texture samples", "diffraction"},
-    ),
-    "chart turned on its side": (
-        "flat",
-        [bigger(2), moved_chart('<rotate z="1" angle="30"/><translate z="$focus_distance"/>')],
-        {"texture samples", "diffraction"},
-    ),
-    "repeated picture": ("slanted_edge", [('<scale y="-1"/>', '<scale x="8" y="-1"/>')], {"texture samples", "diffraction"}),
-    "shifted picture": ("slanted_edge", [('<translate y="1"/>', '<translate x="0.4" y="1"/>')], {"texture samples", "diffraction"}),
-    "a sphere": (
-        "macbeth",
-        [shape("sphere", '<scale value="0.05"/><translate z="0.8"/>', '<bsdf type="diffuse"/>')],
-        {"bounces", "lens samples"},
-    ),
+    "tilted chart": ("flat", [moved_chart(f'<rotate x="1" angle="20"/>{FILM}'), bigger(1.5)], RULES - ALONE),
+    "chart smaller than the film": ("flat", [bigger(0.9)], DETAIL),
+    "chart beside the axis": ("slanted_edge", [bigger(2), moved_chart(f'<translate x="0.3"/>{FILM}')], DETAIL),
+    "chart turned on its side": ("flat", [bigger(2), moved_chart(f'<rotate z="1" angle="30"/>{FILM}')], DETAIL),
+    "repeated picture": ("slanted_edge", [('<scale y="-1"/>', '<scale x="8" y="-1"/>')], DETAIL),
+    "shifted picture": ("slanted_edge", [('<translate y="1"/>', '<translate x="0.4" y="1"/>')], DETAIL),
+    "a sphere": ("macbeth", [shape("sphere", NEAR, '<bsdf type="diffuse"/>')], MATT),
     **{
-        f"a patch of {bsdf}": ("macbeth", [(BSDF, f'<bsdf type="{bsdf}">')], {"bounces", "lens samples"})
+        f"a patch of {bsdf}": ("macbeth", [(BSDF, f'<bsdf type="{bsdf}">')], MATT)
         for bsdf in ("conductor", "roughconductor", "plastic", "roughplastic", "dielectric")
     },
-    "a patch of principled": ("macbeth", [(BSDF, '<bsdf type="principled">')], {"spectral rank", "bounces", "lens samples"}),
+    "a patch of principled": ("macbeth", [(BSDF, '<bsdf type="principled">')], MATT | {"spectral rank"}),
     "an environment map": (
         "macbeth",
         [(END, '<emitter type="envmap"><string name="filename" value="coloured.exr"/></emitter>')],
         {"lens samples"},
     ),
-    "a sky": ("flat", [(END, '<emitter type="sunsky"/>')], {"lens samples", "texture samples", "diffraction"}),
-    "a directional area lamp": (
-        "macbeth",
-        [shape("rectangle", "", f'<emitter type="directionalarea">{NEUTRAL_LAMP.format("radiance")}</emitter>')],
-        {"bounces", "lens samples"},
-    ),
-    "an area lamp facing the board": (
-        "macbeth",
-        [shape("rectangle", '<translate z="-0.1"/>', f'<emitter type="area">{NEUTRAL_LAMP.format("radiance")}</emitter>')],
-        {"bounces"},
-    ),
-    "a board facing the board": ("macbeth", [shape("rectangle", '<translate z="-0.1"/>')], {"bounces"}),
-    "a mirrored board facing the board": ("macbeth", [shape("disk", '<scale x="-1"/><translate z="-0.1"/>')], {"bounces"}),
+    "a sky": ("flat", [(END, '<emitter type="sunsky"/>')], DETAIL | {"lens samples"}),
+    "a directional area lamp": ("macbeth", [shape("rectangle", "", shining("directionalarea"))], MATT),
+    "an area lamp facing the board": ("macbeth", [shape("rectangle", BEHIND, shining("area"))], {"bounces"}),
+    "a board facing the board": ("macbeth", [shape("rectangle", BEHIND)], {"bounces"}),
+    "a mirrored board facing the board": ("macbeth", [shape("disk", f'<scale x="-1"/>{BEHIND}')], {"bounces"}),
     "a board facing the board from the back of its matrix": (
         "macbeth",
-        [shape("rectangle", '<rotate y="1" angle="180"/><scale z="-1"/><translate z="-0.1"/>')],
+        [shape("rectangle", f'<rotate y="1" angle="180"/><scale z="-1"/>{BEHIND}')],
         {"bounces"},
     ),
     "a board that shows both sides": (
@@ -166,28 +152,15 @@ KEPT = {
     ),
     "fog": (
         "macbeth",
-        [
-            (PATH, '<integrator type="volpath"/>'),
-            shape(
-                "cube",
-                '<scale value="0.1"/><translate z="0.8"/>',
-                '<bsdf type="null"/><medium type="homogeneous" name="interior"><rgb name="albedo" value="0.9, 0.2, 0.1"/></medium>',
-            ),
-        ],
-        {"spectral rank", "bounces", "lens samples"},
+        [(PATH, '<integrator type="volpath"/>'), shape("cube", NEAR.replace("0.05", "0.1"), INSIDE)],
+        MATT | {"spectral rank"},
     ),
     "a spot with a coloured slide": (
         "macbeth",
-        [
-            (
-                END,
-                f'<emitter type="spot">{NEUTRAL_LAMP.format("intensity")}'
-                '<texture type="bitmap" name="texture"><string name="filename" value="coloured.exr"/></texture></emitter>',
-            )
-        ],
+        [(END, f'<emitter type="spot">{NEUTRAL_LAMP.format("intensity")}{SLIDE}</emitter>')],
         set(),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture
