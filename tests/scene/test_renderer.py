@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.edits import END, NEEDS_LLVM, VARIANTS, edited, lens_sr
+from helpers.lamps import D65_LUMINANCE, d65_radiance
 from helpers.processes import HANG_S
 
 import pixsim
@@ -29,19 +30,10 @@ from pixsim.sensor import readout as sensor
 from pixsim.sensor.integration import pixel_count
 from pixsim.sensor.pixel import derive
 
-D65_LUMINANCE = 72904.0  # cd/m² of Mitsuba's d65 at scale 1
-
 
 def on_axis_sr(f_number: float, magnification: float) -> float:
     """E/L of a thin lens on its axis: π sin²α."""
     return np.pi / (1 + 4 * f_number**2 * (1 + magnification) ** 2)
-
-
-def d65_radiance(wavelength_nm: np.ndarray, luminance_cd_per_m2: float) -> np.ndarray:
-    """D65 of a luminance, W m⁻² sr⁻¹ nm⁻¹."""
-    nm = np.arange(360.0, 831.0)
-    lumens = spectral.LUMINOUS_EFFICACY_LM_PER_W * (spectral.photopic_efficiency(nm) * spectral.d65(nm)).sum()
-    return spectral.d65(wavelength_nm) * luminance_cd_per_m2 / lumens
 
 
 def z_of_mean(values: np.ndarray) -> float:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.edits import END, edited, lens_sr, load
+from helpers.lamps import D65_LUMINANCE, d65_radiance
 
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import CameraOptions
-from pixsim.light import spectral
 from pixsim.light.exr import write_channels
 from pixsim.light.spectral import grid_nm
 from pixsim.scene import charts
@@ -248,8 +248,6 @@ def test_one_of_several_sensors_by_its_id(tmp_path):
 
 # --- Lamps ---
 
-D65_LUMINANCE = 72904.0  # cd/m² of Mitsuba's d65 at scale 1: 683.002 ∫ȳL of what the plugin returns, measured outside pixsim
-
 
 def area(radiance: str) -> str:
     return f'<shape type="rectangle"><emitter type="area">{radiance}</emitter></shape>'
@@ -282,12 +280,6 @@ def planck(wavelength_nm: np.ndarray, temperature_k: float) -> np.ndarray:
     return 1e-9 * 2 * h * c**2 / metre**5 / np.expm1(h * c / (metre * k * temperature_k))
 
 
-def d65_of_luminance(wavelength_nm: np.ndarray, luminance_cd_per_m2: float) -> np.ndarray:
-    """W m⁻² sr⁻¹ nm⁻¹ at every nm from 360 to 830, from CIE's tables."""
-    lumens = spectral.LUMINOUS_EFFICACY_LM_PER_W * (spectral.photopic_efficiency(wavelength_nm) * spectral.d65(wavelength_nm))
-    return spectral.d65(wavelength_nm) * luminance_cd_per_m2 / lumens.sum()
-
-
 def lamp_of(folder: Path, *emitters: str) -> Lamp | None:
     pixsim.write_chart(folder / "grey.exr", np.full((2, 2), 0.5, np.float32))
     scene = load(write_scene(folder, sensor_xml(), *emitters))
@@ -297,8 +289,8 @@ def lamp_of(folder: Path, *emitters: str) -> Lamp | None:
 @pytest.mark.parametrize(
     ("emitters", "radiance"),
     [
-        ([area(d65_xml())], lambda nm: d65_of_luminance(nm, D65_LUMINANCE)),
-        ([area(d65_xml(0.25, bitmap("texture")))], lambda nm: d65_of_luminance(nm, D65_LUMINANCE / 4)),
+        ([area(d65_xml())], lambda nm: d65_radiance(nm, D65_LUMINANCE)),
+        ([area(d65_xml(0.25, bitmap("texture")))], lambda nm: d65_radiance(nm, D65_LUMINANCE / 4)),
         ([area(bitmap("radiance"))], np.ones_like),
         ([area('<spectrum name="radiance" value="3"/>')], lambda nm: np.full_like(nm, 3.0)),
         ([area(REGULAR)], lambda nm: nm - 360),

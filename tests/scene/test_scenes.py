@@ -20,7 +20,6 @@ SCENES = ["line_lamp", "macbeth", "still_life"]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
 COS_45 = 0.5**0.5
 WHITE_CD_PER_M2 = 1000.0
-D65_LUMINANCE = 72904.0  # cd/m² of Mitsuba's d65 at scale 1, measured outside pixsim
 SIZE = 64
 SEED = 1
 FINE_NM = np.arange(360.0, 830.01, 0.05)

@@ -46,18 +46,6 @@ def cell_means(antiderivative, n: int, length: float) -> np.ndarray:
 # --- Photodiodes ---
 
 
-@pytest.mark.parametrize("pitch_um", [1.0, 2.0, 7 / 3, 1 + 1e-12, 1 - 1e-12, 0.5, 35.0, 70.0])
-def test_full_fill_factor_counts_every_electron_once(pitch_um):
-    # All these divide 70 samples, up to rounding.
-    rate = 1 + np.cumsum(seeded(1).uniform(-0.05, 0.05, (70, 70)), axis=1)
-    pixels = integrate_pixels(rate, 1.0, pitch_um, pitch_um)
-    assert pixels.shape == (round(70 / pitch_um),) * 2
-    assert pixels.sum() == pytest.approx(rate.sum(), rel=1e-11)
-    if pitch_um in (1.0, 2.0, 35.0):  # borders of cells: the running sum itself
-        n, k = int(70 / pitch_um), int(pitch_um)
-        np.testing.assert_allclose(pixels, rate.reshape(n, k, n, k).sum(axis=(1, 3)), rtol=1e-12)
-
-
 @pytest.mark.parametrize("pitch_um", [np.pi, np.sqrt(2), 3.1, 0.77])
 def test_pixels_that_do_not_divide_the_picture_are_centred_and_conserve(pitch_um):
     n, length_um = 60, 60.0
