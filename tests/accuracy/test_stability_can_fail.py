@@ -7,8 +7,10 @@ import pytest
 
 from pixsim import optics
 from pixsim.accuracy import stability
+from pixsim.accuracy.stability import photodiode
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import electrons_per_joule, integrate_pixels, mean_signal_rate, pixel_count
+from pixsim.sensor.photodiode import collected_charge_e
 
 
 def padded(picture, pitch_um, nm, weight, f_number):
@@ -72,3 +74,9 @@ def test_a_wrong_kernel_fails(monkeypatch, name):
     failed = {case.name for case in stability.cases_of(target.partition(".")[0]) if not case.passed}
     assert len(failed) > (3 if target.startswith("integration") else 0)
     assert wrong is not padded or "mean of pictures of 1×1 to 24×40 samples behind f/0.5 to a pinhole" in failed
+
+
+def test_a_wrong_charge_fails(monkeypatch):
+    assert stability.worst_of(list(photodiode.constant_capacitance())) < 1
+    monkeypatch.setattr(photodiode, "collected_charge_e", lambda i, t, d: (1 + 1e-7) * collected_charge_e(i, t, d))
+    assert stability.worst_of(list(photodiode.constant_capacitance())) > 1
