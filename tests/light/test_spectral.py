@@ -370,7 +370,17 @@ def test_shapes_that_do_not_fit_are_refused(arguments, message):
         SpectralImage(**{"wavelength_nm": [550.0], "band_width_nm": 10.0, "pitch_um": 1.0, **arguments})
 
 
-@pytest.mark.parametrize("values", [[1.0, np.nan], [np.inf, 1.0]])
-def test_a_spectrum_of_no_numbers_is_refused(values):
-    with pytest.raises(PixsimError, match="spectrum: got nan or infinity"):
-        Spectrum(np.array([400.0, 500.0]), np.array(values))
+NO_TABLES = [([], []), ([500], [1]), ([500, 400, 600], [1, 0, 0]), ([400, 500], [1, 2, 3]), ([400, np.nan], [1, 2])]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "values", "got"),
+    [
+        *((nodes, values, "two nodes or more, in rising order") for nodes, values in NO_TABLES),
+        ([400, 500], [1.0, np.nan], "nan or infinity"),
+        ([400, 500], [np.inf, 1.0], "nan or infinity"),
+    ],
+)
+def test_what_is_no_spectrum_is_refused(nodes, values, got):
+    with pytest.raises(PixsimError, match=rf"spectrum: got .*{got}"):
+        Spectrum(np.array(nodes, float), np.array(values, float))

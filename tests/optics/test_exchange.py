@@ -377,10 +377,7 @@ def test_what_is_not_light_is_refused_with_its_place(tmp_path, value):
     data = light().astype(float)
     data[2, 3, 1] = value
     refused(npz(tmp_path / "a.npz", data=data), f"got {value} at row 2, column 3 of the band at 510 nm", "0 to 3.4e+38")
-
-
-def test_darkness_is_refused(tmp_path):
-    refused(npz(tmp_path / "a.npz", data=np.zeros((4, 5, 3))), "black everywhere", "some light")
+    refused(npz(tmp_path / "dark.npz", data=np.zeros((4, 5, 3))), "black everywhere", "some light")
 
 
 def test_numbers_of_any_kind_are_taken(tmp_path):

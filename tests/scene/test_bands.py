@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from helpers.edits import FOLDER, VARIANTS
 
-from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Pixel
 from pixsim.light.spectral import STEPS_NM, Spectrum, grid_nm, photons_per_joule, photopic_efficiency, tabulated
 from pixsim.scene import bands as spectral_bands
@@ -140,14 +139,6 @@ def test_the_grid_is_the_coarsest_that_resolves_a_table(nodes, step_nm):
     assert spectrum(nodes, np.ones(len(nodes))).step_nm == step_nm
     # In binary, so that Mitsuba's float32 has the same nodes.
     assert np.array_equal(grid_nm(step_nm).astype(np.float32), grid_nm(step_nm))
-
-
-@pytest.mark.parametrize(
-    ("nodes", "values"), [([], []), ([500], [1]), ([500, 400, 600], [1, 0, 0]), ([400, 500], [1, 2, 3]), ([400, np.nan], [1, 2])]
-)
-def test_what_is_no_table_is_refused(nodes, values):
-    with pytest.raises(PixsimError, match=r"spectrum: got .*; allowed: two nodes or more, in rising order"):
-        spectrum(nodes, values)
 
 
 # --- Bands ---

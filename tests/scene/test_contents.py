@@ -465,14 +465,11 @@ def holds(rows: np.ndarray, wanted: np.ndarray) -> bool:
     return bool(np.abs(rows - wanted).max(axis=1).min() < 1e-12)
 
 
-def test_one_surface_is_itself():
-    three = surfaces(3)
-    np.testing.assert_array_equal(three.products(1), three.spectra)
-
-
 @pytest.mark.parametrize(("bounces", "powers", "series"), [(2, 2, 0), (3, 3, 0), (8, 3, 0), (-1, 3, 3)])
 def test_products_of_what_light_may_meet(bounces, powers, series):
-    three = surfaces(3)
+    three, (one,) = surfaces(3), surfaces(1).spectra
+    np.testing.assert_array_equal(three.products(1), three.spectra)
+    np.testing.assert_allclose(surfaces(1).products(2), [one, one * one], rtol=1e-15)
     a, b, c = three.spectra
     rows = three.products(bounces)
     assert len(rows) == 3 * (powers + series) + 3
@@ -482,11 +479,6 @@ def test_products_of_what_light_may_meet(bounces, powers, series):
         assert holds(rows, wanted)
     for each in (a, b, c):
         assert holds(rows, each**3) == (powers == 3)
-
-
-def test_products_of_one_surface():
-    (a,) = surfaces(1).spectra
-    np.testing.assert_allclose(surfaces(1).products(2), [a, a * a], rtol=1e-15)
 
 
 def test_products_of_many_surfaces_are_sampled():

@@ -64,13 +64,6 @@ def test_pixels_that_do_not_divide_the_picture_are_centred_and_conserve(pitch_um
     np.testing.assert_allclose(rows.sum(axis=0)[0], rows[:, 0].sum(), rtol=1e-12)
 
 
-def test_pixels_and_photodiodes_are_centred():
-    ramp = np.tile(np.arange(9.0) + 0.5, (6, 1))
-    pixels = integrate_pixels(ramp, 1.0, 2.0, 1.0)
-    # Four columns of 2 µm in 9 µm: centres at 1.5, 3.5, 5.5, 7.5 µm; a linear picture's integral is centre × area.
-    np.testing.assert_allclose(pixels, np.tile([1.5, 3.5, 5.5, 7.5], (3, 1)), rtol=1e-12)
-
-
 @pytest.mark.parametrize("frequency_lp_per_mm", [5.0, 20.0, 33.333, 60.0])
 @pytest.mark.parametrize(("pitch_um", "fill_factor"), [(2.0, 0.9), (5.3, 0.05), (6.5, 0.31), (7.77, 1.0), (15.0, 0.73)])
 def test_contrast_of_a_sinusoid_is_the_sinc_of_the_photodiode(frequency_lp_per_mm, pitch_um, fill_factor):

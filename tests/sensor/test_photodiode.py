@@ -92,9 +92,6 @@ def test_the_voltage_of_a_charge_is_found_in_deep_forward_bias_too():
 def test_impossible_diodes_are_refused(name, value):
     with pytest.raises(PixsimError, match="diode"):
         replace(default_diode(), **{name: value})
-
-
-def test_a_diode_without_capacitance_is_refused():
     with pytest.raises(PixsimError, match="some capacitance"):
         replace(default_diode(), area_um2=0.0, perimeter_um=0.0, node_capacitance_ff=0.0)
 
