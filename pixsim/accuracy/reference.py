@@ -72,7 +72,7 @@ def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, sh
     plan = make_render_plan(scene, camera, setup.pixel, band_count=REFERENCE_BANDS)
     picture = FORMULAS[name](*shape)
     job = Renderer(scene.with_parameters(resolution=shape[1]), camera, plan, 0)
-    pictures = [np.repeat(picture[:, :, None], len(light.pulses), axis=2) for light in plan.lights]
+    pictures = [np.repeat(picture[:, :, None], len(light.fit.pulses), axis=2) for light in plan.lights]
     told = f"analytic, the formula of the {name} chart: {shape[1]} × {shape[0]} exact cell means, bands of 1 nm"
     return job.image(pictures, 0), told
 

@@ -81,15 +81,6 @@ def inverse_dct(planes: Array, workers: int = 1) -> Array:
     return np.asarray(idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=workers))
 
 
-BLOCK_SAMPLES = 1 << 18  # in float64 2 MiB: in a processor's cache
-
-
-def row_blocks(height: int, width: int) -> Iterator[slice]:
-    """Rows of a picture of `height` × `width` in blocks of about `BLOCK_SAMPLES`."""
-    step = max(1, BLOCK_SAMPLES // max(1, width))
-    return (slice(top, min(top + step, height)) for top in range(0, height, step))
-
-
 MOST_ARRAYS = 4096
 DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, SyntaxError)
 DAMAGE += (TypeError, OverflowError, IndexError, AttributeError)

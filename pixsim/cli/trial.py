@@ -91,7 +91,7 @@ def libraries() -> Iterator[Line]:
     found = [*variants.candidates(), *((path, variants.BY_HAND) for path in variants.found_by_hand())]
     for path, origin in found:
         yield {"judging": path, "origin": origin}
-        library = variants.judge(path, origin)
+        library = variants.Library(path, origin, variants.llvm_version(path))
         yield {"path": path, "origin": origin, "version": library.version, "fault": library.fault}
 
 

@@ -71,7 +71,9 @@ def _judge(path: Path, file: IO[bytes]) -> None:
     if not 1 <= count <= MOST_CHANNELS:
         raise refuse("EXR file", f"{count} channels in '{path}'", f"1 to {MOST_CHANNELS}")
     if version & TILED:
-        _judge_tiles(path, told.get("tiles", b""), count)
+        across, down = struct.unpack("<2IB", told.get("tiles", b""))[:2]
+        if min(across, down) < 1 or 4 * across * down * count > MOST_TILE_BYTES:
+            raise _damaged(path, f"tiles of {across} × {down} samples")
     refuse_swollen(f"EXR file '{path}'", 4 * width * height * count, stored)
 
 
@@ -114,12 +116,6 @@ def _channel_count(content: bytes) -> int:
             raise EOFError
         count, at = count + 1, end + 17
     return count
-
-
-def _judge_tiles(path: Path, content: bytes, count: int) -> None:
-    sides = struct.unpack("<2IB", content)[:2]
-    if min(sides) < 1 or 4 * math.prod(sides) * count > MOST_TILE_BYTES:
-        raise _damaged(path, f"tiles of {sides[0]} × {sides[1]} samples")
 
 
 def checked_own(own: dict[str, Any]) -> dict[str, Any]:
@@ -181,7 +177,7 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
         raise
     except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
         reason = "its pixels are damaged or cut off" if "part index" in str(error) else error  # the part was left out
-        raise refuse("EXR file", f"'{path}' ({reason})", "a readable OpenEXR file") from None
+        raise refuse("EXR file", f"'{path}' ({reason})", ALLOWED) from None
 
 
 def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -284,12 +280,6 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
         header["spectralLayoutVersion"] = "1.0"
     if image.factors:
         channels |= {f"factor.{r}": picture.__getitem__ for r, picture in enumerate(image.factors[1])}
-    header["pixsim"] = json.dumps(_own_header(image), sort_keys=True)
-    with writing(path) as unfinished:
-        write_rows(unfinished, channels, image.shape, header)
-
-
-def _own_header(image: SpectralImage) -> dict[str, Any]:
     own: dict[str, Any] = {
         "wavelength_nm": image.wavelength_nm.tolist(),
         "band_width_nm": image.band_width_nm.tolist(),
@@ -298,7 +288,11 @@ def _own_header(image: SpectralImage) -> dict[str, Any]:
         "within_shares": image.within[1].tolist(),
         "header": image.header,
     }
-    return own | ({"spectra_w_per_m2_nm": image.factors[0].tolist()} if image.factors else {})
+    if image.factors:
+        own["spectra_w_per_m2_nm"] = image.factors[0].tolist()
+    header["pixsim"] = json.dumps(own, sort_keys=True)
+    with writing(path) as unfinished:
+        write_rows(unfinished, channels, image.shape, header)
 
 
 def _merged(image: SpectralImage) -> SpectralImage:

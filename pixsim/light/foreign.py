@@ -275,10 +275,8 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
         raise refuse("ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers")
     for field, neutral in ENVI_NEUTRAL.items():
         if any(float(value) != neutral for value in np.atleast_1d(header.get(field, []))):
-            allowed = f"none, or {neutral:g} for each band"
-            raise refuse(
-                f"'{field}' in '{path}'", header[field], allowed, "Apply it (leave bad bands out) and write the light itself."
-            )
+            allowed, mend = f"none, or {neutral:g} for each band", "Apply it (leave bad bands out) and write the light itself."
+            raise refuse(f"'{field}' in '{path}'", header[field], allowed, mend)
 
 
 def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:

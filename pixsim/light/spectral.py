@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pixsim.base.arrays import Array, row_blocks
+from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, refuse
 
 # What the reference shows; the rest is for pixsim itself.
@@ -25,6 +25,8 @@ __all__ = ["SpectralImage", "d65", "luminous_weight", "photons_per_joule", "phot
 PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
 WHOLE = slice(None)
+STRIP_VALUES = 1 << 18  # of all bands, 1 MiB in float32
+LARGEST = float(np.finfo(np.float32).max)
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
@@ -140,8 +142,9 @@ class SpectralImage:
 
         weight : (B,), any unit per W m⁻² nm⁻¹
         """
+        height, width = self.shape
         total = np.empty(self.shape)
-        for rows in row_blocks(*self.shape):  # so that no second picture of this size is needed
+        for rows in strips(height, width * len(self.factors[0] if self.factors else weight), STRIP_VALUES):
             total[rows] = self.weighted_part(weight, (rows, WHOLE))
         return total
 
@@ -155,9 +158,8 @@ class SpectralImage:
             totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
             terms = ((total, picture[part]) for total, picture in zip(totals, self.factors[1], strict=True))
         else:
-            terms = ((weight[band], self.data[part][:, :, band]) for band in np.flatnonzero(weight))
-        height, width = (len(range(*each.indices(n))) for each, n in zip(part, self.shape, strict=True))
-        total = np.zeros((height, width))
+            terms = ((weight[band], self.data[(*part, band)]) for band in np.flatnonzero(weight))
+        total = np.zeros([len(range(*each.indices(n))) for each, n in zip(part, self.shape, strict=True)])
         for factor, picture in terms:
             total += factor * picture.astype(float)
         return total
@@ -182,6 +184,18 @@ class SpectralImage:
         """(H, W) lx: 683.002 ∫ ȳ E dλ."""
         return self.weighted(self.luminous_weight())
 
+    def validate(self) -> None:
+        """PixsimError for light that is not finite, or negative where it is not one of several factors that add up."""
+        spectra, picture = self.factors or (np.ones((1, 1)), self.data)
+        low, high = (float(picture.min()), float(picture.max())) if picture.size else (math.nan, math.nan)  # NaN passes both
+        beside = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
+        if not all(np.abs(each).max() <= LARGEST for each in (low, high, *beside)):
+            got = f"a picture from {low:g} to {high:g}, or what goes with it"
+            raise refuse("irradiance", got, f"light, spectra and bands that are finite, at most {LARGEST:.4g}")
+        if len(spectra) == 1 and min(low, float(spectra.min())) < 0:
+            mend = "Take what is below zero for darkness first."
+            raise refuse("irradiance", f"values from {low:g} to {high:g}", "0 and more", mend)
+
     def __repr__(self) -> str:
         height, width = self.shape
         count = len(self.factors[0]) if self.factors else 0
@@ -193,7 +207,6 @@ class SpectralImage:
 
 
 LOW_NM, HIGH_NM = 360.0, 830.0  # what Mitsuba samples
-# Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
 # Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
 # their ratios are exact in Mitsuba's float32 and its combined response has its nodes where ours are.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
@@ -271,22 +284,3 @@ def regular_values(table: Spectrum) -> Array | None:
     if count > MOST_REGULAR_VALUES:
         return None
     return table.at(np.linspace(table.nodes_nm[0], table.nodes_nm[-1], count))
-
-
-LARGEST = float(np.finfo(np.float32).max)
-
-
-def refuse_impossible_light(irradiance: SpectralImage) -> None:
-    """PixsimError for light that is not finite, or negative where it is not one of several factors that add up."""
-    picture = irradiance.factors[1] if irradiance.factors else irradiance.data
-    spectra = irradiance.factors[0] if irradiance.factors else np.ones((1, 1))
-    low, high = (float(picture.min()), float(picture.max())) if picture.size else (math.nan, math.nan)  # NaN comes through both
-    beside = irradiance.pitch_um, irradiance.wavelength_nm, irradiance.band_width_nm, *irradiance.within, spectra
-    if not all(np.abs(each).max() <= LARGEST for each in (low, high, *beside)):
-        raise refuse(
-            "irradiance",
-            f"a picture from {low:g} to {high:g}, or what goes with it",
-            f"light, spectra and bands that are finite, at most {LARGEST:.4g}",
-        )
-    if len(spectra) == 1 and min(low, float(spectra.min())) < 0:
-        raise refuse("irradiance", f"values from {low:g} to {high:g}", "0 and more", "Take what is below zero for darkness first.")

@@ -31,11 +31,10 @@ from pixsim.light.foreign import (
     read_cube,
     shortened,
 )
-from pixsim.light.spectral import SpectralImage
+from pixsim.light.spectral import LARGEST, SpectralImage
 from pixsim.optics.thin_lens import field_factor
 
 ALLOWED_NM = (300.0, 1200.0)  # what glass lets through and silicon sees
-LARGEST = float(np.finfo(np.float32).max)
 PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
 PARTS_OF_A_BAND = 10
 
@@ -118,14 +117,10 @@ def _from_cube(path: Path, cube: Cube, camera: Camera | None, units: str | None,
             data[:, :, band] = told.astype(float) * light
         _check_band(path, data[:, :, band], told, centre_nm)
     _check_lit(path, data.any())
-    return SpectralImage(nm, width_nm, sampling_um, data=data, within=_even_light(nm, width_nm), header=header)
-
-
-def _even_light(wavelength_nm: Array, band_width_nm: Array) -> tuple[Array, Array]:
-    """`SpectralImage.within` of bands whose light is even over them, in ten parts: nodes in nm and shares, (B, 10) each."""
-    offsets = (np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5
-    nodes = wavelength_nm[:, None] + band_width_nm[:, None] * offsets
-    return nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
+    # Light that is even over each band, in ten parts.
+    nodes = nm[:, None] + width_nm[:, None] * ((np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5)
+    within = nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
+    return SpectralImage(nm, width_nm, sampling_um, data=data, within=within, header=header)
 
 
 def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
@@ -138,13 +133,8 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
 
     Raises PixsimError where `path` cannot be written.
     """
-    arrays: dict[str, Any] = {
-        "data": image.data,
-        "wavelength_nm": image.wavelength_nm,
-        "units": IRRADIANCE_UNIT,
-        "band_width_nm": image.band_width_nm,
-        "pitch_um": image.pitch_um,
-    }
+    arrays: dict[str, Any] = {"data": image.data, "wavelength_nm": image.wavelength_nm, "units": IRRADIANCE_UNIT}
+    arrays |= {"band_width_nm": image.band_width_nm, "pitch_um": image.pitch_um}
     if "luminance_cd_per_m2" in image.header:
         arrays["white_cd_per_m2"] = image.header["luminance_cd_per_m2"]
     try:
@@ -177,11 +167,8 @@ def _bands(path: Path, cube: Cube) -> tuple[Array, Array]:
         raise refuse(f"wavelengths in '{path}'", got, allowed, "Leave out the other bands.")
     if cube.band_width_nm is not None:
         width_nm = np.asarray(cube.band_width_nm)
-        if (
-            width_nm.shape not in ((), nm.shape)
-            or width_nm.dtype.kind not in "iuf"
-            or not np.all((width_nm > 0) & (width_nm < np.inf))
-        ):
+        numbers = width_nm.shape in ((), nm.shape) and width_nm.dtype.kind in "iuf"
+        if not (numbers and np.all((width_nm > 0) & (width_nm < np.inf))):
             raise refuse(f"band widths in '{path}'", width_nm, f"one, or {nm.size}, positive, in nm")
         return nm, np.broadcast_to(width_nm.astype(float), nm.shape)
     if nm.size == 1:

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import refuse
+from pixsim.light.spectral import WHOLE
 
 
 def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: ArrayLike = 0.0) -> Array:
@@ -45,18 +46,26 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
         return 2 * np.pi * a / (q * (q + p))
 
 
-def field_factor(shape: tuple[int, int], pitch_um: float, image_distance_mm: float, f_number: float, magnification: float) -> Array:
+def field_factor(
+    shape: tuple[int, int],
+    pitch_um: float,
+    image_distance_mm: float,
+    f_number: float,
+    magnification: float,
+    part: tuple[slice, slice] = (WHOLE, WHOLE),
+) -> Array:
     """`irradiance_factor` at the centre of each sample of a grid centred on the axis, (H, W) sr.
 
     shape : (H, W)
     f_number : as engraved
     magnification : image over object size
+    part : the rows and columns to compute, all where it is left out
 
     Raises PixsimError as `irradiance_factor` does.
     """
-    y_um, x_um = (((np.arange(n) + 0.5) - n / 2) * pitch_um for n in shape)
-    factor = np.empty(shape)
-    for rows in strips(*shape):
+    y_um, x_um = (((np.arange(n) + 0.5) - n / 2)[some] * pitch_um for n, some in zip(shape, part, strict=True))
+    factor = np.empty((y_um.size, x_um.size))
+    for rows in strips(*factor.shape):
         tan_field = np.hypot(x_um[None, :], y_um[rows, None]) / (1e3 * image_distance_mm)
         factor[rows] = irradiance_factor(f_number, tan_field, magnification)
     return factor

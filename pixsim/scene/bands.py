@@ -93,12 +93,14 @@ class Fit:
     """Pulses, and the spectrum that each stands for.
 
     spectra : (pulses, B) W m⁻² sr⁻¹ nm⁻¹ of each band for each unit of a pulse's picture
+    passes : which pulses are rendered together
     error : greatest relative error of any response to the light from any surface
     """
 
-    pulses: tuple[Pulse, ...]
+    pulses: tuple[Pulse, ...] = field(repr=False)
     spectra: Array = field(repr=False)
-    error: float
+    passes: list[list[int]]
+    error: float = 0.0
 
 
 def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness], tolerance: float) -> Bands:
@@ -111,10 +113,10 @@ def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness]
     That is so where lamps with lines at different places share a band, or a surface and a response both change in it.
     """
     edges = BAND_EDGES_NM
-    resolved = [_resolved(lamp, surfaces) for lamp in lamps]
+    lights = [resolved(lamp, surfaces) for lamp in lamps]
     while True:
         bands = _shaped(edges, lamps)
-        errors = [_errors(bands, *each, witnesses) for each in resolved]
+        errors = [band_errors(bands, light, witnesses) for light in lights]
         worst = max((float(np.abs(each.sum(axis=2)).max()) for each in errors), default=0.0)
         if worst <= tolerance or edges.size > MOST_BANDS:
             return bands
@@ -131,15 +133,12 @@ def equal_bands(count: int, lamps: list[Spectrum]) -> Bands:
     return _shaped(np.linspace(LOW_NM, HIGH_NM, count + 1), lamps)
 
 
-def band_errors(bands: Bands, lamp: Spectrum, surfaces: Array, witnesses: list[Witness]) -> Array:
-    """Error of each witness's answer to the lamp's light from each surface, by band and over the whole answer.
+def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[Witness]) -> Array:
+    """Error of each witness's answer to a `resolved` lamp's light from each surface, by band and over the whole answer.
 
     (witnesses, 1 + n, B), relative to what the witness tolerates.
     """
-    return _errors(bands, *_resolved(lamp, surfaces), witnesses)
-
-
-def _errors(bands: Bands, light: Array, at: Array, families: Array, witnesses: list[Witness]) -> Array:
+    light, at, families = lamp
     first = np.searchsorted(at, bands.edges_nm[:-1])
     energy = np.add.reduceat(families * light, first, axis=1)
     errors = []
@@ -151,7 +150,7 @@ def _errors(bands: Bands, light: Array, at: Array, families: Array, witnesses: l
     return np.array(errors)
 
 
-def _resolved(lamp: Spectrum, surfaces: Array) -> tuple[Array, Array, Array]:
+def resolved(lamp: Spectrum, surfaces: Array) -> tuple[Array, Array, Array]:
     """Lamp's energy in cells so fine that a response may begin with a step in one; their centres; surfaces there."""
     step = min(lamp.step_nm, STEPS_NM[1])
     edges = grid_nm(step)
@@ -208,16 +207,18 @@ def window_pulse(lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside
     return Pulse(LOW_NM + step * start, LOW_NM + step * stop, values / area) if area > 0 else None
 
 
-def every_band(lamp: Spectrum | None, bands: Bands) -> tuple[Fit, list[list[int]]]:
+def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
     """A pulse for each band that has light, in passes of four that do not touch: nothing is assumed of the surfaces."""
     edges = bands.edges_nm
     # Flat pulses with the lamps in place measure the mean over a band, of unit area.
     mean = lamp.cell_means(edges) if lamp else np.ones(edges.size - 1)
     found = {band: window_pulse(lamp, edges[band], edges[band + 1], band=True) for band in np.flatnonzero(mean).tolist()}
-    pulses = {band: pulse for band, pulse in found.items() if pulse}
-    spectra = np.zeros((len(pulses), mean.size))
-    spectra[np.arange(len(pulses)), list(pulses)] = mean[list(pulses)]
-    return Fit(tuple(pulses.values()), spectra, 0.0), _passes(list(pulses.values()))
+    lit, pulses = [band for band, pulse in found.items() if pulse], tuple(pulse for pulse in found.values() if pulse)
+    fours = passes(len(pulses))
+    # Flanks may reach into neighbours: one by one where the pulses of a pass would not lie apart.
+    spans = [sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in each}) for each in fours]
+    apart = all(low[1] <= high[0] for each in spans for low, high in pairwise(each)) and len(pulses) >= 2 * PULSES_PER_PASS
+    return Fit(pulses, np.diag(mean)[lit], fours if apart else [[index] for index in range(len(pulses))])
 
 
 def passes(count: int) -> list[list[int]]:
@@ -232,14 +233,6 @@ def passes(count: int) -> list[list[int]]:
     return [[index if index < count else each[0] for index in each] for each in fours]
 
 
-def _passes(pulses: list[Pulse]) -> list[list[int]]:
-    """`passes` of pulses whose flanks may reach into their neighbours; one by one where they would not lie apart."""
-    fours = passes(len(pulses))
-    spans = [sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in each}) for each in fours]
-    apart = all(low[1] <= high[0] for each in spans for low, high in pairwise(each))
-    return fours if apart and len(pulses) >= 2 * PULSES_PER_PASS else [[index] for index in range(len(pulses))]
-
-
 def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness], tolerance: float) -> Fit | None:
     """The fewest pulses that tell all bands of this lamp's light from any of the surfaces to within `tolerance`.
 
@@ -252,7 +245,7 @@ def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness],
     if lit.size == 0:
         return None
     families = np.array([np.interp(grid, grid_nm(), each) for each in (np.ones(grid_nm().size), *surfaces)])
-    fine_light, at, fine = _resolved(lamp, surfaces)
+    fine_light, at, fine = resolved(lamp, surfaces)
     truth = np.array([(fine * (fine_light * witness.response(at))).sum(axis=1) for witness in witnesses])
     first = np.searchsorted(at, bands.edges_nm[:-1])
     own = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
@@ -273,7 +266,7 @@ def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness],
         errors = np.divide(wrong, truth * slack, out=np.zeros_like(wrong), where=truth > 0)
         shape = np.abs(told - own).max(axis=1) / np.maximum(own.max(axis=1), np.finfo(float).tiny)
         if errors.max() <= tolerance and shape.max() <= SHAPE_TOLERANCE:
-            return Fit(tuple(known), spectra, float(errors.max()))
+            return Fit(tuple(known), spectra, passes(len(known)), float(errors.max()))
     return None
 
 
@@ -286,6 +279,5 @@ def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: fl
     measured = np.stack([pulse.mean(scaled, step_nm) for pulse in pulses], axis=1)
     centroids = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in pulses]
     plain = np.array([np.interp(grid, centroids, row) for row in np.eye(len(pulses))])
-    stiff = STIFFNESS * np.eye(len(pulses))
-    left = measured.T @ measured / len(scaled) + stiff
+    left = measured.T @ measured / len(scaled) + STIFFNESS * np.eye(len(pulses))
     return np.asarray(np.linalg.solve(left, measured.T @ scaled / len(scaled) + STIFFNESS * plain))

@@ -64,10 +64,6 @@ def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, 
     return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
 
 
-def _grid(height: int, width: int) -> tuple[Array, Array]:
-    return np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-
-
 def csf(width: int = 8192, height: int = 256, die_mm: float = DIE_MM) -> NDArray[np.float32]:
     """Contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texels.
 
@@ -76,7 +72,7 @@ def csf(width: int = 8192, height: int = 256, die_mm: float = DIE_MM) -> NDArray
     The many rows are for the lowest half row, where a texture cannot follow its rising contrast (0.9 % short there).
     Texels are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
     """
-    x, y = _grid(height, width)
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     return (np.rint(csf_value(x, y, die_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
 
 
@@ -110,12 +106,7 @@ def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
     return np.ones((height, width), np.float32)
 
 
-CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
-    "csf": csf,
-    "flat": flat,
-    "siemens_star": siemens_star,
-    "slanted_edge": slanted_edge,
-}
+CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {each.__name__: each for each in (csf, flat, siemens_star, slanted_edge)}
 
 
 def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:

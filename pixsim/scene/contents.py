@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, product
 from pathlib import Path
@@ -18,17 +19,11 @@ from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, grid_nm, photopic_efficiency, tabulated
 from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W
 from pixsim.scene.files import judge_asset
-from pixsim.scene.mitsuba import children, evaluate_emitter, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
+from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
 # What the stock emitters call their spectrum.
-EMISSION = {
-    "area": "radiance",
-    "constant": "radiance",
-    "point": "intensity",
-    "spot": "intensity",
-    "directional": "irradiance",
-    "directionalarea": "radiance",
-}
+EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
+EMISSION |= {"point": "intensity", "spot": "intensity", "directional": "irradiance"}
 LUMINANCE_STEP_NM = 1 / 8
 
 
@@ -53,39 +48,30 @@ class Lamp:
         return float(LM_PER_W * LUMINANCE_STEP_NM * (self.spectrum.cell_means(edges) * photopic_efficiency(at)).sum())
 
 
-@dataclass(frozen=True)
-class _Emission:
-    """An emitter's spectrum (a hashable key) × scale × neutral picture (a texture node)."""
-
-    name: str
-    key: tuple[Any, ...]
-    scale: float
-    picture: int | None
-
-
 def find_lamps(state: Any, variant: str) -> list[Lamp]:
     """Emitters by spectrum, in the order of the scene; those whose colour varies over them come last, together."""
-    groups: dict[tuple[Any, ...], list[tuple[int, _Emission]]] = {}
+    groups: dict[tuple[Any, ...], list[tuple[int, str, float, int | None]]] = {}
     coloured: dict[int, tuple[str, int | float]] = {}
     for index, node in nodes_of(state, "Emitter"):
-        part = _emission(state, node)
-        if part is None:
-            coloured[index] = (EMISSION.get(node.props.plugin_name(), ""), 1.0)
+        name = EMISSION.get(node.props.plugin_name(), "")
+        emission = _emission(state, node)
+        if emission is None:
+            coloured[index] = name, 1.0
         else:
+            key, scale, picture = emission
             # Pictures cannot be scaled in place: emitters with one share a group only at the same power.
-            groups.setdefault((part.key, part.scale if part.picture is not None else None), []).append((index, part))
+            groups.setdefault((key, None if picture is None else scale), []).append((index, name, scale, picture))
     for key, scale in list(groups):
         if scale is None and (host := next((each for each in groups if each[0] == key and each[1] is not None), None)):
             groups[host] += groups.pop((key, None))  # those without a picture can have any power
     lamps = []
     for (key, scale), parts in groups.items():
-        first = max(part.scale for _, part in parts) if scale is None else scale
-        spectrum = evaluate(key, variant) * first
+        first = max(own for _, _, own, _ in parts) if scale is None else scale
         pictures: dict[int, tuple[str, int | float]] = {
-            index: (part.name, part.picture if part.picture is not None else (part.scale / first if first else 1.0))
-            for index, part in parts
+            index: (name, picture if picture is not None else (own / first if first else 1.0))
+            for index, name, own, picture in parts
         }
-        lamps.append(Lamp(spectrum, pictures))
+        lamps.append(Lamp(evaluate(key, variant) * first, pictures))
     return [*lamps, Lamp(None, coloured)] if coloured else lamps
 
 
@@ -95,46 +81,47 @@ def find_lamp(state: Any, variant: str) -> Lamp | None:
     return lamps[0] if len(lamps) == 1 and lamps[0].spectrum is not None else None
 
 
-def _emission(state: Any, emitter: Any) -> _Emission | None:
+def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | None] | None:
+    """An emitter's spectrum (a hashable key), scale and neutral picture (a texture node); None where they are not apart."""
     name = EMISSION.get(emitter.props.plugin_name())
     if name is None:
         return None
     if name not in emitter.props:  # Mitsuba's default: a d65 of scale 1
-        return _Emission(name, ("d65",), 1.0, None)
+        return (("d65",), 1.0, None)
     beside = [index for key, index in children(emitter, state).items() if key != name]
     if any(not is_neutral(state.nodes[index]) for index in beside if state.nodes[index].type.name == "Texture"):
         return None  # the slide of a spot
     kind = emitter.props.type(name).name
     if kind == "Float":  # a plain number is a d65 of that scale
-        return _Emission(name, ("d65",), float(emitter.props[name]), None)
+        return (("d65",), float(emitter.props[name]), None)
     if kind == "Color":
-        return _Emission(name, ("rgb", emitter.props.as_string(name)), 1.0, None)
+        return (("rgb", emitter.props.as_string(name)), 1.0, None)
     if kind == "Spectrum":
         value = emitter.props[name]
         if value.is_uniform():
-            return _Emission(name, ("uniform",), float(value.values[0]), None)
-        return _Emission(name, ("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
+            return (("uniform",), float(value.values[0]), None)
+        return (("table", tuple(map(float, value.wavelengths)), tuple(map(float, value.values))), 1.0, None)
     if kind not in ("ResolvedReference", "Reference"):
         return None
     index = children(emitter, state)[name]
     node = state.nodes[index]
     plugin = node.props.plugin_name()
     if plugin == "bitmap" and is_neutral(node):
-        return _Emission(name, ("uniform",), 1.0, index)
+        return (("uniform",), 1.0, index)
     nested = list(children(node, state).values())
     if len(nested) > 1 or (nested and not is_neutral(state.nodes[nested[0]])):
         return None
     picture = nested[0] if nested else None
     values = {key: value for key, value in plain(node) if isinstance(value, (int, float, str))}
     if plugin == "uniform":
-        return _Emission(name, ("uniform",), float(values.get("value", 1.0)), picture)
+        return (("uniform",), float(values.get("value", 1.0)), picture)
     if plugin == "d65":
-        return _Emission(name, ("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
+        return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
     table = table_of(node)
     if table is not None:
-        return _Emission(name, ("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
+        return (("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
     if plugin == "blackbody":
-        return _Emission(name, (plugin, *sorted(values.items())), 1.0, picture)
+        return ((plugin, *sorted(values.items())), 1.0, picture)
     return None
 
 
@@ -156,18 +143,15 @@ def parsed_table(value: Any) -> Spectrum:
 def table_of(node: Any) -> Spectrum | None:
     """The table of a `regular` or `irregular` spectrum that is written out."""
     props, plugin = node.props, node.props.plugin_name()
-    try:
-        if plugin == "irregular":
-            return Spectrum(np.array(numbers(props["wavelengths"])), np.array(numbers(props["values"])))
-        if plugin == "regular":
-            values = np.array(numbers(props["values"]))
-            if "wavelength_min" in props:
-                low, high = float(props["wavelength_min"]), float(props["wavelength_max"])
-            else:
-                low, high = numbers(props["range"])
-            return Spectrum(np.linspace(low, high, values.size), values)
-    except (KeyError, ValueError):
+    if plugin not in ("regular", "irregular"):
         return None
+    with suppress(KeyError, ValueError):
+        values = np.array(numbers(props["values"]))
+        if plugin == "irregular":
+            return Spectrum(np.array(numbers(props["wavelengths"])), values)
+        ends = (props["wavelength_min"], props["wavelength_max"]) if "wavelength_min" in props else numbers(props["range"])
+        low, high = map(float, ends)
+        return Spectrum(np.linspace(low, high, values.size), values)
     return None
 
 
@@ -177,8 +161,9 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
         return Spectrum(np.array(key[1]), np.array(key[2]))
     if key[0] == "uniform":
         return tabulated(np.ones(grid_nm().size))
-    if key[0] == "rgb":
-        return tabulated(evaluate_emitter({"type": "rgb", "value": numbers(key[1])}, variant))
+    if key[0] == "rgb":  # as an emitter takes it: times d65
+        colour = {"type": "rgb", "value": numbers(key[1])}
+        return tabulated(evaluate_spectrum({"type": "constant", "radiance": colour}, variant))
     return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))
 
 
@@ -192,25 +177,16 @@ def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
 
 
 # The spectra of the stock BSDFs by name. What is not named here leaves the spectrum as it is.
-SPECTRA = {
-    "diffuse": ("reflectance",),
-    "plastic": ("diffuse_reflectance", "specular_reflectance"),
-    "roughplastic": ("diffuse_reflectance", "specular_reflectance"),
-    "conductor": ("specular_reflectance",),
-    "roughconductor": ("specular_reflectance",),
-    "dielectric": ("specular_reflectance", "specular_transmittance"),
-    "roughdielectric": ("specular_reflectance", "specular_transmittance"),
-    "thindielectric": ("specular_reflectance", "specular_transmittance"),
-    "twosided": (),
-    "blendbsdf": (),
-    "mask": (),
-    "bumpmap": (),
-    "normalmap": (),
-    "null": (),
-}
 LAMBERTIAN = ("diffuse", "twosided")
 METALS = ("conductor", "roughconductor")
 INSIDE = ("plastic", "roughplastic")  # light that goes to and fro under a coat: ρ/(1 - F ρ)
+SPECTRA: dict[str, tuple[str, ...]] = {
+    "diffuse": ("reflectance",),
+    **dict.fromkeys(INSIDE, ("diffuse_reflectance", "specular_reflectance")),
+    **dict.fromkeys(METALS, ("specular_reflectance",)),
+    **dict.fromkeys(("dielectric", "roughdielectric", "thindielectric"), ("specular_reflectance", "specular_transmittance")),
+    **dict.fromkeys(("twosided", "blendbsdf", "mask", "bumpmap", "normalmap", "null"), ()),
+}
 INTERNAL_REFLECTION = 0.6  # of a coat of index 1.49, from inside
 METAL_COSINES = (1.0, 0.7, 0.3)
 HIGHEST_POWER = 3  # of a reflectance, for light that goes to and fro between like surfaces; what goes on longer is little
@@ -357,9 +333,7 @@ class Body:
         for across, tangent in ((x, tan_x), (y, tan_x / aspect)):
             # The edge rays of the outermost sample start at the far rim of the lens and cross in the plane in focus.
             focus = tangent * camera.object_distance_m
-            reach = np.maximum(
-                np.abs(a + (focus - a) * z / camera.object_distance_m), np.abs(-a + (focus + a) * z / camera.object_distance_m)
-            )
+            reach = np.maximum(*(np.abs(rim + (focus - rim) * z / camera.object_distance_m) for rim in (a, -a)))
             if np.all(across > reach) or np.all(across < -reach):
                 return False
         return bool(np.any(z > IN_FRONT_M))
@@ -419,7 +393,7 @@ def _box(node: Any) -> Array | None:
         centre = np.array(props.get("center", [0.0, 0.0, 0.0]), float).ravel()
         unit = centre + float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
     elif plugin == "cylinder":
-        ends = [np.array(props.get(name, default), float).ravel() for name, default in (("p0", [0.0, 0, 0]), ("p1", [0.0, 0, 1]))]
+        ends = [np.array(props.get(f"p{end}", [0.0, 0, end]), float).ravel() for end in (0, 1)]
         radius = float(props.get("radius", 1.0)) * np.array(list(product((-1.0, 1.0), repeat=3)))
         unit = np.vstack([end + radius for end in ends])
     else:
@@ -452,9 +426,7 @@ def blur_um(camera: Camera, depth_m: float) -> float:
 
 
 def greatest_blur_um(camera: Camera, body: Body) -> float:
-    if body.corners is None:
-        return np.inf
-    return max(blur_um(camera, depth) for depth in body.depths_m)
+    return np.inf if body.corners is None else max(blur_um(camera, depth) for depth in body.depths_m)
 
 
 def face_one_way(bodies: list[Body]) -> bool:
@@ -489,7 +461,12 @@ def _file_of(node: Any, folder: Path) -> Path:
 
 def check_textures(state: Any, folder: Path) -> None:
     """Refuse NaN, infinite and negative texels: Mitsuba lets them pass, and spreads them over their neighbours."""
-    maps = _maps(state)
+    steering: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
+    others: set[int] = set()
+    for node in state.nodes:
+        for name, index in children(node, state).items():
+            (steering if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
+    maps = steering - others
     files = {index: _file_of(node, folder) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
     numbers = {path for index, path in files.items() if index in maps}
@@ -498,36 +475,19 @@ def check_textures(state: Any, folder: Path) -> None:
             judge_picture(path)
         if path in numbers and path not in raw:
             continue
+        what = f"texture '{path}'"
         if path in raw and path.suffix.lower() in EIGHT_BIT:
-            raise refuse(
-                f"texture '{path}'", f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes"
-            )
+            raise refuse(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes")
         if path.suffix.lower() == ".exr":
             channels = read_channels(path)[0]
             if path in raw and len(channels) > 1:
-                raise refuse(
-                    f"texture '{path}'", f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture"
-                )
+                raise refuse(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture")
             for name, texels in channels.items():
-                bad = ~(np.isfinite(texels) & (texels >= 0))
-                if bad.any():
-                    row, column = np.argwhere(bad)[0]
-                    raise refuse(
-                        f"texture '{path}'",
-                        f"{texels[row, column]} at row {row}, column {column} of channel {name}",
-                        "finite texels of 0 or more",
-                    )
-
-
-def _maps(state: Any) -> set[int]:
-    """Textures that only steer: normals, bumps, opacity, weights, roughness."""
-    maps: set[int] = set()
-    others: set[int] = set()
-    for node in state.nodes:
-        for name, index in children(node, state).items():
-            steers = node.props.plugin_name() in MAPS or name in MAP_NAMES
-            (maps if steers else others).add(index)
-    return {index for index in maps - others if state.nodes[index].type.name == "Texture"}
+                bad = np.argwhere(~(np.isfinite(texels) & (texels >= 0)))
+                if bad.size:
+                    row, column = bad[0]
+                    got = f"{texels[row, column]} at row {row}, column {column} of channel {name}"
+                    raise refuse(what, got, "finite texels of 0 or more")
 
 
 def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:

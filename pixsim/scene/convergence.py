@@ -7,11 +7,11 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from pixsim.base.arrays import Array, row_blocks
+from pixsim.base.arrays import Array, strips
 from pixsim.base.parameters import Camera, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import WHOLE, SpectralImage
@@ -91,8 +91,10 @@ def render_until(
         for number, half in enumerate(halves):
             pictures, spp = job.run(runs, _told(progress, number, found), level)
             halves[number] = half or [np.zeros(picture.shape) for picture in pictures]
-            _add(halves[number], pictures, spp)
-            del pictures  # beside the halves it would be the third picture in memory
+            for total, picture in zip(halves[number], pictures, strict=True):
+                for rows in strips(*total.shape[:2]):  # in place, a few rows at a time
+                    total[rows] += spp * picture[rows]
+            del picture, pictures  # beside the halves it would be the third picture in memory
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
@@ -122,24 +124,14 @@ def render_until(
         mean += odd
         mean /= 2 * weight
     halves.pop()
-    return job.image(halves[0], samples, render_noise=_header(found)), found
-
-
-def _add(sums: list[Array], pictures: Sequence[Picture], weight: int) -> None:
-    """Add weighted pictures in place, a few rows at a time."""
-    for sum_, picture in zip(sums, pictures, strict=True):
-        for rows in row_blocks(*sum_.shape[:2]):
-            sum_[rows] += weight * picture[rows]
+    noise = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(found).items()}
+    return job.image(halves[0], samples, render_noise=noise), found
 
 
 def _told(progress: Progress | None, number: int, found: RenderNoise) -> Progress | None:
     """A pair of renders is one bar; beside it the error so far."""
     note = f", noise {found.fraction:.2g} of the sensor's" if found.runs else ""
     return (lambda done: progress((number + done) / 2, note)) if progress else None
-
-
-def _header(noise: RenderNoise) -> dict[str, Any]:
-    return {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
 
 
 def noise_of(
@@ -152,8 +144,7 @@ def noise_of(
     worst = worst_relative = 0.0
     for physics in pixels:
         side = physics.pitch_um, physics.photodiode_side_um
-        units = _electrons_of_pulses(job, halves[0], physics)
-        even, odd = (integrate_pixels(_rate(job, half, units), job.pitch_um, *side) / weight for half in halves)
+        even, odd = (integrate_pixels(_rate(job, half, physics), job.pitch_um, *side) / weight for half in halves)
         rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
         time_s = integration_time_s(exposure, physics, float(rate.max()))
         variance_e2 = frame_variance_dn2(rate * time_s, time_s, physics, fixed_pattern=False) / physics.dn_per_e**2
@@ -164,20 +155,16 @@ def noise_of(
     return worst, worst_relative
 
 
-def _electrons_of_pulses(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics) -> list[Array]:
-    """Of each light, (pulses,): electrons s⁻¹ µm⁻² for a unit of each pulse's picture, on the axis."""
-    return np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
-
-
-def _rate(job: Renderer, pictures: Sequence[Picture], units: list[Array]) -> Columns:
+def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics) -> Columns:
     """`ideal_rate` of the pictures' image, straight from the pulses: it is linear, and the bands would fill the memory."""
-    return Columns(job.size, lambda first, last: _rate_part(job, pictures, units, slice(first, last)))
+    # Of each light, (pulses,): electrons s⁻¹ µm⁻² for a unit of each pulse's picture, on the axis.
+    units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
 
+    def columns(first: int, last: int) -> Array:
+        fall_off = job.fall_off(WHOLE, slice(first, last))
+        rate = np.zeros(fall_off.shape)
+        for picture, unit in zip(pictures, units, strict=True):
+            rate += np.einsum("ijp,p->ij", picture[:, first:last], unit)
+        return rate * fall_off
 
-def _rate_part(job: Renderer, pictures: Sequence[Picture], units: list[Array], columns: slice) -> Array:
-    """`_rate` of some columns."""
-    fall_off = job.fall_off(WHOLE, columns)
-    rate = np.zeros(fall_off.shape)
-    for picture, unit in zip(pictures, units, strict=True):
-        rate += np.einsum("ijp,p->ij", picture[:, columns], unit)
-    return rate * fall_off
+    return Columns(job.size, columns)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -148,9 +149,7 @@ def _judge_element(tag: str, attributes: dict[str, str], path: Path, told: Told,
         if told.includes > MOST_INCLUDES or includes_deep >= DEEPEST_INCLUDE:
             got = "includes without end" if includes_deep >= DEEPEST_INCLUDE else f"more than {MOST_INCLUDES} includes"
             raise refuse(f"scene '{path}'", got, f"{MOST_INCLUDES} in all, {DEEPEST_INCLUDE} in each other")
-        by_user = any(f"${name}" in written for name in told.given)
-        found = _included(own.get("filename", ""), path, told, by_user)
-        _judge(found, told, includes_deep + 1)
+        _judge(_included(own.get("filename", ""), written, path, told), told, includes_deep + 1)
     elif tag == "spectrum" and "filename" in own:
         for folder in (path.parent, told.folder, Path()):
             judge_asset(folder / own["filename"], "spectrum", LARGEST_SPECTRUM)
@@ -158,20 +157,15 @@ def _judge_element(tag: str, attributes: dict[str, str], path: Path, told: Told,
         raise refuse(f"scene '{path}'", f'<path value="{own.get("value", "")}"/>', "none", "Name files with their folders.")
 
 
-def _included(name: str, path: Path, told: Told, by_user: bool) -> Path:
+def _included(name: str, written: str, path: Path, told: Told) -> Path:
     """The file that Mitsuba will include: beside the including one, else beside the scene, else where the command is given."""
-    folders = (path.parent, told.folder, Path())
-    found = _found(name, folders)
+    places = [folder / name for folder in (path.parent, told.folder, Path())]
+    found = next((place for place in places if os.path.lexists(place)), places[0])
     inside = any(Path(os.path.realpath(found)).is_relative_to(os.path.realpath(folder)) for folder in (told.folder, Path()))
-    if not (inside or by_user):
+    if not (inside or any(f"${parameter}" in written for parameter in told.given)):
         mend = "Put the file beside the scene, or name it by a parameter, -D part=FILE."
         raise refuse(f"scene '{path}'", f'<include filename="{name}"/>', f"files in '{told.folder}' and below", mend)
     return found
-
-
-def _found(name: str, folders: tuple[Path, ...]) -> Path:
-    """The first that is there; the first of all, where none is."""
-    return next((folder / name for folder in folders if os.path.lexists(folder / name)), folders[0] / name)
 
 
 def judge_asset(path: Path, what: str, most_bytes: int = LARGEST_ASSET) -> None:
@@ -185,22 +179,11 @@ def judge_tree(nodes: list[list[int]]) -> None:
 
     nodes : of each node, those that it refers to
     """
-    depth = [0] * len(nodes)
-    users = [0] * len(nodes)
-    for each in nodes:
-        for index in each:
-            users[index] += 1
-    free = [index for index, count in enumerate(users) if not count]
-    seen = 0
-    while free:
-        index = free.pop()
-        seen += 1
-        for child in nodes[index]:
-            depth[child] = max(depth[child], depth[index] + 1)
-            users[child] -= 1
-            if not users[child]:
-                free.append(child)
-    if seen < len(nodes):
-        raise PixsimError("scene: got references in a circle; allowed: none that lead back to where they begin.")
-    if max(depth, default=0) > DEEPEST:
-        raise refuse("scene", f"nodes that refer to others {max(depth)} deep", f"at most {DEEPEST}")
+    below = [0] * len(nodes)  # how deep each refers to others
+    try:
+        for index in TopologicalSorter(dict(enumerate(nodes))).static_order():
+            below[index] = max((below[child] + 1 for child in nodes[index]), default=0)
+    except CycleError:
+        raise PixsimError("scene: got references in a circle; allowed: none that lead back to where they begin.") from None
+    if max(below, default=0) > DEEPEST:
+        raise refuse("scene", f"nodes that refer to others {max(below)} deep", f"at most {DEEPEST}")

@@ -97,17 +97,9 @@ def nodes_of(state: Any, kind: str) -> list[tuple[int, Any]]:
 
 
 def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
-    """A spectrum plugin at 360 … 830 nm in steps of 1 nm, as Mitsuba returns it."""
+    """A spectrum plugin, or an emitter, at 360 … 830 nm in steps of 1 nm, as Mitsuba returns it."""
     with speaking_mitsuba(variant, Path()) as mi:
-        texture = mi.load_dict(description)
-        return _at_each_wavelength(mi, variant, texture.eval)
-
-
-def evaluate_emitter(description: dict[str, Any], variant: str) -> Array:
-    """A colour as an emitter takes it (times d65), on the same grid."""
-    with speaking_mitsuba(variant, Path()) as mi:
-        emitter = mi.load_dict({"type": "constant", "radiance": description})
-        return _at_each_wavelength(mi, variant, emitter.eval)
+        return _at_each_wavelength(mi, variant, mi.load_dict(description).eval)
 
 
 def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str) -> Array:

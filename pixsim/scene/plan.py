@@ -14,7 +14,7 @@ from pixsim.light.spectral import photons_per_joule, photopic_efficiency
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.thin_lens import field_factor
 from pixsim.scene import bands as spectral_bands
-from pixsim.scene.bands import Bands, Fit, Pulse, Witness
+from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.rules import (
@@ -43,9 +43,7 @@ class Light:
     """Lamps of one spectrum, and the pulses that measure what they send to the lens."""
 
     lamp: Lamp
-    pulses: tuple[Pulse, ...] = field(repr=False)
-    spectra: Array = field(repr=False)  # (pulses, B) W m⁻² sr⁻¹ nm⁻¹ for each unit of a pulse's picture
-    passes: tuple[tuple[int, ...], ...]
+    fit: Fit
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class Plan:
     @property
     def passes(self) -> int:
         """Over all lights."""
-        return sum(len(light.passes) for light in self.lights)
+        return sum(len(light.fit.passes) for light in self.lights)
 
     @property
     def bound_e(self) -> float:
@@ -104,8 +102,8 @@ class Plan:
     @property
     def factored(self) -> bool:
         """Fewer pictures than bands; or a fitted lamp beside others, whose share of a band may be a little below zero."""
-        fewer = sum(len(light.pulses) for light in self.lights) < self.bands.width_nm.size
-        return fewer or any(bool(light.spectra.min() < 0) for light in self.lights)
+        fewer = sum(len(light.fit.pulses) for light in self.lights) < self.bands.width_nm.size
+        return fewer or any(bool(light.fit.spectra.min() < 0) for light in self.lights)
 
     def as_dict(self) -> dict[str, Any]:
         """For `pixsim plan --json`."""
@@ -173,12 +171,18 @@ def make_render_plan(
     # Out of focus a chart is not the picture, and the lens takes samples of its own.
     chart = lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
     most = sample_count(state, sensor)
-    spp, samples = decide_samples(
-        chart, most, sum(len(light.passes) for light in lights), tolerance_e, full, explicit="spp" in scene.parameters
-    )
+    passes = sum(len(light.fit.passes) for light in lights)
+    spp, samples = decide_samples(chart, most, passes, tolerance_e, full, explicit="spp" in scene.parameters)
     diffraction = decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
     emitters = nodes_of(state, "Emitter")
     bound_e = sum(each.bound_e for each in (*spectral, focus, diffraction))
+    told = []
+    if surfaces.short:
+        ranges = ", ".join(surfaces.short)
+        told.append(f"reflectance tables of {ranges}: Mitsuba takes 0 outside; extend them to 360-830 nm")
+    if bound_e > tolerance_e:
+        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MOST_BANDS} of them, are the finest"
+        told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
     return Plan(
         lights=tuple(lights),
@@ -194,19 +198,8 @@ def make_render_plan(
         full_spp=most,
         chart=chart,
         tolerance_e=tolerance_e,
-        warnings=_warnings(surfaces, bound_e, tolerance_e),
+        warnings=tuple(told),
     )
-
-
-def _warnings(surfaces: Surfaces, bound_e: float, tolerance_e: float) -> tuple[str, ...]:
-    told = []
-    if surfaces.short:
-        ranges = ", ".join(surfaces.short)
-        told.append(f"reflectance tables of {ranges}: Mitsuba takes 0 outside; extend them to 360-830 nm")
-    if bound_e > tolerance_e:
-        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MOST_BANDS} of them, are the finest"
-        told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
-    return tuple(told)
 
 
 def _witnesses(pixel: Pixel | None) -> list[Witness]:
@@ -235,52 +228,32 @@ def _lights(
         bands = spectral_bands.equal_bands(band_count, spectra)
     else:
         bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE)
-    lights, error, reasons, most = [], 0.0, [], 0
+    known = surfaces.spectra is not None or bounces == 0
+    lights, reasons, most, alone = [], [], 0, 0.0
     for lamp in lamps:
-        every, passes = spectral_bands.every_band(lamp.spectrum, bands)
-        most += len(passes)
-        known = lamp.spectrum if surfaces.spectra is not None or bounces == 0 else None
+        every = spectral_bands.every_band(lamp.spectrum, bands)
+        most += len(every.passes)
         found: Fit | None = None
-        if known and not full:
-            found = spectral_bands.fit(known, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE)
-        if found:
-            lights.append(Light(lamp, found.pulses, found.spectra, _tuples(spectral_bands.passes(len(found.pulses)))))
-            error = max(error, found.error)
-            reasons.append(f"{len(found.pulses)} pulse{'s' * (len(found.pulses) > 1)}")
-        else:
-            lights.append(Light(lamp, every.pulses, every.spectra, _tuples(passes)))
-            reasons.append(f"{len(every.pulses)} bands")
+        if lamp.spectrum:
+            errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, met), witnesses)
+            alone = max(alone, float(np.abs(errors.sum(axis=2)).max()))
+            if known and not full:
+                found = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE)
+        lights.append(Light(lamp, found or every))
+        count = len(lights[-1].fit.pulses)
+        reasons.append(f"{count} pulse{'s' * (count > 1)}" if found else f"{count} bands")
     widths = bands.width_nm
-    alone = max((_band_error(bands, lamp, met, witnesses) for lamp in lamps), default=0.0)
     uniform = bool(np.all(np.isin(widths, (5.0, 10.0)))) and widths.size == spectral_bands.BAND_EDGES_NM.size - 1
-    placing = Decision(
-        "wavelength bands",
-        True,
-        f"{widths.size} bands, "
-        + ("uniform, 10 nm" if uniform else f"{widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change")
-        + ", lamp-shaped: no line is missed",
-        bound_e=alone,
-    )
-    fewest = sum(len(light.passes) for light in lights)
-    rank = Decision(
-        "spectral rank",
-        fewest >= most,
-        _rank_reason(lamps, surfaces, met, reasons, full),
-        f"{fewest} of {most} passes" if fewest < most else "",
-        max(0.0, error - alone),  # the fit's error includes that of its bands
-        bounded=all(lamp.spectrum is not None for lamp in lamps) and (surfaces.spectra is not None or bounces == 0),
-    )
+    sizes = "uniform, 10 nm" if uniform else f"{widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change"
+    told = f"{widths.size} bands, {sizes}, lamp-shaped: no line is missed"
+    placing = Decision("wavelength bands", True, told, bound_e=alone)
+    fewest = sum(len(light.fit.passes) for light in lights)
+    error = max(light.fit.error for light in lights)
+    reason, saved = _rank_reason(lamps, surfaces, met, reasons, full), f"{fewest} of {most} passes" if fewest < most else ""
+    bounded = all(lamp.spectrum is not None for lamp in lamps) and known
+    # The fit's error includes that of its bands.
+    rank = Decision("spectral rank", fewest >= most, reason, saved, max(0.0, error - alone), bounded)
     return lights, bands, most, [placing, rank]
-
-
-def _band_error(bands: Bands, lamp: Lamp, met: Array, witnesses: list[Witness]) -> float:
-    if lamp.spectrum is None:
-        return 0.0
-    return float(np.abs(spectral_bands.band_errors(bands, lamp.spectrum, met, witnesses).sum(axis=2)).max())
-
-
-def _tuples(passes: list[list[int]]) -> tuple[tuple[int, ...], ...]:
-    return tuple(tuple(each) for each in passes)
 
 
 def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list[str], full: bool) -> str:
@@ -337,17 +310,8 @@ def make_plan(
     exposure = exposure or Exposure()
     longest_s = exposure.integration_s or exposure.max_integration_s
     resolution, sampling = decide_oversampling(plan, camera, physics, max(1, width), full, free)
-    return replace(
-        plan,
-        resolution=resolution,
-        decisions=(
-            *plan.decisions,
-            sampling,
-            decide_saturation(physics, longest_s),
-            decide_noise(physics, full),
-            decide_transforms(full),
-        ),
-    )
+    more = sampling, decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full)
+    return replace(plan, resolution=resolution, decisions=(*plan.decisions, *more))
 
 
 def decide_oversampling(
@@ -363,19 +327,15 @@ def decide_oversampling(
         f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
     )
     uniform = plan.chart is not None and plan.chart.uniform
-    error = _fall_off_error(camera, UNIFORM_RESOLUTION)
+    # Of the fall-off at the middle of a sample as its mean over it: by halving the sample, since it goes with the width's square.
+    lens = camera.image_distance_mm, camera.f_number, camera.magnification
+    n = UNIFORM_RESOLUTION
+    middle, parts = (field_factor((each, each), 1e3 * camera.die_mm / each, *lens) for each in (n, 2 * n))
+    error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
     if uniform and not full and free and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
         reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across tell the fall-off"
         return UNIFORM_RESOLUTION, Decision("oversampling", False, reason, f"{UNIFORM_RESOLUTION}² of {width}² samples", error)
     return None, Decision("oversampling", True, told)
-
-
-def _fall_off_error(camera: Camera, width: int) -> float:
-    """Greatest relative error of the lens's fall-off at the middle of a sample as its mean over it, by halving the sample."""
-    lens = camera.image_distance_mm, camera.f_number, camera.magnification
-    middle, parts = (field_factor((n, n), 1e3 * camera.die_mm / n, *lens) for n in (width, 2 * width))
-    means = parts.reshape(width, 2, width, 2).mean(axis=(1, 3))
-    return float(4 / 3 * np.abs(middle / means - 1).max())  # the error goes with the square of the width
 
 
 def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
@@ -387,9 +347,8 @@ def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
     bent = pixel.conversion == "junction" and diode is not None and not diode.constant
     conversion = "; V(Q) by the junction, at every level" if bent else ""
     if pixel.well_limit == "swing" or diode is None:
-        return Decision(
-            "saturation", True, f"linear charge up to a hard clip at the well, {physics.full_well_e:.3g} e-{conversion}"
-        )
+        reason = f"linear charge up to a hard clip at the well, {physics.full_well_e:.3g} e-{conversion}"
+        return Decision("saturation", True, reason)
     limit_e = linear_limit_e(diode, physics.full_well_e, integration_s)
     told = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / physics.full_well_e:.0%} of the well)"
     if bent:
@@ -419,9 +378,5 @@ def decide_transforms(full: bool) -> Decision:
     """The viewer's filters: grey on a D65 display has three opponent channels, all multiples of one picture."""
     if full:
         return Decision("repeated transforms", True, "three forward and three inverse transforms an image")
-    return Decision(
-        "repeated transforms",
-        False,
-        "a grey image: one forward transform; its three opponent channels are blurred each in its own way; the ideal once",
-        "2 of 6 transforms an image",
-    )
+    reason = "a grey image: one forward transform; its three opponent channels are blurred each in its own way; the ideal once"
+    return Decision("repeated transforms", False, reason, "2 of 6 transforms an image")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -12,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array, row_blocks
+from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import refuse
 from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import WHOLE, SpectralImage
-from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.scene.bands import Pulse
 from pixsim.scene.mitsuba import children, nodes_of, plain, speaking_mitsuba
 from pixsim.scene.plan import Light, Plan, make_render_plan
@@ -91,15 +90,10 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
 
     state : the scene as parsed for the camera
     """
-    lights = [
-        [
-            light.lamp.spectrum is None,
-            sorted(light.lamp.pictures.items()),
-            [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.pulses],
-            light.passes,
-        ]
-        for light in plan.lights
-    ]
+    lights = []
+    for light in plan.lights:
+        pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
+        lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
     how = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
     tree = hash_of_tree(state, scene.path.parent)
     made_by = cache.made_by("mitsuba", "drjit")
@@ -188,23 +182,6 @@ def render(
     return job.image(*job.run(0, progress))
 
 
-@dataclass(frozen=True)
-class _Pass:
-    """What one pass over a scene renders; its seeds start where those of the pass before end."""
-
-    scene: Any
-    integrator: Any
-    responses: list[dict[str, Any]]
-    spp: int
-    renders: int
-    first_seed: int
-    number: int
-
-
-def _part(progress: Progress | None, number: int, of: int) -> Progress | None:
-    return (lambda done: progress((number + done) / of)) if progress else None
-
-
 class Renderer:
     """One scene, loaded once for each lamp spectrum, when first needed; every run is an independent picture of it.
 
@@ -216,11 +193,8 @@ class Renderer:
         state = scene.for_camera(camera)
         node = sensor_node(state, scene.sensor_id)[1]
         self.size = film_size(state, node)
-        for name, value, (low, high) in (
-            ("resolution", max(self.size), ALLOWED_RESOLUTION),
-            ("resolution", min(self.size), ALLOWED_RESOLUTION),
-            ("spp", plan.spp, ALLOWED_SPP),
-        ):
+        sides = [("resolution", side, ALLOWED_RESOLUTION) for side in (max(self.size), min(self.size))]
+        for name, value, (low, high) in (*sides, ("spp", plan.spp, ALLOWED_SPP)):
             if not low <= value <= high:
                 raise refuse(name, value, f"{low} to {high}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
@@ -232,37 +206,27 @@ class Renderer:
     @cached_property
     def _loaded(self) -> list[tuple[Any, Any]]:
         """Mitsuba's scene and integrator for each light."""
-        with self._mitsuba() as mi:
+        with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
             states = ((light, self.source.for_camera(self.camera)) for light in self.plan.lights)
             scenes = [load_light(mi, self.source, state, light, self.scalar, self.plan.regular_tables) for light, state in states]
             return [(each, self._integrator(mi, each)) for each in scenes]
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Of irradiance, relative to that on the axis, at the middle of each sample of some rows and columns."""
-        y_um, x_um = (
-            ((np.arange(n) + 0.5) - n / 2)[part] * self.pitch_um for n, part in zip(self.size, (rows, columns), strict=True)
-        )
-        camera = self.camera
-        tan_field = np.hypot(x_um[None, :], y_um[:, None]) / (1e3 * camera.image_distance_mm)
-        factor = irradiance_factor(camera.f_number, tan_field, camera.magnification)
-        return factor * (camera.transmittance / self.on_axis)
+        lens = self.camera.image_distance_mm, self.camera.f_number, self.camera.magnification
+        return field_factor(self.size, self.pitch_um, *lens, (rows, columns)) * (self.camera.transmittance / self.on_axis)
 
     def _integrator(self, mi: Any, scene: Any) -> Any:
         own = None if self.plan.integrator else scene.integrator()
         return own or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.plan.integrator or {}))
 
-    def _mitsuba(self) -> Any:
-        return speaking_mitsuba(self.source.choice.variant, self.source.path.parent)
-
     def _sensor(self, node: Any) -> dict[str, Any]:
-        left_out = ["focal_length", "fov_axis"]
-        lens: dict[str, Any] = {"type": self.plan.lens, "fov": self.camera.fov_deg}
-        if self.plan.lens == "thinlens":
-            lens |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
-        else:
-            left_out += ["aperture_radius", "focus_distance"]
+        left_out = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")
         kept = {key: value for key, value in plain(node) if key not in left_out}
-        return kept | lens
+        kept |= {"type": self.plan.lens, "fov": self.camera.fov_deg}
+        if self.plan.lens == "thinlens":
+            kept |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
+        return kept
 
     def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
         """Picture of each pulse of each light, (H, W, pulses) relative to its lamp, and the samples of a film cell.
@@ -279,42 +243,41 @@ class Renderer:
         return found
 
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
+        """Each strip of each pass is the average of some renders, in float64; all of a job's seeds follow each other."""
         pictures, number = [], 0
-        with self._mitsuba() as mi:
+        with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
             # Long renders are averages of shorter ones; most samplers round their samples up to what it can stratify.
             asked = self.plan.spp * LEVEL_FACTOR**level
             renders = -(-asked // SPP_PER_RENDER)
-            spp = mi.load_dict({"type": self.plan.sampler, "sample_count": -(-asked // renders)}).sample_count()
+            sampler = {"type": self.plan.sampler}
+            spp = mi.load_dict(sampler | {"sample_count": -(-asked // renders)}).sample_count()
+            parts = [slice(*each) for each in pairwise(self._strip_borders(spp))]
+            first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
             for light, (scene, integrator) in zip(self.plan.lights, self._loaded, strict=True):
-                planes = np.zeros((*self.size, len(light.pulses)), np.float32)
-                for each in light.passes:
-                    films = [film_response(light.pulses[pulse]) for pulse in each]
-                    first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE
-                    job = _Pass(scene, integrator, films, spp, renders, first, index * self.plan.passes + number)
-                    for rows, values in self._strips(mi, job, _part(progress, number, self.plan.passes)):
-                        planes[rows, :, list(each)] = values
-                    number += 1
+                planes = np.zeros((*self.size, len(light.fit.pulses)), np.float32)
+                for channels in light.fit.passes:
+                    responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
+                    for rows in parts:
+                        total = np.zeros((rows.stop - rows.start, self.size[1], len(channels)))
+                        crop = film(responses, self.size, rows.start, rows.stop)
+                        sensor = mi.load_dict(self.sensor | {"sampler": sampler | {"sample_count": spp}, "film": crop})
+                        for _ in range(renders):
+                            seed = (first + number) % 2**32
+                            rendered = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
+                            total += _checked(np.asarray(rendered, float), len(channels)) / renders
+                            number += 1
+                            if progress:
+                                progress(number / (self.plan.passes * renders * len(parts)))
+                        planes[rows, :, list(channels)] = total
                 pictures.append(planes)
         return pictures, renders * spp
 
-    def _strips(self, mi: Any, job: _Pass, progress: Progress | None) -> Iterator[tuple[slice, Array]]:
-        """Radiance through each response, (rows, W, channels) float64, strip after strip; averages of renders."""
+    def _strip_borders(self, spp: int) -> list[int]:
+        """Rows at which a render begins anew: some of its pixels at a time, so that Ctrl-C is heard between them."""
         height, width = self.size
-        samples = height * width * job.spp
+        samples = height * width * spp
         strips = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP)) if self.scalar else -(-samples // SAMPLES_PER_KERNEL)
-        rows = np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
-        count = job.renders * (len(rows) - 1)
-        sampler = {"sampler": {"type": self.plan.sampler, "sample_count": job.spp}}
-        for strip, (top, bottom) in enumerate(pairwise(rows)):
-            total = np.zeros((bottom - top, width, len(job.responses)))
-            sensor = mi.load_dict(self.sensor | sampler | {"film": film(job.responses, self.size, top, bottom)})
-            for index in range(strip * job.renders, (strip + 1) * job.renders):
-                seed = (job.first_seed + job.number * count + index) % 2**32
-                rendered = mi.render(job.scene, sensor=sensor, integrator=job.integrator, spp=job.spp, seed=seed)
-                total += _checked(np.asarray(rendered, float), len(job.responses)) / job.renders
-                if progress:
-                    progress((index + 1) / count)
-            yield slice(top, bottom), total
+        return np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
         """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
@@ -326,13 +289,13 @@ class Renderer:
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored = np.empty((len(planes), *self.size), np.float32)
-            for rows in row_blocks(*self.size):
+            for rows in strips(*self.size):
                 fall_off = self.fall_off(rows)
                 for place, plane in zip(stored, planes, strict=True):
                     place[rows] = plane[rows] * fall_off
             return self._image(header, factors=(self.spectra, stored))
         data = np.empty((*self.size, self.plan.bands.width_nm.size), np.float32)
-        for rows in row_blocks(*self.size):
+        for rows in strips(*self.size):
             for band, values in enumerate(self._bands([picture[rows] for picture in pictures], self.fall_off(rows))):
                 data[rows, :, band] = values
         return self._image(header, data=data)
@@ -343,14 +306,14 @@ class Renderer:
         for band in range(self.plan.bands.width_nm.size):
             total = np.zeros(fall_off.shape)
             for light, planes in zip(self.plan.lights, pictures, strict=True):
-                for pulse in np.flatnonzero(light.spectra[:, band]):
-                    total += light.spectra[pulse, band] * planes[:, :, pulse]
+                for pulse in np.flatnonzero(light.fit.spectra[:, band]):
+                    total += light.fit.spectra[pulse, band] * planes[:, :, pulse]
             yield total * factor
 
     @property
     def spectra(self) -> Array:
         """Irradiance on the axis, (pulses, B) W m⁻² nm⁻¹, for each unit of each pulse's picture."""
-        return np.vstack([light.spectra for light in self.plan.lights]) * self.on_axis
+        return np.vstack([light.fit.spectra for light in self.plan.lights]) * self.on_axis
 
     @property
     def units(self) -> SpectralImage:

@@ -53,20 +53,16 @@ class Chart:
             first, stop, _ = part[axis].indices(count)
             edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count
             running = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
-            values = np.diff(_linear(running, edges, axis), axis=axis) * (count / covered)
+            # The integral between the edges, straight between texels' borders.
+            index = np.minimum(edges.astype(int), n - 1)
+            over = np.expand_dims(edges - index, 1 - axis)
+            low, high = np.take(running, index, axis), np.take(running, index + 1, axis)
+            values = np.diff(low + over * (high - low), axis=axis) * (count / covered)
         return values
 
     @property
     def uniform(self) -> bool:
         return self.texels is None or float(np.ptp(self.texels)) == 0.0
-
-
-def _linear(values: Array, at: Array, axis: int) -> Array:
-    index = np.minimum(at.astype(int), values.shape[axis] - 2)
-    shape = [1, 1]
-    shape[axis] = -1
-    low, high = np.take(values, index, axis), np.take(values, index + 1, axis)
-    return np.asarray(low + (at - index).reshape(shape) * (high - low))
 
 
 def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, float]:
@@ -87,17 +83,13 @@ def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
     assert chart.texels is not None
     rng = np.random.default_rng(seed)
     side = round(spp**0.5)
-    corner = [
-        rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in zip(chart.texels.shape, chart.texels_per_sample, strict=True)
-    ]
+    spans = zip(chart.texels.shape, chart.texels_per_sample, strict=True)
+    corner = [rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in spans]
     grid = (np.arange(REFERENCE_SAMPLES) + 0.5) / REFERENCE_SAMPLES
     v, u = (each.ravel() for each in np.meshgrid(grid, grid, indexing="ij"))
     truth = _bilinear(chart, corner, np.broadcast_to(v, (TRIED_CELLS, v.size)), np.broadcast_to(u, (TRIED_CELLS, u.size)))
     i, j = (each.ravel() for each in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
-    down, across = (
-        rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1),
-        rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1),
-    )
+    down, across = (rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1) for _ in range(2))
     v = (i + (down[:, j] + rng.random((TRIED_CELLS, i.size))) / side) / side
     u = (j + (across[:, i] + rng.random((TRIED_CELLS, i.size))) / side) / side
     error = _bilinear(chart, corner, v, u) - truth
@@ -109,10 +101,8 @@ def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
     from scipy.ndimage import map_coordinates  # 0.05 s, for charts only
 
     assert chart.texels is not None
-    at = [
-        first[:, None] + fraction * size - 0.5
-        for first, fraction, size in zip(corner, (v, u), chart.texels_per_sample, strict=True)
-    ]
+    places = zip(corner, (v, u), chart.texels_per_sample, strict=True)
+    at = [first[:, None] + fraction * size - 0.5 for first, fraction, size in places]
     return np.asarray(map_coordinates(chart.texels, at, order=1, mode="nearest").mean(axis=1))
 
 
@@ -192,8 +182,9 @@ def decide_bounces(state: Any, bodies: list[Body], full: bool) -> tuple[dict[str
     if names != ["path"] or own in (0, 1) or nodes_of(state, "Medium"):
         return None, 1 if names == ["direct"] else met, Decision("bounces", True, f"the scene's own integrator, '{names[0]}'")
     hidden = {"hide_emitters": True} if paths and paths[0].props.get("hide_emitters", False) else {}
-    shining = {index for index, node in nodes_of(state, "Shape") if _emitter_of(state, node) is not None}
-    alone = len(bodies) == 1 and len(nodes_of(state, "Emitter")) == 1 and bodies[0].node in shining
+    emitters = {index for index, _ in nodes_of(state, "Emitter")}
+    shining = {index for index, node in nodes_of(state, "Shape") if emitters & set(children(node, state).values())}
+    alone = len(bodies) == 1 and len(emitters) == 1 and bodies[0].node in shining
     if alone and bodies[0].normal is not None:
         reason = "a flat emitter alone: its light meets nothing before the lens"
         return {"type": "path", "max_depth": 1, **hidden}, 0, Decision("bounces", False, reason, f"all of {told}")
@@ -205,10 +196,6 @@ def decide_bounces(state: Any, bodies: list[Body], full: bool) -> tuple[dict[str
         reason = "flat, one-sided, matt surfaces that face one way send each other no light"
         return direct, 1, Decision("bounces", False, reason, f"all but 1 of {told}")
     return None, met, Decision("bounces", True, f"surfaces may light each other; the scene's own: {told}")
-
-
-def _emitter_of(state: Any, shape: Any) -> int | None:
-    return next((index for index in children(shape, state).values() if state.nodes[index].type.name == "Emitter"), None)
 
 
 def irregular_tables(state: Any) -> dict[tuple[int, str], tuple[Spectrum, Array]]:
@@ -230,9 +217,8 @@ def decide_tables(state: Any, full: bool) -> tuple[bool, Decision]:
     """Tables at equal steps can be looked up by index; Mitsuba searches those that are written as pairs."""
     count = len(irregular_tables(state))
     if full or not count:
-        told = "as they are" if full else "none that would be searched"
-        return False, Decision("spectrum tables", True, told)
-    return True, Decision("spectrum tables", False, f"{count} with equal steps: read by index, not searched", "the searches", 0.0)
+        return False, Decision("spectrum tables", True, "as they are" if full else "none that would be searched")
+    return True, Decision("spectrum tables", False, f"{count} with equal steps: read by index, not searched", "the searches")
 
 
 def decide_lens(
@@ -256,9 +242,8 @@ def decide_lens(
     error = BLURRED_EDGE * blur / side_um
     if error > tolerance_e * BLUR_SHARE:
         return "thinlens", Decision("lens samples", True, f"not all in focus: {told}; samples are added until its noise is small")
-    return "perspective", Decision(
-        "lens samples", False, f"all that is seen is matt and in focus ({told})", "2 of 5 dimensions", error
-    )
+    reason = f"all that is seen is matt and in focus ({told})"
+    return "perspective", Decision("lens samples", False, reason, "2 of 5 dimensions", error)
 
 
 def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
@@ -308,9 +293,8 @@ def decide_samples(
         return each, Decision(subject, each == most, f"{told}; shared by {passes} passes, {each} each", saved)
     spp, error = samples_needed(chart, tolerance_e, most)
     if spp < most:
-        return spp, Decision(
-            subject, False, f"{spp} a film cell: the chart's detail gives {error:.1e} RMS", f"{spp} of {most} samples", 0.0
-        )
+        told = f"{spp} a film cell: the chart's detail gives {error:.1e} RMS"
+        return spp, Decision(subject, False, told, f"{spp} of {most} samples")
     return most, Decision(subject, True, f"{most} a film cell, as the scene says: {error:.1e} RMS by the chart's detail")
 
 
@@ -324,6 +308,5 @@ def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tol
     effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.effective_f_number, allowed)
     if effect > allowed:
         return Decision("diffraction", True, f"{told}; changes samples of this chart by up to {effect:.1%}")
-    return Decision(
-        "diffraction", False, f"{told}; changes no sample of this chart by more than {effect:.1e}", "2 transforms", effect
-    )
+    told += f"; changes no sample of this chart by more than {effect:.1e}"
+    return Decision("diffraction", False, told, "2 transforms", effect)

@@ -70,12 +70,8 @@ class Scene:
 
     def for_camera(self, camera: Camera) -> Any:
         """The parser state with the camera's numbers in the scene's parameters, the chart's size with them."""
-        lens = {
-            "fov": camera.fov_deg,
-            "aperture_radius": camera.aperture_radius_m,
-            "focus_distance": camera.object_distance_m,
-            "chart_half_width": camera.chart_half_width_m,
-        }
+        lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
+        lens["chart_half_width"] = camera.chart_half_width_m
         return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
 
     def with_parameters(self, **more: object) -> Scene:
@@ -131,12 +127,15 @@ def load_scene(
     told = judge_scene(path, given)
     names = frozenset(told.names)
     settable = {name for name, needed in ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE)) if needed in names | told.defaults.keys()}
-    _check_names(given, names | settable)
+    allowed = names | settable
+    if wrong := [name for name in given if name not in allowed]:
+        near = difflib.get_close_matches(wrong[0], allowed, 1)
+        mend = f"Did you mean '{near[0]}'?" if near else ""
+        raise refuse("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), mend)
     own_white = told.defaults.get(WHITE)
     if white is not None and own_white is None:
-        raise refuse(
-            WHITE, f"'{white}', but '{path.name}' has no such <default>", "scenes that have", "Set display.white_cd_per_m2."
-        )
+        got = f"'{white}', but '{path.name}' has no such <default>"
+        raise refuse(WHITE, got, "scenes that have", "Set display.white_cd_per_m2.")
     shown = own_white if white is None else white
     choice = variants.choose(variant)
     loaded = Scene(path.resolve(), given, names, sensor, choice, None if shown is None else _positive(WHITE, shown))
@@ -157,11 +156,8 @@ def load_scene(
 def _with_luminance(scene: Scene, luminance: object) -> Scene:
     value = _positive(LUMINANCE, luminance)
     if EMITTER_SCALE not in scene.names:
-        raise refuse(
-            LUMINANCE,
-            f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}",
-            f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>',
-        )
+        got = f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}"
+        raise refuse(LUMINANCE, got, f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>')
     unit = parse(scene.path, scene.choice.variant, {**scene.parameters, EMITTER_SCALE: "1"})
     lamp = find_lamp(unit, scene.choice.variant)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
@@ -178,13 +174,6 @@ def _positive(name: str, value: object) -> float:
     if not (0 < number < math.inf):
         raise refuse(name, repr(value), "a positive number")
     return number
-
-
-def _check_names(given: dict[str, str], allowed: frozenset[str]) -> None:
-    for name in given:
-        if name not in allowed:
-            near = difflib.get_close_matches(name, allowed, 1)
-            raise refuse("scene parameter", f"'{name}'", ", ".join(sorted(allowed)), f"Did you mean '{near[0]}'?" if near else "")
 
 
 def check_supported(state: Any) -> None:
@@ -207,12 +196,9 @@ def check_supported(state: Any) -> None:
     for _, node in nodes_of(state, "BSDF"):
         for name in ("int_ior", "ext_ior"):
             if name in node.props and node.props.type(name).name not in ("Float", "Integer", "String"):
-                raise refuse(
-                    f"{node.props.plugin_name()}.{name}",
-                    "a spectrum: dispersive glass",
-                    "one index for all wavelengths, as Mitsuba's dielectrics have",
-                    "Give the index at 589 nm.",
-                )
+                allowed = "one index for all wavelengths, as Mitsuba's dielectrics have"
+                what, mend = f"{node.props.plugin_name()}.{name}", "Give the index at 589 nm."
+                raise refuse(what, "a spectrum: dispersive glass", allowed, mend)
 
 
 def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
@@ -227,12 +213,8 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
     index, node = sensors[0]
     plugin = node.props.plugin_name()
     if plugin != "thinlens":
-        raise refuse(
-            "sensor",
-            f"'{plugin}'",
-            "thinlens: a pixel's exposure and blur need an aperture",
-            'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.',
-        )
+        mend = 'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.'
+        raise refuse("sensor", f"'{plugin}'", "thinlens: a pixel's exposure and blur need an aperture", mend)
     for offset in ("principal_point_offset_x", "principal_point_offset_y"):
         if sensor_offset := float(node.props.get(offset, 0.0)):
             raise refuse("sensor", f"{offset} = {sensor_offset:g}", "0: the die is centred on the axis of the lens")
@@ -298,21 +280,15 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
 
 def hash_of_tree(state: Any, folder: Path) -> str:
     """16 hexadecimal digits. PixsimError for a file that is missing."""
-    tree = [
-        [
-            node.type.name,
-            node.props.plugin_name(),
-            sorted((name, in_full(value)) for name, value in plain(node, numbers_only=False)),
-            sorted(children(node, state).items()),
-        ]
-        for node in state.nodes
-    ]
-    return content_hash([tree, [_hash_of(path) for path in texture_files(state, folder)]])
-
-
-def _hash_of(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "blake2b").hexdigest()
+    tree = []
+    for node in state.nodes:
+        values = sorted((name, in_full(value)) for name, value in plain(node, numbers_only=False))
+        tree.append([node.type.name, node.props.plugin_name(), values, sorted(children(node, state).items())])
+    digests = []
+    for path in texture_files(state, folder):
+        with path.open("rb") as file:
+            digests.append(hashlib.file_digest(file, "blake2b").hexdigest())
+    return content_hash([tree, digests])
 
 
 def in_full(value: Any) -> str:

@@ -44,7 +44,10 @@ class Choice:
 
 
 def llvm_version(path: str) -> int | None:
-    """Major version of a libLLVM, 0 where it is too old to tell, None where it cannot be loaded."""
+    """Major version of a libLLVM, 0 where it is too old to tell, None where it cannot be loaded.
+
+    Loaded with ctypes, which never aborts where Mitsuba would.
+    """
     try:
         get_version = ctypes.CDLL(path).LLVMGetVersion
     except OSError:
@@ -72,11 +75,6 @@ class Library:
             why = "it is a folder" if path.is_dir() else "no library for this machine" if path.exists() else "no such file"
             return f"cannot be loaded ({why})"
         return f"is version {self.version or '15 or older'}" if self.version < OLDEST_LLVM else None
-
-
-def judge(path: str, origin: str) -> Library:
-    """Load a library with ctypes, which never aborts where Mitsuba would, and ask for its version."""
-    return Library(path, origin, llvm_version(path))
 
 
 def candidates() -> Iterator[tuple[str, str]]:
@@ -148,7 +146,7 @@ def find_llvm() -> tuple[str | None, str]:
     if asked in _reasons:
         return asked, _reasons[asked]
     for path, origin in candidates():
-        library = judge(path, origin)
+        library = Library(path, origin, llvm_version(path))
         if library.fault is None:
             return path, f"{origin}, LLVM {library.version}"
         if origin == LLVM_VARIABLE:
@@ -173,9 +171,8 @@ def choose(asked: str | None = None) -> Choice:
         mend = "import pixsim.scene.renderer before mitsuba and drjit, or set " + LLVM_VARIABLE
         if asked is not None:
             raise refuse("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {mend}.")
-        warnings.warn(
-            f"rendering with scalar_spectral, since Mitsuba was imported before its LLVM was judged; {mend}", stacklevel=2
-        )
+        why = "Mitsuba was imported before its LLVM was judged"
+        warnings.warn(f"rendering with scalar_spectral, since {why}; {mend}", stacklevel=2)
         return Choice("scalar_spectral", None, "Mitsuba was imported before pixsim could judge its LLVM")
     path, reason = find_llvm()
     if path is not None:

@@ -24,19 +24,7 @@ from pixsim.sensor.readout import (
 )
 
 __all__ = [
-    "Frame",
-    "Sensor",
-    "capture",
-    "capture_rate",
-    "dark_spread_e",
-    "draw_sensor",
-    "expose",
-    "frame_mean_dn",
-    "frame_of",
-    "frame_variance_dn2",
-    "integration_time_s",
-    "least_black_level_dn",
-    "make_sensor",
-    "quantise",
+    "Frame", "Sensor", "capture", "capture_rate", "dark_spread_e", "draw_sensor", "expose", "frame_mean_dn",
+    "frame_of", "frame_variance_dn2", "integration_time_s", "least_black_level_dn", "make_sensor", "quantise",
     "shot_noise",
-]
+]  # fmt: skip

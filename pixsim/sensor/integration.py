@@ -8,10 +8,9 @@ Each column has a spline of its own: columns can be taken in strips of any width
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +21,7 @@ from scipy.sparse import csr_array
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import refuse
 from pixsim.base.parameters import Camera
-from pixsim.light.spectral import SpectralImage, photons_per_joule, refuse_impossible_light
+from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.diffraction import diffract_sum
 from pixsim.sensor.pixel import PixelPhysics
 
@@ -43,14 +42,6 @@ class Columns:
     columns: Callable[[int, int], ArrayLike]
 
 
-def strips_of_columns(picture: Array | Columns) -> Iterator[tuple[slice, Array]]:
-    """(which, the columns) of a picture (H, W)."""
-    for first in range(0, picture.shape[1], STRIP_COLUMNS):
-        last = min(first + STRIP_COLUMNS, picture.shape[1])
-        strip = picture.columns(first, last) if isinstance(picture, Columns) else picture[:, first:last]
-        yield slice(first, last), np.asarray(strip, float)
-
-
 def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
     """What `of_columns`, (which, (n, columns)) -> (count, columns), makes of a picture (H, W) along an axis, strip by strip.
 
@@ -59,8 +50,9 @@ def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[
     if axis == 1 and not isinstance(picture, Columns):
         return along(picture.T, 0, count, of_columns).T
     found = np.empty((count, picture.shape[1]))
-    for which, strip in strips_of_columns(picture):
-        found[:, which] = of_columns(which, strip)
+    for which in strips(picture.shape[1], 1, STRIP_COLUMNS):
+        strip = picture.columns(which.start, which.stop) if isinstance(picture, Columns) else picture[:, which]
+        found[:, which] = of_columns(which, np.asarray(strip, float))
     return found
 
 
@@ -120,11 +112,6 @@ def spline_coefficients(samples: Array) -> Array:
     return lapack.dgbtrs(spline.factors, spline.reach, spline.reach, running, spline.pivots, overwrite_b=True)[0]
 
 
-def values_at(edges: Array, n: int) -> csr_array:
-    """What turns the coefficients of n cells into running integrals at positions from 0 to n, (positions, n + 1)."""
-    return design_matrix(edges, knots_of(n).knots, knots_of(n).degree)
-
-
 def running_integral(samples: Array) -> Array:
     """`spline_coefficients` of all columns of a picture (n, columns), strip by strip."""
     return along(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
@@ -134,12 +121,6 @@ def is_steep(samples: Array) -> bool:
     """Whether light changes by more than `EDGE_CONTRAST` : 1 from one sample of a column to the next."""
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
-
-
-def difference(running: Array) -> Array:
-    """The second half of (2 m, columns) less the first."""
-    low, high = np.split(running, 2)
-    return high - low
 
 
 def rising(running: Array, edges: Array) -> Array:
@@ -167,7 +148,6 @@ def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
 
 M2_PER_UM2 = 1e-12
 MOST_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
-STRIP_VALUES = 1 << 18  # of all bands, 1 MiB in float32
 
 
 def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
@@ -198,36 +178,15 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
     """Electrons s⁻¹ µm⁻² of photodiode behind a lens without diffraction, (H, W)."""
-    rate = weighted(irradiance, electrons_per_joule(physics, irradiance))
+    rate = irradiance.weighted(electrons_per_joule(physics, irradiance))
     rate *= M2_PER_UM2
     return rate
-
-
-def weighted(irradiance: SpectralImage, weight: Array) -> Array:
-    """`SpectralImage.weighted` a few rows at a time: faster, and without planes to work in."""
-    total = np.empty(irradiance.shape)
-    values_a_row = total.shape[1] * len(irradiance.factors[0] if irradiance.factors else weight)
-    for rows in strips(total.shape[0], values_a_row, STRIP_VALUES):
-        total[rows] = rows_of(irradiance, rows).weighted(weight)
-    return total
-
-
-def rows_of(irradiance: SpectralImage, rows: slice) -> SpectralImage:
-    """Some rows of an image, in the same memory, without its header."""
-    light: dict[str, Any]
-    if irradiance.factors:
-        light = {"factors": (irradiance.factors[0], irradiance.factors[1][:, rows])}
-    else:
-        light = {"data": irradiance.data[rows]}
-    bands = irradiance.wavelength_nm, irradiance.band_width_nm
-    return SpectralImage(*bands, irradiance.pitch_um, within=irradiance.within, **light)
 
 
 def pixel_count(length_um: float, pitch_um: float) -> int:
     """⌊length/pitch⌋; a pitch that divides the length but for rounding counts as dividing it. At most `MOST_PIXELS`."""
     pixels = length_um / pitch_um * (1 + 1e-9)
-    if pixels > MOST_PIXELS:
-        raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
+    refuse_too_many([pixels], pitch_um)
     return math.floor(pixels)
 
 
@@ -239,7 +198,7 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
     return count
 
 
-def refuse_too_many(shape: Iterable[int], pitch_um: float) -> None:
+def refuse_too_many(shape: Iterable[float], pitch_um: float) -> None:
     """PixsimError for more pixels than memory holds."""
     if (pixels := math.prod(shape)) > MOST_PIXELS:
         raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
@@ -255,13 +214,15 @@ def integrate_axis(
     `running_integral` of the samples, where it is at hand; axis 0 only.
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
-    at_edges = values_at(edges, samples.shape[axis])
+    spline = knots_of(samples.shape[axis])
+    at_edges = design_matrix(edges, spline.knots, spline.degree)  # times coefficients: running integrals at the edges
     below_zero: list[bool] = []
     ringing: list[bool] = []
 
     def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
         sums = at_edges @ (spline_coefficients(strip) if running is None else running[:, which])
-        found = difference(rising(without_ringing(sums, strip, edges), edges) if limited else sums)
+        low, high = np.split(rising(without_ringing(sums, strip, edges), edges) if limited else sums, 2)
+        found = high - low
         below_zero.append(bool(strip.min() < 0))
         ringing.append(bool(found.min() < 0) or is_steep(strip))
         return found * sample_pitch_um
@@ -306,7 +267,7 @@ def photodiode_edges_um(length_um: float, pitch_um: float, side_um: float) -> tu
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
     """Mean photo-electrons a second of every pixel, (rows, columns), before any non-uniformity."""
-    refuse_impossible_light(irradiance)
+    irradiance.validate()
     rate = diffracted_rate(irradiance, camera, physics, workers)
     signal = integrate_pixels(rate, irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um)
     return np.maximum(signal, 0.0, out=signal)

@@ -82,19 +82,12 @@ def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike
     0.0
     """
     kind = diode or default_diode()
-    current, time_s = np.broadcast_arrays(
-        _checked("photocurrent_e_per_s", photocurrent_e_per_s), _checked("integration_s", integration_s)
-    )
+    current, time_s = np.asarray(photocurrent_e_per_s, float), np.asarray(integration_s, float)
+    for name, values in (("photocurrent_e_per_s", current), ("integration_s", time_s)):
+        if (wrong := values[~(np.isfinite(values) & (values >= 0))]).size:
+            raise refuse(name, wrong[0], "finite numbers, not below 0")
+    current, time_s = np.broadcast_arrays(current, time_s)
     return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
-
-
-def _checked(name: str, values: ArrayLike) -> Array:
-    """Finite and not negative, as float64; PixsimError otherwise."""
-    array = np.asarray(values, float)
-    wrong = ~(np.isfinite(array) & (array >= 0))
-    if wrong.any():
-        raise refuse(name, array[wrong].flat[0], "finite numbers, not below 0")
-    return array
 
 
 def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:

@@ -22,18 +22,9 @@ from pixsim.sensor.technology import Junction, Technology, load_technology, tech
 
 # What the reference shows; the rest is for pixsim itself.
 __all__ = [
-    "PixelPhysics",
-    "derive",
-    "fill_factor_law",
-    "given_efficiency",
-    "growth_from_data_sheet",
-    "photodiode_widths_um",
-    "physics_of",
-    "pitch_for_fill_factor_um",
-    "response_curve",
-    "silicon_curve",
-    "smallest_pitch_um",
-]
+    "PixelPhysics", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet", "photodiode_widths_um",
+    "physics_of", "pitch_for_fill_factor_um", "response_curve", "silicon_curve", "smallest_pitch_um",
+]  # fmt: skip
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
@@ -172,21 +163,14 @@ def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, hig
     return zero_bias_ff * (charge(high_v) - charge(low_v)) / (high_v - low_v)
 
 
-def photodiode_capacitance_ff(area_um2: float, junction: Junction) -> float:
-    """Mean capacitance of a square photodiode and its node over the swing: area, sidewall and fixed parts."""
-    t = junction
-    high_v, low_v = t.reset_voltage_v, t.reset_voltage_v - t.voltage_swing_v
-    area_ff = mean_junction_ff(t.cj_ff_per_um2 * area_um2, t.pb_v, t.mj, high_v, low_v)
-    side_ff = mean_junction_ff(t.cjsw_ff_per_um * 4 * math.sqrt(area_um2), t.pbsw_v, t.mjsw, high_v, low_v)
-    return area_ff + side_ff + t.node_capacitance_ff
-
-
-def reset_capacitance_ff(area_um2: float, junction: Junction) -> float:
-    """Capacitance at the reset voltage, where the reset transistor opens and kTC noise freezes."""
-    j, v = junction, junction.reset_voltage_v
-    area_ff = j.cj_ff_per_um2 * area_um2 * (1 + v / j.pb_v) ** -j.mj
-    side_ff = j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
-    return area_ff + side_ff + j.node_capacitance_ff
+def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[float, float]:
+    """Of a square photodiode and its node: the mean over the swing, and at the reset voltage, where kTC noise freezes."""
+    j, high_v = junction, junction.reset_voltage_v
+    area_ff, side_ff = j.cj_ff_per_um2 * area_um2, j.cjsw_ff_per_um * 4 * math.sqrt(area_um2)
+    swing_v = high_v, high_v - j.voltage_swing_v
+    mean_ff = mean_junction_ff(area_ff, j.pb_v, j.mj, *swing_v) + mean_junction_ff(side_ff, j.pbsw_v, j.mjsw, *swing_v)
+    reset_ff = area_ff * (1 + high_v / j.pb_v) ** -j.mj + side_ff * (1 + high_v / j.pbsw_v) ** -j.mjsw
+    return mean_ff + j.node_capacitance_ff, reset_ff + j.node_capacitance_ff
 
 
 def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
@@ -226,51 +210,26 @@ def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_p
     junction = technology.junction
     if junction is None:
         assert technology.full_well_e_per_um2 is not None  # the record's validator
-        refuse_junction_options(pixel, technology)
+        for name, allowed in (("capacitance", "mosis"), ("well_limit", "swing"), ("conversion", "linear")):
+            if (value := getattr(pixel, name)) != allowed:
+                told = f"'{allowed}', or a 3T technology: a pinned photodiode's well is given, and its charge is handed over"
+                raise refuse(f"pixel.{name}", f"'{value}' for {technology.name}", told)
         return Well(technology.full_well_e_per_um2 * area_um2)
+    own = junction.model_dump(exclude={"voltage_swing_v"})
     if pixel.capacitance == "paper":
         mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
         swing_v = PAPER_SWING_V
+        own |= {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": mean_ff}
     else:
-        mean_ff, reset_ff = photodiode_capacitance_ff(area_um2, junction), reset_capacitance_ff(area_um2, junction)
+        mean_ff, reset_ff = photodiode_capacitances_ff(area_um2, junction)
         swing_v = junction.voltage_swing_v
-    paper_ff = mean_ff if pixel.capacitance == "paper" else None
-    diode = make_diode(area_um2, junction, paper_ff, dark_current_e_per_s, pixel.temperature_k)
+    own |= {"saturation_current_e_per_s": dark_current_e_per_s, "temperature_k": pixel.temperature_k}
+    diode = Diode(area_um2=area_um2, perimeter_um=4 * math.sqrt(area_um2), **own)
     if pixel.well_limit == "swing":
         return Well(mean_ff * C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff, diode)
     drop_v = junction.reset_voltage_v - diode_full_v(diode)
     full_well_e = float(diode.charge_e(junction.reset_voltage_v, drop_v))
     return Well(full_well_e, full_well_e * ELECTRON_C / C_PER_FF_V / drop_v, reset_ff, diode)
-
-
-def refuse_junction_options(pixel: Pixel, technology: Technology) -> None:
-    """PixsimError where a pixel with a pinned photodiode is asked for what only a junction has."""
-    for name, allowed in (("capacitance", "mosis"), ("well_limit", "swing"), ("conversion", "linear")):
-        value = getattr(pixel, name)
-        if value != allowed:
-            told = f"'{allowed}', or a 3T technology: a pinned photodiode's well is given, and its charge is handed over"
-            raise refuse(f"pixel.{name}", f"'{value}' for {technology.name}", told)
-
-
-def make_diode(
-    area_um2: float, junction: Junction, constant_ff: float | None, dark_current_e_per_s: float, temperature_k: float
-) -> Diode:
-    """The square photodiode of a process; of a constant capacitance where one is given."""
-    zero = constant_ff is not None
-    return Diode(
-        area_um2=area_um2,
-        perimeter_um=4 * math.sqrt(area_um2),
-        cj_ff_per_um2=0.0 if zero else junction.cj_ff_per_um2,
-        pb_v=junction.pb_v,
-        mj=junction.mj,
-        cjsw_ff_per_um=0.0 if zero else junction.cjsw_ff_per_um,
-        pbsw_v=junction.pbsw_v,
-        mjsw=junction.mjsw,
-        node_capacitance_ff=junction.node_capacitance_ff if constant_ff is None else constant_ff,
-        reset_voltage_v=junction.reset_voltage_v,
-        saturation_current_e_per_s=dark_current_e_per_s,
-        temperature_k=temperature_k,
-    )
 
 
 REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, where dark currents are quoted
@@ -410,12 +369,10 @@ class PixelPhysics:
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         if self.pixel.quantum_efficiency is not None:
-            qe = given_efficiency(wavelength_nm, self.pixel.quantum_efficiency)
-        elif self.technology.response_curve == "silicon":
-            qe = silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
-        else:
-            qe = response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
-        return qe
+            return given_efficiency(wavelength_nm, self.pixel.quantum_efficiency)
+        if self.technology.response_curve == "silicon":
+            return silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
+        return response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
 
     def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
         """Electrons per photon on the photodiode at a wavelength, (B,); zero beyond the infrared cut."""
@@ -443,12 +400,8 @@ class PixelPhysics:
         """
         dark_e = self.dark_current_e_per_s * integration_s
         if dark_e >= self.full_well_e:
-            raise refuse(
-                "dynamic range",
-                f"{dark_e:.4g} e- of dark charge",
-                f"less than the well, {self.full_well_e:.4g} e-",
-                "Integrate for a shorter time or cool the sensor.",
-            )
+            allowed, mend = f"less than the well, {self.full_well_e:.4g} e-", "Integrate for a shorter time or cool the sensor."
+            raise refuse("dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, mend)
         variance_e2 = self._dark_variance_e2(dark_e)
         return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
@@ -483,9 +436,8 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
     growth = area_um2 / (fill_factor * measured_um**2)
     low_e, high_e = WELL_RANGE_E
     if pixel.full_well_e is not None and not low_e <= growth * pixel.full_well_e <= high_e:
-        found = (
-            f"{pixel.pitch_um:g}, where {pixel.full_well_e:g} electrons at {measured_um:g} µm are {growth * pixel.full_well_e:.2g}"
-        )
+        scaled_e = growth * pixel.full_well_e
+        found = f"{pixel.pitch_um:g}, where {pixel.full_well_e:g} electrons at {measured_um:g} µm are {scaled_e:.2g}"
         raise refuse("pixel.pitch_um", found, f"a full well of {low_e:g} to {high_e:g} electrons")
     return growth
 
@@ -508,28 +460,25 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
     if fill_factor < SMALLEST_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
         usual = min(0.05, technology.fill_factor_limit / 2)
-        raise refuse(
-            "pixel.pitch_um",
-            f"{pixel.pitch_um:g}",
-            f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel",
-            f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm.",
-        )
+        allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
+        mend = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
+        raise refuse("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, mend)
     area_um2 = fill_factor * pixel.pitch_um**2
     factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
     warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
     dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * warmth
     growth = growth_from_data_sheet(pixel, technology, area_um2)
-    measured_e_per_s, measured_well_e = pixel.dark_current_e_per_s, pixel.full_well_e
-    dark_current_e_per_s = dark_e_per_s if measured_e_per_s is None else growth * measured_e_per_s
-    kept = well(pixel, technology, area_um2, dark_current_e_per_s)
-    full_well_e = kept.full_well_e if measured_well_e is None else growth * measured_well_e
+    if pixel.dark_current_e_per_s is not None:
+        dark_e_per_s = growth * pixel.dark_current_e_per_s
+    kept = well(pixel, technology, area_um2, dark_e_per_s)
+    full_well_e = kept.full_well_e if pixel.full_well_e is None else growth * pixel.full_well_e
     return PixelPhysics(
         pixel=pixel,
         technology=technology,
         fill_factor=fill_factor,
         capacitance_ff=None if kept.mean_ff is None else kept.mean_ff * full_well_e / kept.full_well_e,
         full_well_e=full_well_e,
-        dark_current_e_per_s=dark_current_e_per_s,
+        dark_current_e_per_s=dark_e_per_s,
         # A given well is a larger or smaller capacitance with the same swing.
         reset_noise_e=reset_noise_e((kept.reset_ff or 0.0) * full_well_e / kept.full_well_e, pixel.temperature_k, factor),
         read_noise_e=given(pixel.read_noise_e, technology.read_noise_e),

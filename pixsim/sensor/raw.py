@@ -16,7 +16,7 @@ import json
 import math
 import os
 import warnings
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -74,12 +74,10 @@ class RawFrame:
     def __repr__(self) -> str:
         words = [f"{name}={value:g}" for name in FACTS if (value := getattr(self, name)) is not None]
         if self.saturated_fraction is None:
-            at_top = self.top_code_fraction
-            words.append(
-                "saturation not known, without a white level"
-                if at_top is None
-                else f"{at_top:.3g} of the pixels at the top code; saturated ones below it cannot be counted from the file"
-            )
+            at_top, told = self.top_code_fraction, "saturation not known, without a white level"
+            if at_top is not None:
+                told = f"{at_top:.3g} of the pixels at the top code; saturated ones below it cannot be counted from the file"
+            words.append(told)
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 
@@ -90,15 +88,8 @@ def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     """What a file tells beside the numbers of a `Frame` or a `RawFrame`."""
     if isinstance(frame, RawFrame):
         return {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
-    return {
-        "black_level_dn": float(frame.black_level_dn),
-        "white_level_dn": float(2**frame.bits - 1),
-        "bits": int(frame.bits),
-        "pitch_um": float(frame.pitch_um),
-        "dn_per_e": float(frame.dn_per_e),
-        "integration_s": float(frame.integration_s),
-        "saturated_fraction": float(frame.saturated_fraction),
-    }
+    told = {name: float(getattr(frame, name, 2**frame.bits - 1)) for name in FACTS}  # a frame's white is its top code
+    return told | {"bits": int(frame.bits)}
 
 
 def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
@@ -110,14 +101,10 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     Raises PixsimError for another ending, more than 16 bits in a TIFF or PNG, and a path that cannot be written.
     """
     path = Path(path)
-    _writer(path)(path, np.asarray(frame.dn), facts_of(frame))
-
-
-def _writer(path: Path) -> Callable[[Path, NDArray[Any], dict[str, Any]], None]:
     writers = {".exr": _write_exr, ".npz": _write_npz, ".png": _write_png, ".tif": _write_tiff, ".tiff": _write_tiff}
     if path.suffix.lower() not in writers:
         raise refuse("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
-    return writers[path.suffix.lower()]
+    writers[path.suffix.lower()](path, np.asarray(frame.dn), facts_of(frame))
 
 
 def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -189,36 +176,24 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
         raise
     except DAMAGE as error:
         raise refuse("raw frame", f"'{path}' ({' '.join(str(error).split())})", "a readable file of digital numbers") from None
-    return RawFrame(_whole_numbers(path, dn), **_facts(told))
-
-
-def _facts(told: dict[str, Any]) -> dict[str, Any]:
-    """Those that a file tells, as numbers; others' text under the same name is none."""
-    found: dict[str, Any] = {}
-    for name in FACTS:
-        try:
-            value = float(np.asarray(told[name]).item())
-        except (KeyError, TypeError, ValueError):
-            continue
-        if math.isfinite(value):
-            found[name] = round(value) if name == "bits" else value
-    return found
-
-
-def _whole_numbers(path: Path, dn: NDArray[Any]) -> NDArray[Any]:
     if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
         raise refuse(f"raw frame '{path}'", f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
     if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**32 and (dn == np.floor(dn)).all()):
         raise refuse(f"raw frame '{path}'", f"values from {dn.min()} to {dn.max()}", "whole numbers from 0 on: digital numbers")
-    return dn.astype(np.min_scalar_type(int(dn.max())))
+    facts: dict[str, Any] = {}
+    for name in FACTS:
+        with suppress(KeyError, TypeError, ValueError):  # others' text under the same name is none
+            value = float(np.asarray(told[name]).item())
+            if math.isfinite(value):
+                facts[name] = round(value) if name == "bits" else value
+    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts)
 
 
 def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     channels, header = read_channels(path)
     if len(channels) != 1:
         raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: the digital numbers")
-    facts = {name: header[name] for name in FACTS if name in header}
-    told: dict[str, Any] = {name: value if name == "bits" else shortest(value) for name, value in facts.items()}
+    told = {name: header[name] if name == "bits" else shortest(header[name]) for name in FACTS if name in header}
     return next(iter(channels.values())), told | _json_of(header.get("facts"))
 
 
@@ -241,11 +216,8 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
             raise refuse(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", mend)
         told: dict[str, Any] = dict(getattr(image, "text", {}))
         tags = getattr(image, "tag_v2", {})
-        told |= {
-            name: tags[tag]
-            for tag, name in ((BLACK_LEVEL_TAG, "black_level_dn"), (WHITE_LEVEL_TAG, "white_level_dn"))
-            if tag in tags
-        }
+        levels = {BLACK_LEVEL_TAG: "black_level_dn", WHITE_LEVEL_TAG: "white_level_dn"}
+        told |= {name: tags[tag] for tag, name in levels.items() if tag in tags}
         return np.asarray(image), told | _json_of(tags.get(DESCRIPTION_TAG))
 
 

@@ -197,11 +197,8 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
     # Counted here: reset noise and negative offsets take half of the full pixels off the top code.
     saturated = generated >= saturation_level_e(integration_s, p)
     level = kept_level_e(generated, integration_s, p)
-    for offset_e in (
-        _normal(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng),
-        sensor.offset_e,
-        sensor.column_offset_e,
-    ):
+    noise_e = _normal(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng)
+    for offset_e in (noise_e, sensor.offset_e, sensor.column_offset_e):
         if offset_e is not None:
             level += offset_e
     level *= p.dn_per_e
@@ -257,12 +254,8 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
     """
     p = sensor.physics
     if signal_e_per_s.shape != sensor.shape:
-        raise refuse(
-            "sensor",
-            f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}",
-            "the same shape",
-            "Make the sensor with the camera and the film's aspect that the irradiance was rendered with.",
-        )
+        mend = "Make the sensor with the camera and the film's aspect that the irradiance was rendered with."
+        raise refuse("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", mend)
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
     dn, saturated_fraction = _expose(signal_e_per_s * time_s, time_s, sensor, rng)
     return frame_of(dn, saturated_fraction, signal_e_per_s, p, exposure)

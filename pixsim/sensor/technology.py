@@ -44,13 +44,9 @@ class Junction(Record):
     node_capacitance_ff: Capacitance = Field(description="fixed, of the node beside the photodiode, fF")
 
     @model_validator(mode="after")
-    def _swing_below_reset(self) -> Self:
+    def _keeps_charge_within_its_swing(self) -> Self:
         if self.voltage_swing_v > self.reset_voltage_v:
             raise ValueError(f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}")
-        return self
-
-    @model_validator(mode="after")
-    def _keeps_charge(self) -> Self:
         if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < LEAST_FF:
             raise ValueError(
                 f"no capacitance keeps a charge: one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff "
@@ -91,13 +87,9 @@ class Technology(Record):
     )
 
     @model_validator(mode="after")
-    def _one_kind_of_well(self) -> Self:
+    def _one_kind_of_well_inside_the_pixel(self) -> Self:
         if (self.junction is None) == (self.full_well_e_per_um2 is None):
             raise ValueError(f"a technology needs either full_well_e_per_um2 or all of {', '.join(Junction.model_fields)}")
-        return self
-
-    @model_validator(mode="after")
-    def _photodiode_inside_the_pixel(self) -> Self:
         if self.fill_factor_inset_features > self.fill_factor_zero_pitch_features:
             raise ValueError(
                 f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds fill_factor_zero_pitch_features = "
@@ -180,10 +172,8 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
     """The technology with another fill-factor law (`Pixel.fill_factor_law`)."""
     if law not in OTHER_FILL_FACTOR_LAWS:
         return technology
-    limit, zero_pitch, inset = OTHER_FILL_FACTOR_LAWS[law]
-    return technology.model_copy(
-        update={"fill_factor_limit": limit, "fill_factor_zero_pitch_features": zero_pitch, "fill_factor_inset_features": inset}
-    )
+    names = "fill_factor_limit", "fill_factor_zero_pitch_features", "fill_factor_inset_features"
+    return technology.model_copy(update=dict(zip(names, OTHER_FILL_FACTOR_LAWS[law], strict=True)))
 
 
 def load_technology(name: str) -> Technology:

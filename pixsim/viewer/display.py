@@ -26,7 +26,6 @@ from pixsim.sensor.integration import (
     ideal_rate,
     integrate_axis,
     pixels_along,
-    weighted,
 )
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame
@@ -62,7 +61,7 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
     Raises PixsimError for a picture too dark to tell.
     """
     factor = field_factor(irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-    luminance = weighted(irradiance, irradiance.luminous_weight())
+    luminance = irradiance.illuminance_lx()
     luminance /= factor
     luminance /= camera.transmittance
     white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")

@@ -14,7 +14,7 @@ from scipy.special import gammaincinv, gammaln, ndtr
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
-from pixsim.light.spectral import SpectralImage, refuse_impossible_light
+from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import Frame, capture_rate, dark_spread_e, draw_sensor, least_black_level_dn
@@ -231,7 +231,7 @@ def project(
 
     PixsimError for light that is negative or not finite.
     """
-    refuse_impossible_light(irradiance)
+    irradiance.validate()
     size_um = displays.picture_size_um(irradiance)
     own_um = physics.pitch_um
     edges_um = displays.dot_edges_um(size_um, own_um, display, own_um if border_um is None else border_um)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import pixsim
+from pixsim.base.arrays import Array
+from pixsim.optics.thin_lens import field_factor
 from pixsim.scene import variant as variants
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import Decision
@@ -14,6 +18,8 @@ VARIANT = "scalar_spectral"  # is everywhere, and compiles nothing: the faster o
 FOLDER = packaged_scenes()["csf"].parent
 END = "</scene>"
 variants.choose()  # before Mitsuba is imported, or no LLVM can be chosen any more
+NEEDS_LLVM = pytest.mark.skipif(variants.find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
+VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), VARIANT])
 
 
 def edited(folder: Path, name: str, *edits: tuple[str, str]) -> Path:
@@ -36,6 +42,11 @@ def load(path: Path | str, **parameters: object) -> Scene:
 
 def render_plan(path: Path | str, **parameters: object) -> Plan:
     return make_render_plan(load(path, **parameters), pixel=pixsim.Pixel())
+
+
+def lens_sr(image: pixsim.SpectralImage, camera: pixsim.Camera) -> Array:
+    """Irradiance over radiance at each sample of a picture, (H, W) sr, but for the transmittance."""
+    return field_factor(image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
 
 
 def decision(plan: Plan, subject: str) -> Decision:

@@ -213,7 +213,7 @@ def test_rows_in_full():
 
 
 @pytest.mark.parametrize(("f_number", "angle_deg"), QUADRATURE)
-def test_another_lens_misses_the_integral(f_number, angle_deg):
+def test_another_lens_misses_the_integral_over_it(f_number, angle_deg):
     for stops in (1.0001, 1 / 1.0001)[: 1 if f_number == 0.5 else 2]:  # nothing is faster than f/0.5
         assert abs(from_quadrature(f_number, angle_deg, lambda n, t, s=stops: optics.irradiance_factor(n * s, t))) > 1e-5
 
@@ -225,7 +225,7 @@ def test_the_rule_of_thumb_misses_the_integral():
 
 
 @pytest.mark.parametrize("disc", DISCS)
-def test_another_lens_misses_the_disc(disc):
+def test_another_lens_misses_the_irradiance_under_a_disc(disc):
     for stops in (1.0002, 1 / 1.0002):  # 0.02 % in N is 0.04 % in E
         assert abs(from_disc(*disc, lambda n, t, s=stops: optics.irradiance_factor(n * s, t))) > 1e-4
     if disc[1]:
@@ -235,17 +235,17 @@ def test_another_lens_misses_the_disc(disc):
 
 @pytest.mark.judges_full
 @pytest.mark.parametrize("disc", FAST_DISCS)
-def test_another_lens_misses_a_disc_as_wide_as_it_is_far(disc):
+def test_another_lens_misses_the_irradiance_under_a_disc_as_wide_as_it_is_far(disc):
     assert abs(from_disc(*disc, lambda n, t: optics.irradiance_factor(n * 1.001, t))) > 3e-4
 
 
-def test_a_picture_of_a_flat_field_is_lit_as_under_a_disc():
+def test_another_picture_of_a_flat_field_is_not_lit_as_under_a_disc():
     assert 0.6 < flat_field()[2] < 0.8  # so that the border means something
     for wrong in ({"luminance_cd_per_m2": 100.02}, {"luminance_cd_per_m2": 99.98}, {"magnification": 0.0}):
         assert np.abs(picture_from_disc(**wrong)).min() > 1e-4
 
 
-def test_the_factor_takes_the_size_of_the_magnification_whatever_its_sign():
+def test_the_magnification_counts_whatever_its_sign():
     with np.load(ISETCAM) as file:
         expected = optics.irradiance_factor(file["optics_irr_fnumber"], 0.0, file["optics_irr_mag"])
         working = file["optics_irr_fnumber"] * (1 + np.abs(file["optics_irr_mag"]))
@@ -261,6 +261,7 @@ def test_another_lens_misses_isetcams_illuminance(wrong):
 
 @pytest.mark.parametrize("nm", [450, 550, 650])
 def test_another_lens_misses_isetcams_mtf(nm):
+    # Half a percent in N would be 3e-3.
     for wrong in (4.02, 3.98):
         assert 1e-3 < np.abs(from_isetcam_mtf(nm, wrong)).max() < 1e-2
 

@@ -8,29 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.edits import FOLDER, VARIANTS
 
-from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Pixel
 from pixsim.light.spectral import STEPS_NM, Spectrum, grid_nm, photons_per_joule, photopic_efficiency, tabulated
 from pixsim.scene import bands as spectral_bands
 from pixsim.scene.bands import BAND_EDGES_NM, SHAPE_TOLERANCE, Bands, Pulse, Witness, every_band, fit, passes, place_bands
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.renderer import film, film_response
-from pixsim.scene.variant import choose, find_llvm
 from pixsim.sensor.pixel import derive
 
-NEEDS_LLVM = pytest.mark.skipif(find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
-VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), "scalar_spectral"])
-SPECTRA = Path(__file__).parents[2] / "scenes" / "spectra"
+SPECTRA = FOLDER / "spectra"
 FINE_STEP_NM = 0.01  # each table here is linear over cells of this width, or nearly: 1e-6 of any integral
 FINE_NM = np.arange(360 + FINE_STEP_NM / 2, 830, FINE_STEP_NM)
 NONE = np.zeros((0, 471))
 TOLERANCE = 2.5e-4  # what the bands may cost in a render: BANDS_SHARE of the default tolerance
-
-
-@pytest.fixture(autouse=True, scope="module")
-def llvm_before_mitsuba() -> None:
-    choose(None)
 
 
 def spectrum(nodes: Any, values: Any) -> Spectrum:
@@ -149,14 +141,6 @@ def test_the_grid_is_the_coarsest_that_resolves_a_table(nodes, step_nm):
     assert np.array_equal(grid_nm(step_nm).astype(np.float32), grid_nm(step_nm))
 
 
-@pytest.mark.parametrize(
-    ("nodes", "values"), [([], []), ([500], [1]), ([500, 400, 600], [1, 0, 0]), ([400, 500], [1, 2, 3]), ([400, np.nan], [1, 2])]
-)
-def test_what_is_no_table_is_refused(nodes, values):
-    with pytest.raises(PixsimError, match=r"spectrum: got .*; allowed: two nodes or more, in rising order"):
-        spectrum(nodes, values)
-
-
 # --- Bands ---
 
 SMOOTH = {"d65": shipped("d65"), "a": shipped("a"), "flat": tabulated(np.ones(471)), "ramp": TABLES["two nodes"]}
@@ -209,10 +193,17 @@ LINES_NM = [
 
 def told(lamp: Spectrum, found: Bands) -> tuple[np.ndarray, float, float]:
     """Energy of each band, of all of them, and the mean wavelength at which their pulses look."""
-    every, _ = every_band(lamp, found)
+    every = every_band(lamp, found)
     energy = every.spectra * found.width_nm
     at = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in every.pulses]
     return energy.sum(axis=0), float(energy.sum()), float((energy.sum(axis=1) * at).sum() / energy.sum())
+
+
+def assert_seen(lamp: Spectrum, found: Bands, energy: np.ndarray, responses: dict[str, Any] = RESPONSES) -> None:
+    """Each response gets its energy, to 1e-3. Bands' centres instead of a line would be 1e-2 off."""
+    for response in responses.values():
+        truth = (fine(lamp) * response(FINE_NM)).sum() * FINE_STEP_NM
+        assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
 
 
 @pytest.mark.parametrize("width_nm", [1.0, 0.1])
@@ -223,11 +214,8 @@ def test_no_line_is_missed(centre_nm, width_nm):
     energy, total, at_nm = told(lamp, found)
     # Its nodes are rounded to 1e-13 nm.
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12 / width_nm)
+    assert_seen(lamp, found, energy, SEEING)
     light = fine(lamp)
-    for response in SEEING.values():
-        truth = (light * response(FINE_NM)).sum() * FINE_STEP_NM
-        # The energy that a response sees, to 1e-3. Bands' centres instead of the line would be 1e-2 off.
-        assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
     # Its pulses look where it is, to a quarter of their grid's step; at the ends of what Mitsuba samples flanks of two steps
     # need room.
     reach = 2.25 if min(centre_nm - 360, 830 - centre_nm) < 4 * lamp.step_nm else 0.25
@@ -240,10 +228,8 @@ def test_energies_of_shipped_lamps(name):
     found = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
     energy, total, at_nm = told(lamp, found)
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12)
+    assert_seen(lamp, found, energy)
     light = fine(lamp)
-    for response in RESPONSES.values():
-        truth = (light * response(FINE_NM)).sum() * FINE_STEP_NM
-        assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
     # Pulses are bands with the nodes at both their edges: half a nanometre too much at either side, which nearly cancels.
     assert at_nm == pytest.approx((light * FINE_NM).sum() / light.sum(), abs=0.25)
 
@@ -258,9 +244,7 @@ def test_two_lamps_with_different_lines_in_one_band(one_nm, other_nm):
     for lamp in lamps:
         energy, total, _ = told(lamp, found)
         assert total == pytest.approx(1, rel=1e-12)
-        for response in RESPONSES.values():
-            truth = (fine(lamp) * response(FINE_NM)).sum() * FINE_STEP_NM
-            assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
+        assert_seen(lamp, found, energy)
 
 
 def test_lamps_share_a_band_at_equal_energies():
@@ -328,7 +312,7 @@ def test_every_lit_band_once_in_fours_that_do_not_touch(lit):
     edges = [366, 367, 373 + 10 * (lit - 1), 374 + 10 * (lit - 1)]
     lamp = spectrum(edges, [0, 1, 1, 0])
     found = place_bands([lamp], NONE, WITNESSES, 1.0)
-    every, order = every_band(lamp, found)
+    every = every_band(lamp, found)
     assert len(every.pulses) == lit
     assert all(is_sound(pulse) for pulse in every.pulses)
     # Each pulse stands for a band of its own, which has light.
@@ -336,10 +320,10 @@ def test_every_lit_band_once_in_fours_that_do_not_touch(lit):
     np.testing.assert_array_equal(np.flatnonzero(every.spectra.any(axis=0)), np.arange(1, 1 + lit))
     np.testing.assert_allclose(every.spectra.sum(axis=0), lamp.cell_means(found.edges_nm), rtol=1e-13)
     # 1, 2 or 4 channels a pass, the last filled up with one of its own.
-    assert {len(each) for each in order} == ({4} if lit >= 8 else {1})
-    assert len(order) == (-(-lit // 4) if lit >= 8 else lit)
-    assert sorted(index for each in order for index in set(each)) == list(range(lit))
-    assert all(apart([every.pulses[index] for index in each]) for each in order)
+    assert {len(each) for each in every.passes} == ({4} if lit >= 8 else {1})
+    assert len(every.passes) == (-(-lit // 4) if lit >= 8 else lit)
+    assert sorted(index for each in every.passes for index in set(each)) == list(range(lit))
+    assert all(apart([every.pulses[index] for index in each]) for each in every.passes)
 
 
 @pytest.mark.parametrize("count", range(1, 33))
@@ -347,28 +331,28 @@ def test_narrow_bands_do_not_touch_either(count):
     edges = np.concatenate([[360, 500], 500 + 1.25 * np.arange(1, count + 1), [830]])
     centre = (edges[1:] + edges[:-1]) / 2
     lamp = spectrum([500, 500, edges[-2], edges[-2]], [0, 1, 1, 0])
-    every, order = every_band(lamp, Bands(edges, centre, centre[:, None], np.ones((centre.size, 1))))
+    every = every_band(lamp, Bands(edges, centre, centre[:, None], np.ones((centre.size, 1))))
     assert len(every.pulses) == count
-    assert sorted({index for each in order for index in each}) == list(range(count))
-    assert all(apart([every.pulses[index] for index in each]) for each in order)
+    assert sorted({index for each in every.passes for index in each}) == list(range(count))
+    assert all(apart([every.pulses[index] for index in each]) for each in every.passes)
 
 
 def test_dark_bands_are_skipped():
     lamp = spectrum([365, 366, 367], [0, 1, 0])  # touches the border of a band, from above
-    every, order = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
+    every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
     assert len(every.pulses) == 1
-    assert order == [[0]]
+    assert every.passes == [[0]]
     dark = spectrum([900, 1000], [1, 1])
-    every, order = every_band(dark, place_bands([dark], NONE, WITNESSES, TOLERANCE))
-    assert (every.pulses, order) == ((), [])
+    every = every_band(dark, place_bands([dark], NONE, WITNESSES, TOLERANCE))
+    assert (every.pulses, every.passes) == ((), [])
 
 
 def test_flat_pulses_for_lamps_that_stay_in_place():
     found = place_bands([], NONE, WITNESSES, TOLERANCE)
-    every, order = every_band(None, found)
+    every = every_band(None, found)
     np.testing.assert_array_equal(every.spectra, np.eye(48))
     assert all(is_sound(pulse) for pulse in every.pulses)
-    assert len(order) == 12
+    assert len(every.passes) == 12
     for low, high, pulse in zip(BAND_EDGES_NM[:-1], BAND_EDGES_NM[1:], every.pulses, strict=True):
         at = (pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()
         # In the middle of its band; the first and last need room for their flanks.
@@ -381,7 +365,7 @@ def test_pulses_of_bands_add_up_to_the_lamp(lamp):
     nm = np.arange(361.0, 829.001, 1 / 8)  # between the folded ends of the range
     light = None if lamp is None else Spectrum(np.array([360.0, 830.0]), np.array([1.0, 5.0]))
     found = place_bands([light] if light else [], NONE, WITNESSES, TOLERANCE)
-    every, _ = every_band(light, found)
+    every = every_band(light, found)
     mean = np.ones(48) if light is None else light.cell_means(found.edges_nm)
     total = sum(
         np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) * width * level
@@ -591,12 +575,12 @@ def furnace(mi: Any, responses: list[dict[str, Any]], spp: int = 16) -> np.ndarr
 def test_wavelengths_bring_no_noise(name, variant):
     if name == "a band and its repeat":
         lamp = spectrum([366, 367, 443 + 10, 444 + 10], [0, 1, 1, 0])  # nine bands: the last pass has three
-        every, order = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
-        assert len(set(order[-1])) == 3
-        pulses = [every.pulses[index] for index in order[-1]]
+        every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
+        assert len(set(every.passes[-1])) == 3
+        pulses = [every.pulses[index] for index in every.passes[-1]]
     elif name == "fine lines":
         lamps = [line(centre, 0.1) for centre in (435.83, 546.07, 579.07, 632.8)]
-        pulses = [every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))[0].pulses[0] for lamp in lamps]
+        pulses = [every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE)).pulses[0] for lamp in lamps]
     else:
         found, _ = made(shipped(name), macbeth(), 1e-2)
         pulses = [found.pulses[index] for index in passes(len(found.pulses))[-1]]
@@ -611,7 +595,7 @@ def test_wavelengths_bring_no_noise(name, variant):
 
 @VARIANTS
 def test_adjoining_pulses_would_bring_noise(variant):
-    every, _ = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, WITNESSES, TOLERANCE))
+    every = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, WITNESSES, TOLERANCE))
     with speaking_mitsuba(variant, Path()) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in every.pulses[10:15]])
     assert seen.std(axis=(0, 1)).max() > 1e-2  # so the gate above means something

@@ -261,7 +261,7 @@ def test_electrons_come_straight_from_the_pulses(full):
     pictures, spp = job.run(0)
     image = job.image(pictures, spp)
     assert (image.factors is None) == full
-    rate = convergence._rate(job, pictures, convergence._electrons_of_pulses(job, pictures, derive(PIXEL)))
+    rate = convergence._rate(job, pictures, derive(PIXEL))
     np.testing.assert_allclose(rate.columns(0, job.size[1]), ideal_rate(image, derive(PIXEL)), rtol=1e-6)
 
 

@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 import pixsim
 from pixsim import optics
-from pixsim.scene.plan import UNIFORM_RESOLUTION, make_plan, make_render_plan
+from pixsim.scene.plan import UNIFORM_RESOLUTION, decide_saturation, make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
@@ -185,7 +185,7 @@ def test_every_subject_has_a_line_with_its_reason(name, full):
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     assert len(told["wavelength_nm"]) == len(told["band_width_nm"]) == plan.bands.width_nm.size
     assert sum(told["band_width_nm"]) == pytest.approx(470)
-    assert told["passes"] == sum(len(light.passes) for light in plan.lights) <= told["passes_full"]
+    assert told["passes"] == sum(len(light.fit.passes) for light in plan.lights) <= told["passes_full"]
 
 
 def test_noise_sources_that_are_zero_are_named():
@@ -204,6 +204,33 @@ def test_oversampling_tells_photodiode_and_lens():
     x = 1e3 / (2 * pitch_um) * 550e-6 * camera.effective_f_number
     otf = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
     for told in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} a photodiode side", f"{otf:.0%}"):
+        assert told in reason
+
+
+def test_the_plan_says_which_law_holds():
+    hard = decide_saturation(derive(pixsim.Pixel()), 0.1)
+    assert (hard.kept, hard.bound_e) == (True, 0.0)
+    assert "hard clip" in hard.reason
+    soft = decide_saturation(derive(pixsim.Pixel(well_limit="diode")), 0.1)
+    assert not soft.kept
+    assert "1.78e+05 e- in 0.1 s (86% of the well)" in soft.reason
+    assert soft.bound_e == pytest.approx(1e-6 / 0.857, rel=1e-2)
+    for limit in ("swing", "diode"):
+        bent = decide_saturation(derive(pixsim.Pixel(well_limit=limit, conversion="junction")), 0.1)
+        assert bent.kept
+        assert "at every level" in bent.reason
+    paper = decide_saturation(derive(pixsim.Pixel(capacitance="paper", conversion="junction")), 0.1)
+    assert "at every level" not in paper.reason
+    assert "hard clip" in decide_saturation(derive(pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)), 0.1).reason
+
+
+def test_the_plan_takes_the_longest_exposure():
+    scene = pixsim.load_scene("flat")
+    reasons = [
+        decision(pixsim.make_plan(scene, pixel=pixsim.Pixel(well_limit="diode"), exposure=exposure), "saturation").reason
+        for exposure in (None, pixsim.Exposure(max_integration_s=1.0), pixsim.Exposure(integration_s=3600))
+    ]
+    for reason, told in zip(reasons, ("in 0.1 s (86%", "in 1 s (83%", "in 3.6e+03 s (73%"), strict=True):
         assert told in reason
 
 

@@ -9,25 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from helpers.edits import FOLDER, VARIANT, VARIANTS, lens_sr
 
 import pixsim
-from pixsim import optics
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
-from pixsim.scene import variant as variants
 from pixsim.scene.mitsuba import import_mitsuba, nodes_of, parse, plain, speaking_mitsuba
-from pixsim.scene.scene import packaged_scenes
 
 SCENES = ["line_lamp", "macbeth", "still_life"]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
-FOLDER = packaged_scenes()["macbeth"].parent
-VARIANT = "scalar_spectral"  # is everywhere, and compiles nothing: the faster one for many small pictures
 COS_45 = 0.5**0.5
 WHITE_CD_PER_M2 = 1000.0
-D65_LUMINANCE = 72904.0  # cd/m² of Mitsuba's d65 at scale 1, measured outside pixsim
 SIZE = 64
 SEED = 1
-variants.choose()  # before Mitsuba is imported, or no LLVM can be chosen any more
 FINE_NM = np.arange(360.0, 830.01, 0.05)
 
 # Four pulses, triangles 2 nm wide at half height: Mitsuba carries four wavelengths a ray and puts one in each, so that
@@ -185,10 +179,8 @@ def test_every_step_has_a_test():
 # --- The scenes as they are ---
 
 
-@pytest.mark.parametrize("variant", [VARIANT, "llvm_ad_spectral"])
+@VARIANTS
 def test_the_stock_mitsuba_renders_them_from_anywhere(variant, tmp_path, monkeypatch):
-    if variant.startswith("llvm") and variants.find_llvm()[0] is None:
-        pytest.skip("no LLVM 17 or newer here")
     mi = import_mitsuba(variant)
     monkeypatch.chdir(tmp_path)
     for name in SCENES:
@@ -303,8 +295,7 @@ def test_pixsim_gives_patches_their_illuminance(lamp):
     scene = pixsim.load_scene("macbeth", variant=VARIANT, resolution=48, lamp=f"spectra/{lamp}.spd")
     camera = scene.camera()
     image = pixsim.render(scene, camera, seed=0)
-    lens_sr = optics.field_factor(image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-    found = image.illuminance_lx() / lens_sr
+    found = image.illuminance_lx() / lens_sr(image, camera)
     for index, name in enumerate(PATCHES):
         expected = luminous_flux(lamp, name) * COS_45 / np.pi
         # Bands of 10 nm cost up to .3 % where reflectance is steep (red under A).
@@ -401,8 +392,7 @@ def test_pixsim_and_mitsuba_agree_on_the_still_life():
     scene = pixsim.load_scene("still_life", variant=VARIANT, resolution=32, spp=16)
     camera = scene.camera()
     image = pixsim.render(scene, camera, seed=0)
-    lens_sr = optics.field_factor(image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-    found = (image.illuminance_lx() / lens_sr).mean()
+    found = (image.illuminance_lx() / lens_sr(image, camera)).mean()
     assert found == pytest.approx(luminance(FOLDER / "still_life.xml").mean(), rel=0.02)  # noise of .3 % in each
 
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.edits import decision
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import e as electron
@@ -16,15 +15,13 @@ from scipy.constants import k as boltzmann
 from scipy.integrate import quad
 
 import pixsim
-from pixsim.accuracy.solvers import dn_against_light, response_plate, solve_ode, solvers
-from pixsim.accuracy.stability.photodiode import charge_to_e, closed_form_e
+from pixsim.accuracy.stability.photodiode import charge_to_e
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Exposure, Pixel
-from pixsim.scene.plan import decide_saturation
 from pixsim.sensor import photodiode as saturation
 from pixsim.sensor import readout as sensors
 from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
-from pixsim.sensor.pixel import E_PER_FC, WELL_REFERENCE_S, Diode, derive, diode_full_v, junction_charge_fc, junction_ff
+from pixsim.sensor.pixel import WELL_REFERENCE_S, derive, diode_full_v, junction_charge_fc, junction_ff
 
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 SATURATED = (1e9, 0.03)  # e-/s, s: 30 million electrons into a well of 0.2
@@ -95,9 +92,6 @@ def test_the_voltage_of_a_charge_is_found_in_deep_forward_bias_too():
 def test_impossible_diodes_are_refused(name, value):
     with pytest.raises(PixsimError, match="diode"):
         replace(default_diode(), **{name: value})
-
-
-def test_a_diode_without_capacitance_is_refused():
     with pytest.raises(PixsimError, match="some capacitance"):
         replace(default_diode(), area_um2=0.0, perimeter_um=0.0, node_capacitance_ff=0.0)
 
@@ -125,67 +119,12 @@ def test_impossible_arguments_are_refused(wrong):
         collected_charge_e(1.0, wrong)
 
 
-def test_the_closed_form_can_tell_a_wrong_capacitance():
-    diode = diode_of(Pixel(capacitance="paper"))
-    current = np.array([1e3, 1e7, 1e12])
-    total = current + diode.saturation_current_e_per_s
-    for factor, agrees in ((1.0, True), (1 + 1e-6, False)):
-        expected = closed_form_e(total, np.full(3, 0.03), factor * E_PER_FC * diode.node_capacitance_ff, diode)
-        assert np.allclose(collected_charge_e(current, 0.03, diode)[1:], expected[1:], rtol=1e-8, atol=0) is agrees
-
-
 def test_a_varying_capacitance_is_no_constant_one():
     # The mean over the swing misses the saturated charge by more than 10 %: C grows in forward bias.
     physics = derive(pixel())
     flat = {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": physics.capacitance_ff}
     constant = replace(diode_of(physics), **flat)
     assert collected_charge_e(*SATURATED) / collected_charge_e(*SATURATED, constant) > 1.1
-
-
-@pytest.mark.parametrize("technology", PITCHES_UM)
-def test_saturation_ends_at_the_open_circuit_voltage(technology):
-    diode = diode_of(pixel(technology))
-    v_oc = -diode.thermal_v * math.log(1 + 1e9 / diode.saturation_current_e_per_s)
-    assert diode.open_circuit_v(1e9) == pytest.approx(v_oc, rel=1e-12)
-    assert collected_charge_e(1e9, 10.0, diode) == pytest.approx(charge_to_e(diode, v_oc), rel=1e-10)
-    # A forward voltage 1 mV off shows.
-    assert abs(charge_to_e(diode, v_oc - 1e-3) / charge_to_e(diode, v_oc) - 1) > 1e-4
-
-
-@pytest.mark.parametrize("reset_v", [1e-3, 0.02, 0.3])
-def test_shallow_resets_agree_with_the_implicit_solver(reset_v):
-    # Down to a 26th of V_T, where the diode takes its part from the first moment on.
-    diode = replace(default_diode(), reset_voltage_v=reset_v)
-    for current, time_s in ((0.0, 1.0), (1e4, 0.1), (1e7, 1e-3), (1e7, 1e-6)):
-        expected, _, failure = solve_ode(diode, current, time_s, "Radau")
-        assert not failure
-        assert collected_charge_e(current, time_s, diode) == pytest.approx(expected, rel=1e-7)
-
-
-@pytest.mark.parametrize("temperature_k", [77.0, 400.0])
-def test_the_implicit_solver_agrees_and_the_explicit_one_fails(temperature_k):
-    diode = diode_of(pixel(temperature_k=temperature_k))
-    quadrature, implicit, explicit = solvers(diode, 1e13, 1.0, most=12_000)
-    assert quadrature.charge_e == collected_charge_e(1e13, 1.0, diode)
-    assert not implicit.failure
-    assert math.isnan(explicit.relative_error)
-    assert implicit.relative_error < 1e-9
-    assert "12000 evaluations" in explicit.failure
-    assert explicit.evaluations == 12_000
-
-
-def test_the_explicit_solver_does_well_where_nothing_is_stiff():
-    rows = solvers(default_diode(), 1e6, 0.03)
-    assert not any(row.failure for row in rows)
-    assert max(row.relative_error for row in rows) < 1e-8
-
-
-@pytest.mark.parametrize("saturation_e_per_s", [0.0, 5e-324, 1e-200])
-def test_without_a_diode_current_all_light_is_kept(saturation_e_per_s):
-    diode = replace(default_diode(), saturation_current_e_per_s=saturation_e_per_s)
-    # Within three wells: with 5e-324 e-/s the diode conducts at 19 V forward.
-    light = np.array([0, 1e-3, 1e6, 2e7])
-    np.testing.assert_allclose(collected_charge_e(light, 0.03, diode), 0.03 * light, rtol=1e-12, atol=1e-200)
 
 
 def test_the_open_circuit_voltage_of_extreme_currents():
@@ -222,14 +161,6 @@ def test_charge_grows_with_light_and_time_and_is_conserved(technology, temperatu
     assert np.all(charge <= (current[:, None] + diode.saturation_current_e_per_s) * time_s * (1 + 1e-12))
     most = [diode.charge_e(diode.reset_voltage_v, diode.reset_voltage_v - diode.open_circuit_v(each)) for each in current]
     assert np.all(charge <= np.array(most)[:, None] * (1 + 1e-12))
-
-
-def test_the_stability_room_takes_seconds_and_can_fail(monkeypatch):
-    from pixsim.accuracy.stability import photodiode as room
-
-    assert all(case.passed for case in room.constant_capacitance())
-    monkeypatch.setattr(room, "collected_charge_e", lambda i, t, d: (1 + 1e-7) * collected_charge_e(i, t, d))
-    assert not all(case.passed for case in room.constant_capacitance())
 
 
 # --- Wells ---
@@ -332,20 +263,6 @@ def test_before_saturation_both_limits_give_the_same_bits():
     assert np.any(swing != diode)
 
 
-@pytest.mark.parametrize("options", [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}])
-def test_the_default_is_a_hard_clip_bit_for_bit(options):
-    physics = derive(Pixel(**options))
-    sensor = sensors.draw_sensor(physics, SHAPE, np.random.default_rng(1))
-    mean_e = np.random.default_rng(2).uniform(0, 1.4 * physics.full_well_e, SHAPE)
-    found = sensors.expose(mean_e, 0.05, sensor, np.random.default_rng(3))
-    rng = np.random.default_rng(3)
-    dark = 0.05 * physics.dark_current_e_per_s * (1 if sensor.dark_gain is None else sensor.dark_gain)
-    level = np.minimum(sensors.shot_noise(mean_e * sensor.gain + dark, rng), physics.full_well_e)
-    level += math.hypot(physics.reset_noise_e, physics.read_noise_e) * rng.standard_normal(SHAPE)
-    level = level + sensor.offset_e + sensor.column_offset_e
-    np.testing.assert_array_equal(found, sensors.quantise(level * physics.dn_per_e, 10))
-
-
 @pytest.mark.parametrize("technology", PITCHES_UM)
 def test_the_junction_bends_the_response_by_about_two_percent(technology):
     physics = derive(pixel(technology, conversion="junction"))
@@ -389,55 +306,3 @@ def test_auto_exposure_aims_at_the_well_of_the_limit():
         for limit in ("swing", "diode")
     ]
     assert times[1] / times[0] == pytest.approx(2.267, abs=1e-3)
-
-
-# --- Plan and report ---
-
-
-def test_the_plan_says_which_law_holds():
-    hard = decide_saturation(derive(pixel()), 0.1)
-    assert (hard.kept, hard.bound_e) == (True, 0.0)
-    assert "hard clip" in hard.reason
-    soft = decide_saturation(derive(pixel(well_limit="diode")), 0.1)
-    assert not soft.kept
-    assert "1.78e+05 e- in 0.1 s (86% of the well)" in soft.reason
-    assert soft.bound_e == pytest.approx(1e-6 / 0.857, rel=1e-2)
-    for limit in ("swing", "diode"):
-        bent = decide_saturation(derive(pixel(well_limit=limit, conversion="junction")), 0.1)
-        assert bent.kept
-        assert "at every level" in bent.reason
-    paper = decide_saturation(derive(pixel(capacitance="paper", conversion="junction")), 0.1)
-    assert "at every level" not in paper.reason
-    assert "hard clip" in decide_saturation(derive(Pixel(technology="4t-bsi", pitch_um=2.8)), 0.1).reason
-
-
-def test_the_plan_takes_the_longest_exposure():
-    scene = pixsim.load_scene("flat")
-    reasons = [
-        decision(pixsim.make_plan(scene, pixel=pixel(well_limit="diode"), exposure=exposure), "saturation").reason
-        for exposure in (None, Exposure(max_integration_s=1.0), Exposure(integration_s=3600))
-    ]
-    for reason, told in zip(reasons, ("in 0.1 s (86%", "in 1 s (83%", "in 3.6e+03 s (73%"), strict=True):
-        assert told in reason
-
-
-def test_digital_numbers_against_light():
-    found = {(each.well_limit, each.conversion): each for each in dn_against_light(pixel())}
-    assert len(found) == 4
-    assert all(np.diff(each.dn).min() >= 0 and each.dn[-1] == 1023 for each in found.values())
-    worst = {key: np.abs(each.deviation_percent).max() for key, each in found.items()}
-    assert worst["swing", "linear"] < 1e-9
-    assert worst["swing", "junction"] == pytest.approx(1.75, abs=0.02)
-    assert 0.5 < worst["diode", "linear"] < 1.5
-    # Soft: short of the straight line at the corner, where the swing's clip is sharp.
-    soft = found["diode", "linear"]
-    assert soft.generated_e[soft.deviation_percent.argmin()] == pytest.approx(soft.full_well_e, rel=0.01)
-
-
-def test_the_figure_has_its_table():
-    plate = response_plate(pixel())
-    assert {len(column) for column in plate.table.values()} == {601}
-    assert len(plate.csv.splitlines()) == 602
-    assert "1.8 %" in plate.caption
-    assert all(axes.get_xlabel() and axes.get_ylabel() for axes in plate.figure.axes)
-    assert isinstance(default_diode(), Diode)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import warnings
+
 import numpy as np
 import pytest
 
@@ -434,3 +437,125 @@ def test_the_axes_are_averaged_alike():
         pitch_um = 678.4 / pixels
         shown, turned = (on_dots(noise_free(each, pitch_um), (pitch_um * 90,) * 2, 1000.0, SMALL) for each in (picture, picture.T))
         np.testing.assert_allclose(shown, turned.T, rtol=1e-13)
+
+
+# --- Extremes of light, of the display, and of frames ---
+
+
+SHORT_NM = np.array([365.0, 375.0, 385.0])  # below the 0.35 µm process's response
+
+
+def even(nm, spectrum, **header):
+    """An even field of one spectrum on the default axis, white at 1000 cd/m²."""
+    return SpectralImage(nm, 10.0, 20.0, factors=(spectrum, np.ones((1, 6, 6))), header={"luminance_cd_per_m2": 1000.0, **header})
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("image", "options"),
+    [
+        (even(SHORT_NM, np.ones(3)), {}),
+        (even(np.array([550.0]), np.zeros(1)), {}),
+        (even(np.array([550.0]), np.ones(1), lamp_w_per_m2_sr_nm=[0.0]), {}),
+        (SpectralImage(SHORT_NM, 10.0, 20.0, data=np.ones((6, 6, 3)), header={"luminance_cd_per_m2": 1000.0}), {}),
+        (even(np.array([550.0]), np.ones(1)), {"infrared_cut_nm": 1.0}),
+        (even(np.array([940.0]), np.ones(1)), {"technology": "4t-bsi"}),
+    ],
+    ids=["ultraviolet", "dark", "dark lamp", "ultraviolet under D65", "all cut off", "infrared"],
+)
+def test_a_white_that_gives_no_electrons_is_refused(image, options):
+    # Before: division by zero, and a map of NaN or a picture cast from it.
+    with pytest.raises(PixsimError, match=r"the scene's white: got .*both the sensor and the eye see"):
+        evaluate(image, Camera(die_mm=0.12), Pixel(pitch_um=10.0, **options))
+
+
+@pytest.mark.parametrize("white", [1e-320, 1e-300, 1e300])
+def test_whites_beyond_the_range_of_numbers_are_refused(white):
+    image = even(np.array([550.0]), np.ones(1), luminance_cd_per_m2=white)
+    with pytest.raises(PixsimError, match="the scene's white"):
+        displays.white_rate(image, Camera(die_mm=0.12), derive(Pixel(pitch_um=10.0)), Display())
+
+
+@pytest.mark.parametrize("white", [1e-12, 1e-3, 1e15])
+def test_whites_of_any_other_size_are_shown(white):
+    image = even(np.array([550.0]), np.full(1, 1e-3))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*brighter than display white")
+        score = evaluate(image, Camera(die_mm=0.12), Pixel(pitch_um=10.0), display=Display(white_cd_per_m2=white))
+    assert np.all(np.isfinite(score.delta_e))
+
+
+def test_a_black_picture_under_a_lamp_is_black():
+    nm = np.arange(405.0, 700.0, 10)
+    image = SpectralImage(nm, 10.0, 20.0, factors=(d65(nm), np.zeros((1, 6, 6))), header={"luminance_cd_per_m2": 1000.0})
+    score = evaluate(image, Camera(die_mm=0.12), Pixel(pitch_um=10.0, dark_current_e_per_s=0.0, read_noise_e=0.0))
+    assert np.all(score.frame.mean_e == 0)
+    assert np.all(score.ideal == 0)
+
+
+@pytest.mark.parametrize("raster", ["one_to_one", "fixed_size"])
+def test_a_pixel_higher_than_the_picture_is_refused(raster):
+    wide = SpectralImage([550.0], 10.0, 1.3, data=np.ones((2, 40, 1)), header={"luminance_cd_per_m2": 1e9})
+    with pytest.raises(PixsimError, match=r"pixel\.pitch_um: got 6\.5; allowed: at most the die"):
+        evaluate(wide, Camera(die_mm=0.052), Pixel(), display=Display(raster=raster))
+
+
+@pytest.mark.parametrize("raster", ["one_to_one", "fixed_size"])
+@pytest.mark.parametrize("dots", [8, 512])
+def test_one_pixel_on_any_display(raster, dots):
+    quiet = dict.fromkeys(("read_noise_e", "reset_noise_factor", "prnu", "dsnu", "offset_fpn", "column_fpn"), 0)
+    pixel = Pixel(pitch_um=60.0, full_well_e=1e12, bits=24, **quiet)
+    light = SpectralImage([550.0], 10.0, 20.0, data=np.ones((3, 3, 1)), header={"luminance_cd_per_m2": 1e9})
+    display = Display(raster=raster, dots=dots)
+    if raster == "fixed_size":  # it is all border
+        with pytest.raises(PixsimError, match=r"leaves none of the .* dots"):
+            evaluate(light, Camera(die_mm=0.06), pixel, display=display)
+        return
+    score = evaluate(light, Camera(die_mm=0.06), pixel, display=display)
+    assert score.frame.dn.shape == (1, 1)
+    assert score.delta_e.shape == (1, 1)
+    assert np.ptp(score.image) == 0
+
+
+def test_more_dots_than_memory_holds_are_refused():
+    tall = SpectralImage([550.0], 10.0, 10.0, data=np.ones((20_000, 1, 1)), header={"luminance_cd_per_m2": 1e9})
+    with pytest.raises(
+        PixsimError, match=r"display\.dots: got 512 across a picture of 10 µm × 200000 µm: 5\.24e\+09 dots; allowed"
+    ):
+        evaluate(tall, Camera(die_mm=0.01), Pixel())
+
+
+def test_a_seed_may_be_numpys():
+    light = irradiance_of(np.random.default_rng(0).uniform(0.1, 0.8, (32, 32)))
+    one, same = (evaluate(light, CAMERA, Pixel(pitch_um=20), seed=seed).frame.dn for seed in (7, np.int64(7)))
+    np.testing.assert_array_equal(one, same)
+
+
+@pytest.mark.parametrize("gamma", [0.01, 0.1, 1.0, 10.0, 100.0])
+@pytest.mark.parametrize("bits", [1, 8, 16])
+def test_black_and_white_are_kept_by_any_display(gamma, bits):
+    shown = displays.shown_luminance(np.array([[-1.0, 0.0, 1.0, 7.0]]), Display(gamma=gamma, bits=bits))
+    np.testing.assert_array_equal(shown, [[0.0, 0.0, 1.0, 1.0]])
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 20000])
+def test_even_frames_are_shown_even(degree, n):
+    edges_um = np.linspace(-0.3 * math.pi, n + 0.7, 38)  # beyond the outermost centres on both sides
+    found = displays.average_axis(np.full((n, 2), 3.7), 1.0, 0.0, edges_um, degree, axis=0)
+    # Differences of an integral up to n: its roundings over a dot's width.
+    assert np.abs(found / 3.7 - 1).max() < 1e-15 * (10 + n)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "nearest", "cubic"])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1)])
+def test_frames_of_one_pixel_or_one_row_are_shown(interpolation, shape):
+    dn = np.random.default_rng(0).integers(10, 900, shape).astype(np.int32)
+    frame = Frame(dn, dn.astype(float), 1.0, 1.0, 0.0, 0.0, 5.0, 10, 0.0)
+    size_um = 5.0 * shape[0], 5.0 * shape[1]
+    display = Display(dots=64, interpolation=interpolation)
+    shown = displays.frame_luminance(frame, size_um, 1000.0, display, displays.dot_edges_um(size_um, 5.0, display, 0.0))
+    assert shown.shape[1] == 64
+    assert np.all(np.isfinite(shown))
+    if interpolation != "cubic":  # a cubic overshoots; the others neither gain nor lose light
+        assert shown.mean() == pytest.approx(dn.mean() / 1000, rel=1e-12)

@@ -78,10 +78,10 @@ def test_the_light_is_weighed_in_strips_as_in_one_piece(monkeypatch, bands):
     image = chart(40)
     if bands:
         image = SpectralImage(NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands)))
-    monkeypatch.setattr("pixsim.sensor.integration.STRIP_VALUES", 100)
+    monkeypatch.setattr("pixsim.light.spectral.STRIP_VALUES", 100)
     weight = np.random.default_rng(4).normal(size=image.wavelength_nm.size)
     exact = np.einsum("yxb,b->yx", image.data.astype(float), weight)
-    found = score.displays.weighted(image, weight)
+    found = image.weighted(weight)
     # The bands of a factored image are rounded to float32 where they are asked for.
     np.testing.assert_allclose(found, exact, rtol=0, atol=(1e-6 if not bands else 1e-14) * np.abs(exact).max())
 

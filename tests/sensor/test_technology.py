@@ -1,0 +1,196 @@
+"""Technologies: their files, sources and ranges, what cannot be, and their names in results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from pixsim.base.config import packaged, read_toml
+from pixsim.base.errors import LONGEST_LABEL as LONGEST
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Pixel
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.technology import Junction, Technology, file_label, label_of, labels_of, load_technology
+
+TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
+PINNED = ["4t-bsi", "4t-fsi"]
+# Fields with a default that a file may leave out.
+OPTIONAL = {"reset_noise_factor", "response_curve", "fill_factor_inset_features"}
+T035 = load_technology("0.35um")
+
+
+# --- Files ---
+
+
+def test_the_packaged_technologies():
+    assert set(packaged("data/technologies")) == {*TECHNOLOGIES, *PINNED}
+
+
+def text_of_035um() -> str:
+    return packaged("data/technologies")["0.35um"].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", [*TECHNOLOGIES, *PINNED])
+def test_every_number_has_a_source_and_a_confidence(name):
+    table = read_toml(packaged("data/technologies")[name])
+    numbers = {key: value for key, value in table.items() if key != "name"}
+    common = set(Technology.model_fields) - {"name", "sources", "ranges", "junction", "full_well_e_per_um2", *OPTIONAL}
+    assert set(numbers) - OPTIONAL == common | (set(Junction.model_fields) if name in TECHNOLOGIES else {"full_well_e_per_um2"})
+    for key, entry in numbers.items():
+        assert set(entry) - {"range"} == {"value", "confidence", "source"}, key
+        assert entry["confidence"] in ("A", "B", "C", "D"), key
+        if entry["confidence"] in "CD" and isinstance(entry["value"], float | int):
+            assert "range" in entry, f"{key} is derived or assumed, and does not say how far it may be wrong"
+        assert not ("range" in entry and entry["confidence"] == "A"), key
+        assert len(entry["source"]) > 8, key
+    loaded = load_technology(name)
+    if name in TECHNOLOGIES:
+        assert loaded.feature_size_um == pytest.approx(float(name.removesuffix("um")))
+    assert set(loaded.sources) == set(numbers)
+    assert loaded.ranges == {key: tuple(entry["range"]) for key, entry in numbers.items() if "range" in entry}
+
+
+def test_plausible_ranges_hold_what_is_known():
+    """The 0.37 measured at 0.35 µm is plausible for every 3T process; dark current is known to a factor of 3, a node to 40 %."""
+    for name in TECHNOLOGIES:
+        ranges = load_technology(name).ranges
+        values = load_technology(name).numbers
+        low, high = ranges.get("peak_quantum_efficiency", (0.37, 0.37))
+        assert low <= 0.37 <= high
+        dark = np.array(ranges["dark_current_na_per_cm2"]) / values["dark_current_na_per_cm2"]
+        np.testing.assert_allclose(dark, [1 / 3, 3], rtol=0.01)  # written with three digits
+        node = np.array(ranges["node_capacitance_ff"]) / values["node_capacitance_ff"]
+        np.testing.assert_allclose(node, [0.6, 1.4], rtol=1e-9)
+
+
+def test_ranges_are_no_content():
+    """Another range changes no result, so no row's key; another value does."""
+    bare = T035.model_copy(update={"ranges": {}, "sources": {}})
+    assert bare.content == T035.content
+    assert T035.with_numbers({"dsnu": 0.2}, "here").content == T035.content | {"dsnu": 0.2}
+    assert set(T035.content) == set(Technology.model_fields) - {"ranges", "sources"}
+
+
+RANGES = [
+    ("[0.4, 0.6]", r"range of dsnu: got \[0\.4, 0\.6\]; allowed: low <= 0\.3"),
+    ("[0.1, 0.2]", r"range of dsnu: got \[0\.1, 0\.2\]; allowed: low <= 0\.3"),
+    ("[0.6, 0.1]", r"range of dsnu: got \[0\.6, 0\.1\]"),
+    ("[-0.1, 0.6]", r"range of dsnu: dsnu: got -0\.1; allowed: greater than or equal to 0"),
+    ("[0.1, 101]", r"range of dsnu: dsnu: got 101.*less than or equal to 100"),
+    ("[0.1, inf]", r"dsnu\.1: got inf; allowed: a finite number"),
+    ("[0.1]", r"ranges\.dsnu"),
+    ('"wide"', r"ranges\.dsnu: got 'wide'"),
+]
+
+
+@pytest.mark.parametrize(
+    ("written", "instead", "told"),
+    [
+        *(("range = [0.1, 0.6]", f"range = {each}", told) for each, told in RANGES),
+        # A swing above the reset voltage would turn the diode forward.
+        ("range = [0.9, 1.5]", "range = [0.9, 2.3]", r"range of voltage_swing_v: .*2\.3 exceeds reset_voltage_v = 2\.2"),
+        ('source = "name of the process"', "", "source"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused(written, instead, told, tmp_path):
+    assert written in text_of_035um()
+    (tmp_path / "mine.toml").write_text(text_of_035um().replace(written, instead), encoding="utf-8")
+    with pytest.raises(PixsimError, match=told) as caught:
+        load_technology(str(tmp_path / "mine.toml"))
+    assert "mine.toml" in str(caught.value) or "ranges.dsnu" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"fill_factor_inset_features": 20}, "fill_factor_inset_features = 20 exceeds"),
+        ({"dark_doubling_k": 1e-3}, "dark_doubling_k"),
+        ({"full_well_e_per_um2": 1000.0}, "either full_well_e_per_um2 or all of reset_voltage_v"),
+        (dict.fromkeys(("cj_ff_per_um2", "cjsw_ff_per_um", "node_capacitance_ff"), 0), "no capacitance keeps a charge"),
+        ({"voltage_swing_v": 9.0}, r"voltage_swing_v = 9.*reset_voltage_v = 2\.2"),
+    ],
+)
+def test_a_process_that_cannot_be_is_refused(values, message):
+    whole = T035.model_dump()
+    if values.keys() <= Junction.model_fields.keys():
+        values = {"junction": whole["junction"] | values}
+    with pytest.raises(ValidationError, match=message):
+        Technology.model_validate(whole | values)
+
+
+def test_an_unknown_technology_lists_the_known_ones():
+    with pytest.raises(PixsimError, match=r"'0\.13um'") as caught:
+        derive(Pixel(technology="0.13um"))
+    assert all(name in str(caught.value) for name in TECHNOLOGIES)
+    with pytest.raises(PixsimError, match="does not exist"):
+        load_technology("nowhere/nowhere.toml")
+
+
+def test_a_technology_of_ones_own(tmp_path):
+    mine = tmp_path / "mine.toml"
+    mine.write_text(text_of_035um().replace('"0.35um"', '"mine"'))
+    physics, packaged_one = (derive(Pixel(technology=name)) for name in (str(mine), "0.35um"))
+    assert physics.capacitance_ff == packaged_one.capacitance_ff
+    assert load_technology(str(mine)).name == "mine"
+
+
+# --- Other numbers ---
+
+
+@pytest.mark.parametrize("name", [*TECHNOLOGIES, *PINNED])
+def test_a_technology_with_other_numbers(name):
+    """Every number with a range can go to both ends; nothing else changes, and the source says what was there."""
+    technology = load_technology(name)
+    for number, ends in technology.ranges.items():
+        for end in ends:
+            moved = technology.with_numbers({number: end}, "process.x")
+            assert moved.numbers == technology.numbers | {number: end}
+            assert (moved.name, moved.ranges) == (technology.name, technology.ranges)
+            assert moved.sources[number].startswith(f"set by the study; the file has {technology.numbers[number]:g} (")
+            assert {key: told for key, told in moved.sources.items() if key != number} == {
+                key: told for key, told in technology.sources.items() if key != number
+            }
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"dark_currnt": 1.0}, r"process\.x: got 'dark_currnt'; allowed: .*node_capacitance_ff.* Did you mean"),
+        ({"name": 1.0}, r"process\.x: got 'name'"),
+        ({"full_well_e_per_um2": 1.0}, r"process\.x: got 'full_well_e_per_um2'"),  # of a 4T process
+        ({"dsnu": -1.0}, r"process\.x: dsnu: got -1\.0; allowed: greater than or equal to 0"),
+        ({"peak_quantum_efficiency": 1.1}, r"process\.x: peak_quantum_efficiency: got 1\.1"),
+        ({"voltage_swing_v": 2.3}, r"process\.x: junction: voltage_swing_v = 2\.3 exceeds reset_voltage_v = 2\.2"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(values, told):
+    with pytest.raises(PixsimError, match=told):
+        T035.with_numbers(values, "process.x")
+
+
+# --- Names ---
+
+
+STUDIES = [
+    (["0.35um", "0.25um"], ["0.35um", "0.25um"]),
+    (["/home/me/mine.toml", "b/mine.toml", "c.d/mine.toml"], ["mine", "mine-2", "mine-3"]),
+    # mine-2 is another one's own name; a file system may not tell Mine from mine
+    (["a/mine.toml", "b/mine.toml", "mine-2.toml"], ["mine", "mine-3", "mine-2"]),
+    (["a/Mine.toml", "b/mine.toml"], ["Mine", "mine-2"]),
+    (["none", "data sheet.toml"], ["data sheet", "data sheet-2"]),
+    (["0.35um", "mine/0.35um.toml"], ["0.35um", "0.35um-2"]),
+    ([f"a/{'n' * 100}1.toml", f"a/{'n' * 100}2.toml"], [f"{'n' * (LONGEST - 1)}…", f"{'n' * (LONGEST - 1)}…-2"]),
+]
+
+
+@pytest.mark.parametrize(("technologies", "labels"), STUDIES)
+def test_labels_are_names_and_no_two_are_alike(technologies: list[str], labels: list[str]) -> None:
+    assert list(labels_of(technologies)) == labels
+    assert len({file_label(each).casefold() for each in labels}) == len(labels)
+
+
+def test_a_label_is_one_line_that_steers_no_terminal() -> None:
+    assert label_of("x/two\nlines\t \x1b[31m.toml") == r"two lines \x1b[31m"
+    assert label_of("none") == "data sheet"
+    assert file_label("data sheet") == "data_sheet"
