@@ -9,7 +9,7 @@ import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.sensor.readout import Frame
 from pixsim.studies.result import StudyResult
-from pixsim.viewer.score import Bench
+from pixsim.viewer.score import ImagingChain
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -31,6 +31,6 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Grows by one with every picture that is taken in this process."""
     taken: list[Frame] = []
-    view = Bench.view
-    monkeypatch.setattr(Bench, "view", lambda self, frame: taken.append(frame) or view(self, frame))
+    view = ImagingChain.view
+    monkeypatch.setattr(ImagingChain, "view", lambda self, frame: taken.append(frame) or view(self, frame))
     return taken

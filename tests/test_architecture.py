@@ -175,5 +175,5 @@ def test_the_version_is_the_same_everywhere() -> None:
     from importlib.metadata import version
 
     assert pixsim.__version__ == version("pixsim")
-    project = Path(__file__).parents[1] / "pyproject.toml"
-    assert pixsim.__version__ == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
+    prepare_scene = Path(__file__).parents[1] / "pyproject.toml"
+    assert pixsim.__version__ == tomllib.loads(prepare_scene.read_text(encoding="utf-8"))["project"]["version"]

@@ -30,7 +30,7 @@ from hypothesis import strategies as st
 
 import pixsim
 from pixsim.base import cache
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import read_channels
@@ -39,7 +39,7 @@ from pixsim.measure.sfr import read_edge_picture
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.show import figures
-from pixsim.studies.evaluations import COLUMNS, Ledger
+from pixsim.studies.evaluations import COLUMNS, ResultsFile
 from pixsim.studies.study import load_study
 
 FEW = {"shape": (60, 60), "stack_frames": 8}  # of a data sheet's experiment, where only what is written of it counts
@@ -50,7 +50,7 @@ from pixsim.measure import datasheet
 datasheet.make_datasheet = functools.partial(datasheet.make_datasheet, **{FEW})
 cli.main()
 """
-MOST_MIB = 1024
+MAX_MIB = 1024
 SMALL = "-D resolution=32 -D spp=4 --display.dots 32"
 
 
@@ -82,7 +82,7 @@ def refused(*words: str) -> Iterator[None]:
         yield
     for word in words:
         assert word in str(error.value)
-    assert peak_mib() - before < MOST_MIB / 4
+    assert peak_mib() - before < MAX_MIB / 4
 
 
 def told(line: str, *words: object) -> tuple[int, str, str]:
@@ -130,8 +130,8 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, monkeypatch, suffix, line):
 
 
 def test_a_control_character_does_not_reach_the_terminal():
-    assert str(refuse("x", "\x1b[2J\u202e\0", "y")) == "x: got \\x1b[2J\\u202e\\x00; allowed: y."
-    assert len(str(refuse("x", "y" * 10**6, "z"))) < 21_000
+    assert str(invalid("x", "\x1b[2J\u202e\0", "y")) == "x: got \\x1b[2J\\u202e\\x00; allowed: y."
+    assert len(str(invalid("x", "y" * 10**6, "z"))) < 21_000
 
 
 # --- TOML --------------------------------------------------------------------------------------------------------------
@@ -460,16 +460,16 @@ def test_rows_that_were_changed_by_hand_are_made_again(tmp_path, content):
         return row["key"] == "key1" and float(row["pitch_um"]) == float(row["repeat"]) == 1.5
 
     with in_time():
-        assert Ledger(tmp_path / "results.csv").begin(wanted) == {}
+        assert ResultsFile(tmp_path / "results.csv").begin(wanted) == {}
     rows(tmp_path / "results.csv")
-    assert list(Ledger(tmp_path / "results.csv").begin(wanted)) == ["key1"]
+    assert list(ResultsFile(tmp_path / "results.csv").begin(wanted)) == ["key1"]
 
 
 def test_rows_without_end(tmp_path):
     with (tmp_path / "results.csv").open("wb") as file:
         file.truncate(1 << 32)
     with refused("results.csv"):
-        Ledger(tmp_path / "results.csv").read()
+        ResultsFile(tmp_path / "results.csv").read()
 
 
 @pytest.mark.filterwarnings("ignore:cache")
@@ -481,7 +481,7 @@ def test_a_cache_of_garbage(tmp_path, monkeypatch):
         if number < 4:
             with in_time():
                 assert cache.arrays("a", path.stem) is None
-                cache.keep_arrays("a", path.stem, {"x": np.ones(3)})
+                cache.store_arrays("a", path.stem, {"x": np.ones(3)})
     for path in list(no_files(tmp_path / "b", ".json"))[:4]:
         with in_time():
             assert cache.kept("b", path.stem, dict, lambda: {"x": 1}, dict) == {"x": 1}

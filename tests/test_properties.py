@@ -31,7 +31,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, CameraOptions, Display, Effort, Exposure, PitchRange, Pixel, PixelOptions, Record
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.readout import Frame, capture_rate, draw_sensor
+from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor
 from pixsim.sensor.technology import Junction, Technology, load_technology
 
 REPEATABLE = {"derandomize": True, "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
@@ -294,9 +294,9 @@ def test_any_process_takes_pictures_or_is_refused() -> None:
             technology = Technology.model_validate(process)
             with patch("pixsim.sensor.pixel.load_technology", lambda _: technology):
                 physics = derive(Pixel.model_validate(fields))
-            sensor = draw_sensor(physics, (3, 4), np.random.default_rng(level[2]))
+            sensor = sample_sensor(physics, (3, 4), np.random.default_rng(level[2]))
             rate = picture("random", (3, 4), *level) * 1e20 * physics.photodiode_area_um2
-            assert_possible(capture_rate(rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)))
+            assert_possible(capture_from_rates(rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)))
 
     captured()
     assert outcomes["answered"] > 0.5 * outcomes.total(), outcomes

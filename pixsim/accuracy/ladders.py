@@ -295,7 +295,7 @@ def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
     }
 
 
-FEWEST_SENSORS, FEWEST_GROUPS = 4, 4  # so few means still tell their scatter to a third
+MIN_SENSORS, MIN_GROUPS = 4, 4  # so few means still tell their scatter to a third
 SENSORS_PER_SWEEP = 4  # at one pitch: they cost so much less
 OTHER_SENSORS = 104729  # beside the user's seed: the reference's sensors are others
 
@@ -311,7 +311,7 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
     def expected_s() -> float:
         return 2 * pool * clock.score_s * (SENSORS_PER_SWEEP + len(setup.pitches_um))
 
-    while pool > FEWEST_SENSORS and not clock.room_for(expected_s()):
+    while pool > MIN_SENSORS and not clock.room_for(expected_s()):
         pool, setup = (pool, replace(setup, pitches_um=())) if setup.pitches_um else (pool // 2, setup)
     if not clock.room_for(expected_s()):
         yield Rung("seeds", f"{pool} sensors", pool, left_out=f"about {expected_s():.0f} s")
@@ -321,10 +321,10 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
     own, truth = (probe(image, replace(setup, pitches_um=(), sensors=many, seed=seed)) for seed in seeds)
     curves, true_curve = (probe(image, replace(setup, sensors=swept, seed=seed)) for seed in seeds)
     count = 1
-    while count * FEWEST_GROUPS <= many:
+    while count * MIN_GROUPS <= many:
         delta_e = own.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
         groups = [slice(start, start + count) for start in range(0, swept, count)]
-        enough = len(groups) >= FEWEST_GROUPS
+        enough = len(groups) >= MIN_GROUPS
         optimum = [_optimum(curves, each) - true_curve.optimum_um for each in groups] if enough else [math.nan]
         name = f"{count} sensor{'s' * (count > 1)}"
         time_s = shipped.seconds + (count - 1) * own.score_seconds

@@ -19,7 +19,7 @@ from pixsim.scene.scene import Scene, packaged_scenes
 from pixsim.studies.budget import Setup
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
-FEWEST_PARTS = 4096  # across a chart, for those nodes: far smaller than a cycle, exact to 1e-12
+MIN_PARTS = 4096  # across a chart, for those nodes: far smaller than a cycle, exact to 1e-12
 REFERENCE_WORK = 64  # times the samples of a default render
 REFERENCE_BANDS = 470  # of 1 nm
 REFERENCE_SEED = 7919  # beside the user's seed
@@ -27,7 +27,7 @@ REFERENCE_SEED = 7919  # beside the user's seed
 
 def cell_means(value: Callable[[Array], Array], count: int) -> Array:
     """Means of a smooth function of [0, 1] over `count` equal cells; large cells are taken in parts."""
-    parts = -(-FEWEST_PARTS // count)
+    parts = -(-MIN_PARTS // count)
     middle = (np.arange(count * parts) + 0.5) / (count * parts)
     means = (value(middle[:, None] + NODES / (2 * count * parts)) * (WEIGHTS / 2)).sum(axis=1)
     return np.asarray(means.reshape(count, parts).mean(axis=1))

@@ -26,7 +26,7 @@ def number(value: float) -> str:
     return f"{value:.2g}" if math.isfinite(value) else "–"
 
 
-def errors_told(found: Accuracy) -> str:
+def error_words(found: Accuracy) -> str:
     """Of the shipped settings."""
     own = found.shipped
     parts = [f"{number(100 * own.error_e)} % of mean electrons", f"{number(own.error_delta_e)} of mean ΔE"]
@@ -44,7 +44,7 @@ def verdict(found: Accuracy, metric: str) -> str:
 
 
 def accuracy_lines(found: Accuracy) -> list[str]:
-    lines = [f"reference: {found.reference}", f"as shipped: {errors_told(found)}, in {found.shipped.seconds:.2g} s warm"]
+    lines = [f"reference: {found.reference}", f"as shipped: {error_words(found)}, in {found.shipped.seconds:.2g} s warm"]
     lines += [f"  {SHORT[metric]:10} {verdict(found, metric)}" for metric in METRICS if found.rivals(metric)]
     lines.append("orders of convergence (error ∝ setting^-order, ± 95 %):")
     for name in found.names:
@@ -271,7 +271,7 @@ def write_accuracy(found: Accuracy, out: Path) -> Path:
         orders = [(name, metric, found.order(name, metric)) for name in found.names for metric in METRICS]
         page = {
             "found": found,
-            "errors": errors_told(found),
+            "errors": error_words(found),
             "verdicts": [(METRICS[metric], verdict(found, metric), found.beaten(metric)) for metric in metrics],
             "orders": [(name, SHORT[metric], order) for name, metric, order in orders if order],
             "number": number,

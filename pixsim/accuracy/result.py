@@ -16,7 +16,7 @@ from pixsim.accuracy.stability import Case
 from pixsim.show.pages import plain
 from pixsim.studies.budget import Calibration, Effect, Setup
 
-FEWEST_POINTS = 3
+MIN_POINTS = 3
 FLAT = 2 / 3  # of the slope so far: where errors fall more slowly than that, another source of error is met
 SAME_TIME = 0.9  # wall times of the same work scatter by a tenth
 
@@ -60,7 +60,7 @@ def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence
     own = [0.0] * len(setting) if spread is None else spread
     points = sorted((s, e, d) for s, e, d in zip(setting, error, own, strict=True) if s > 0 and e > 0 and math.isfinite(s * e))
     falling = points if any(own) else points[: len(above_floor([(s, e) for s, e, _ in points]))]
-    if len(falling) < FEWEST_POINTS:
+    if len(falling) < MIN_POINTS:
         return None
     x, y = np.log([s for s, _, _ in falling]), np.log([e for _, e, _ in falling])
     sigma = np.array([d for _, _, d in falling])

@@ -11,15 +11,15 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel
-from pixsim.sensor.photodiode import collected_charge_e, kept_level_e
+from pixsim.sensor.photodiode import collected_charge_e, stored_signal_e
 from pixsim.sensor.pixel import E_PER_FC, Diode, derive
 from pixsim.show.figures import LEGEND_LINE, LOOKS, new_figure
 from pixsim.show.pages import Column, Plate
 
-MOST_EVALUATIONS = 20_000  # of the explicit solver: a second; saturated pixels need up to 1e17
+MAX_EVALUATIONS = 20_000  # of the explicit solver: a second; saturated pixels need up to 1e17
 RELATIVE_TOLERANCE = 1e-10
 SIX_STAGES = 6  # of a step of RK45
-LARGEST_EXPONENT = 700.0  # e^x is finite below
+MAX_EXPONENT = 700.0  # e^x is finite below
 
 
 class CapReached(Exception):
@@ -42,7 +42,7 @@ class Solved:
 
 
 def solve_ode(
-    diode: Diode, photocurrent_e_per_s: float, integration_s: float, method: str, most: int = MOST_EVALUATIONS
+    diode: Diode, photocurrent_e_per_s: float, integration_s: float, method: str, most: int = MAX_EVALUATIONS
 ) -> tuple[float, int, str]:
     """(charge in e-, evaluations, why it failed) by one of scipy's solvers of C dV/dt, for V as it stands.
 
@@ -59,7 +59,7 @@ def solve_ode(
         if len(asked) >= most:
             raise CapReached
         asked.append(tau_s * math.expm1(u))
-        diode_e_per_s = saturation * -np.expm1(np.minimum(-bias_v / v_t, LARGEST_EXPONENT))
+        diode_e_per_s = saturation * -np.expm1(np.minimum(-bias_v / v_t, MAX_EXPONENT))
         volts_per_s = -(photocurrent_e_per_s + diode_e_per_s) / (E_PER_FC * diode.capacitance_ff(bias_v))
         return volts_per_s * tau_s * math.exp(u)
 
@@ -76,7 +76,7 @@ def solve_ode(
     return float(diode.charge_e(reset_v, reset_v - found.y[0, -1])), len(asked), ""
 
 
-def solvers(diode: Diode, photocurrent_e_per_s: float, integration_s: float, most: int = MOST_EVALUATIONS) -> list[Solved]:
+def solvers(diode: Diode, photocurrent_e_per_s: float, integration_s: float, most: int = MAX_EVALUATIONS) -> list[Solved]:
     """The quadrature, an implicit (Radau) and an explicit solver (RK45) on one discharge, with what each costs.
 
     Relative errors are against the quadrature. Where the diode conducts, its time constant C V_T/(i_ph + I_s) is picoseconds
@@ -123,7 +123,7 @@ def dn_against_light(pixel: Pixel, integration_s: float = 0.03, points: int = 60
     black, top = pixel.black_level_dn, 2.0**pixel.bits - 1
     found = []
     for (limit, conversion), physics in zip(ways, pixels, strict=True):
-        dn = np.minimum(kept_level_e(generated_e, integration_s, physics) * physics.dn_per_e + black, top)
+        dn = np.minimum(stored_signal_e(generated_e, integration_s, physics) * physics.dn_per_e + black, top)
         line = np.minimum(generated_e * physics.dn_per_e + black, top)
         deviation = 100 * (dn - line) / (top - black)
         found.append(Response(limit, conversion, physics.full_well_e, generated_e, dn, deviation))

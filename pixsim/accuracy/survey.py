@@ -40,17 +40,17 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
-from pixsim.studies.budget import MOST_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe, unheard
+from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe, unheard
 from pixsim.viewer import display as displays
-from pixsim.viewer.score import bench_of, project
+from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 LONG_S = 5.0
 # (what, photo-charge in full wells, seconds): from a picture's middle grey to a sensor in the sun for hours.
 DISCHARGES = (("half a well", 0.5, 0.03), ("ten wells", 10.0, 0.03), ("1e12 wells in hours", 1e12, 3.6e4))
 FINER = 2  # the analytic reference's film, of the scene's
-FEWEST_TIMES = 4.0  # the work of the shipped settings: less is no reference
+MIN_TIMES = 4.0  # the work of the shipped settings: less is no reference
 COARSEST = 64  # film width of the least part of a scene that is looked at, where its reference would take too long
-FEWEST_DOTS = 8
+MIN_DOTS = 8
 CHART_HALF_WIDTH = "chart_half_width"  # of the shipped charts, which fill the die: a part of it is to show a part of them
 
 
@@ -71,7 +71,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display) ->
 def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
     """By stage, of one picture sensed, shown, compared and written as `pixsim run` does it.
 
-    Diffraction is one of the steps of `project`, the others of which are the viewer's: it is timed alone, and left out there.
+    Diffraction is one of the steps of `prepare_scene`, the others of which are the viewer's: it is timed alone, and left out there.
     """
     still = copy(image)
     still.header = image.header | {"diffraction": False}
@@ -79,9 +79,9 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
     with unheard(), tempfile.TemporaryDirectory() as folder:
         diffracted_rate(image, setup.camera, physics)
         ends.append(time.perf_counter())
-        light = project(still, setup.camera, physics, setup.display)
+        light = prepare_scene(still, setup.camera, physics, setup.display)
         ends.append(time.perf_counter())
-        bench = bench_of(light, physics, setup.exposure)
+        bench = chain_at_pitch(light, physics, setup.exposure)
         frame = bench.capture("stages")
         ends.append(time.perf_counter())
         score = bench.view(frame)
@@ -167,7 +167,7 @@ def referred(subject: Subject, depth: Depth, progress: Stage) -> Subject:
             notes.append(f"looked at the middle 1/{parts} of the die, across and down, to afford the reference")
             subject = middle_of(subject, parts)
         expected_s = FULL_WORK * REFERENCE_WORK * subject.render_s
-        work = min(REFERENCE_WORK, max(FEWEST_TIMES, REFERENCE_WORK * depth.reference_s / expected_s))
+        work = min(REFERENCE_WORK, max(MIN_TIMES, REFERENCE_WORK * depth.reference_s / expected_s))
         if work < REFERENCE_WORK:
             notes.append(f"the reference has {work:.0f} times the work of the shipped settings only, of {REFERENCE_WORK}")
         image, words = rendered_reference(subject.scene, subject.camera, subject.setup, subject.plan, work, told)
@@ -184,7 +184,7 @@ def middle_of(subject: Subject, parts: int) -> Subject:
     kept = {CHART_HALF_WIDTH: own.chart_half_width_m} if CHART_HALF_WIDTH in scene.names - scene.parameters.keys() else {}
     scene = scene.with_parameters(resolution=subject.image.shape[1] // parts, **kept)
     camera = own.model_copy(update={"die_mm": own.die_mm / parts})
-    display = setup.display.model_copy(update={"dots": max(FEWEST_DOTS, setup.display.dots // parts)})
+    display = setup.display.model_copy(update={"dots": max(MIN_DOTS, setup.display.dots // parts)})
     setup = replace(setup, camera=camera, display=display)
     plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)
     image, seconds = first_picture(scene, camera, plan, display)
@@ -201,7 +201,7 @@ def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tu
     clock.render_s, clock.probe_s = subject.render_s, max(whole_s, 0.0) / clock.runs
     clock.score_s = clock.probe_s / (1 + len(subject.setup.pitches_um))
     viewer = replace(subject.setup, pitches_um=subject.setup.pitches_um if depth.seeds_move_the_optimum else ())
-    dots = [each for times in depth.dots if FEWEST_DOTS <= (each := int(subject.setup.display.dots * times)) <= MOST_DOTS]
+    dots = [each for times in depth.dots if MIN_DOTS <= (each := int(subject.setup.display.dots * times)) <= MAX_DOTS]
     climbs = {
         "seeds": seed_rungs(subject.image, viewer, shipped, clock, depth.pool),
         "raster": raster_rungs(subject.image, subject.setup, clock, dots),

@@ -20,11 +20,11 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.errors import PixsimError, refuse
-from pixsim.base.files import opened, refuse_zip_bomb
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import check_zip, opened
 
 Array = NDArray[np.float64]
-LARGEST_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
+MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
 CACHE_LINE = 8  # float64 numbers
 STRIP_SAMPLES = 1 << 15  # of float64, 256 KiB: three such, and what is made of them, stay in a core's second cache
 
@@ -34,7 +34,7 @@ def empty_planes(*shape: int) -> Array:
 
     Rows a power of two apart fall on the same few lines of the caches, which makes a transform along columns 3 times as long.
     """
-    keep_freed_memory()
+    reuse_freed_memory()
     lines = -(-shape[-1] // CACHE_LINE) | 1
     return np.empty((*shape[:-1], lines * CACHE_LINE))[..., : shape[-1]]
 
@@ -58,13 +58,13 @@ def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
 
 
 @cache
-def keep_freed_memory() -> None:
+def reuse_freed_memory() -> None:
     """Let glibc keep freed arrays of up to 32 MiB for the next ones.
 
     It gives back what is larger than the largest array freed so far, and to get its pages again takes 2 µs each, a fifth of
     the time of a picture of 512². Not one page of this array is touched.
     """
-    np.empty(LARGEST_FREED, np.uint8)
+    np.empty(MAX_FREED, np.uint8)
 
 
 def dct(planes: Array, workers: int = 1) -> Array:
@@ -81,7 +81,7 @@ def inverse_dct(planes: Array, workers: int = 1) -> Array:
     return np.asarray(idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=workers))
 
 
-MOST_ARRAYS = 4096
+MAX_ARRAYS = 4096
 DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, SyntaxError)
 DAMAGE += (TypeError, OverflowError, IndexError, AttributeError)
 DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
@@ -91,7 +91,7 @@ def read_arrays(path: Path, what: str, allowed: str) -> dict[str, NDArray[Any]]:
     """Name -> array of an `.npz`, whole and with its CRC compared; nothing pickled is loaded. PixsimError for what is none."""
     found = {}
     with _of_numpy(path, what, allowed) as file, zipfile.ZipFile(file) as archive:
-        refuse_zip_bomb(path, archive, MOST_ARRAYS)
+        check_zip(path, archive, MAX_ARRAYS)
         for each in archive.infolist():
             with archive.open(each) as member:
                 found[each.filename.removesuffix(".npy")] = _array(member, each.file_size)
@@ -114,7 +114,7 @@ def _of_numpy(path: Path, what: str, allowed: str) -> Iterator[IO[bytes]]:
         except PixsimError:
             raise
         except DAMAGE as error:
-            raise refuse(what, f"'{path}' ({error})", allowed) from None
+            raise invalid(what, f"'{path}' ({error})", allowed) from None
 
 
 def _array(file: IO[bytes], size_bytes: int) -> NDArray[Any]:

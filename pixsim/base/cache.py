@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import read_arrays
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text
 from pixsim.base.version import VERSION
 
@@ -36,13 +36,13 @@ PACKAGE = Path(__file__).parents[1]
 LIMIT_VARIABLE = "PIXSIM_CACHE_GIB"
 DEFAULT_GIB = 4.0
 GIB = 1 << 30
-LARGEST_SHARE = 0.25  # of the limit, for one entry: a larger one would drive out all others
+MAX_SHARE = 0.25  # of the limit, for one entry: a larger one would drive out all others
 TRIM_SHARE = 1 / 16  # of the limit: a process that wrote so much looks whether the folder has grown too large
 HELPERS = ("kernels", "matplotlib")  # files that Mitsuba and Matplotlib keep, and tidy, by themselves
 ABANDONED_S = 3600.0  # a partial file of this age was left by a process that was killed
 NAMES = "names"  # an array of an entry: those that it has
 OWN_SUFFIXES = (".py", ".csv", ".toml")  # of pixsim's sources: formulas, spectra, technologies
-LARGEST_JSON = 1 << 26  # bytes
+MAX_JSON = 1 << 26  # bytes
 DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RecursionError)
 _written_bytes = 0  # by this process since it last trimmed
 folder = cache_folder
@@ -56,12 +56,12 @@ def limit_bytes() -> int:
     except ValueError:
         gib = -1.0
     if not 0 <= gib < 1e9:
-        raise refuse(LIMIT_VARIABLE, f"'{text}'", "a size in GiB, 0 and more", f"Unset it for {DEFAULT_GIB:g}.")
+        raise invalid(LIMIT_VARIABLE, f"'{text}'", "a size in GiB, 0 and more", f"Unset it for {DEFAULT_GIB:g}.")
     return int(gib * GIB)
 
 
 @lru_cache
-def made_by(*packages: str) -> str:
+def version_fingerprint(*packages: str) -> str:
     """Names pixsim's version and its very sources, the machine's kind, and the versions of packages: part of each key.
 
     The sources are in it so that nobody who changes a formula or a table is shown a result of the old one.
@@ -79,7 +79,7 @@ def kept(
 ) -> Kept:
     """The JSON entry of a key, made and kept where it is missing or damaged. A folder that cannot be written is warned of."""
     path = folder() / kind / f"{key}.json"
-    found = _found(path, lambda: read(json.loads(read_text(path, "cache entry", "JSON", LARGEST_JSON))))
+    found = _found(path, lambda: read(json.loads(read_text(path, "cache entry", "JSON", MAX_JSON))))
     if found is None:
         found = make()
         text = json.dumps(write(found), sort_keys=True)
@@ -100,7 +100,7 @@ def arrays(kind: str, key: str) -> Arrays | None:
     return _found(path, read)
 
 
-def keep_arrays(kind: str, key: str, content: Arrays) -> None:
+def store_arrays(kind: str, key: str, content: Arrays) -> None:
     """Keep arrays for a key. A folder that cannot be written is warned of; too much for one entry is left out in silence."""
     named: dict[str, Any] = {**content, NAMES: np.array(sorted([*content, NAMES]))}
 
@@ -113,7 +113,7 @@ def keep_arrays(kind: str, key: str, content: Arrays) -> None:
 
 def has_room(size_bytes: int) -> bool:
     """Whether something of this size may be kept without driving out most of the rest."""
-    return size_bytes <= LARGEST_SHARE * limit_bytes()
+    return size_bytes <= MAX_SHARE * limit_bytes()
 
 
 def _found(path: Path, read: Callable[[], Kept]) -> Kept | None:

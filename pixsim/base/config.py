@@ -13,14 +13,14 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from pixsim.base.errors import PixsimError, did_you_mean, refuse
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import read_text
 from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, Layer, Record, Run, merge
 
-LARGEST_BYTES = 1 << 20
-MOST_DIGITS = 250  # in any base: larger numbers are no floats, and not even their text can be shown
-MOST_DOTS = 64  # of a key: tomllib's time grows as their square
-DEEPEST = 16  # tables in tables; pixsim's own go to 4
+MAX_BYTES = 1 << 20
+MAX_DIGITS = 250  # in any base: larger numbers are no floats, and not even their text can be shown
+MAX_DOTS = 64  # of a key: tomllib's time grows as their square
+MAX_DEPTH = 16  # tables in tables; pixsim's own go to 4
 
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:
@@ -31,21 +31,21 @@ def merged(layers: Iterable[Layer]) -> dict[str, Any]:
 def read_toml(path: Path) -> dict[str, Any]:
     """A TOML file as a dict; PixsimError where it is missing, too large, not text, not TOML, or nested without end."""
     what = f"configuration file '{path}'"
-    text = read_text(path, "configuration file", "a readable TOML file", LARGEST_BYTES)
+    text = read_text(path, "configuration file", "a readable TOML file", MAX_BYTES)
     # What would keep the parser busy, or be of no use after it.
     bare = text.translate(dict.fromkeys(map(ord, " \t\"'")))
-    if max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", bare)), default=0) > MOST_DOTS:
-        raise refuse(what, f"a key of more than {MOST_DOTS} dots", f"at most {DEEPEST}")
-    if re.search(rf"[0-9a-fA-F_]{{{MOST_DIGITS + 1}}}", text):
-        raise refuse(what, f"a number of more than {MOST_DIGITS} digits", "numbers that are floats")
+    if max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", bare)), default=0) > MAX_DOTS:
+        raise invalid(what, f"a key of more than {MAX_DOTS} dots", f"at most {MAX_DEPTH}")
+    if re.search(rf"[0-9a-fA-F_]{{{MAX_DIGITS + 1}}}", text):
+        raise invalid(what, f"a number of more than {MAX_DIGITS} digits", "numbers that are floats")
     try:
         table = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, and dates that are none
-        raise refuse(what, error, "TOML, see https://toml.io") from None
+        raise invalid(what, error, "TOML, see https://toml.io") from None
     except RecursionError:
-        raise refuse(what, "tables nested without end", f"at most {DEEPEST} deep") from None
-    if depth(table) > DEEPEST:
-        raise refuse(what, f"tables nested {depth(table)} deep", f"at most {DEEPEST}")
+        raise invalid(what, "tables nested without end", f"at most {MAX_DEPTH} deep") from None
+    if depth(table) > MAX_DEPTH:
+        raise invalid(what, f"tables nested {depth(table)} deep", f"at most {MAX_DEPTH}")
     return table
 
 
@@ -73,7 +73,7 @@ def packaged(folder: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(root.glob("*.toml"))}
 
 
-LONGEST_VALUE = 80
+MAX_VALUE = 80
 
 
 def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:
@@ -111,7 +111,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
     if problem["type"] == "value_error":
         return f"{where}: {message.removesuffix('.')}."
     found = repr(problem["input"])
-    found = found if len(found) <= LONGEST_VALUE else found[:LONGEST_VALUE] + "…"
+    found = found if len(found) <= MAX_VALUE else found[:MAX_VALUE] + "…"
     return f"{where}: got {found}; allowed: {message.removeprefix('input should be ')}."
 
 
@@ -168,7 +168,7 @@ def is_data_sheet(files: list[Layer], options: dict[str, Any]) -> bool:
     if missing := [name for name in ("pitch_um", *DATA_SHEET) if name not in told]:
         got = f"a sensor without a technology, and without {', '.join(missing)}"
         mend = 'Add them, or the technology that they are derived from, as technology = "4t-bsi".'
-        raise refuse(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", mend)
+        raise invalid(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", mend)
     return True
 
 
@@ -184,7 +184,7 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     asked = (options or {}).get("pixel", {})
     for name in (each for each in OF_A_STUDY if each in asked):
         allowed = f"other fields of the pixel: a study's file gives {OF_A_STUDY[name]}"
-        raise refuse(f"pixel.{name}", f"'{asked[name]}' for a study", allowed, "Set it in a copy of the file.")
+        raise invalid(f"pixel.{name}", f"'{asked[name]}' for a study", allowed, "Set it in a copy of the file.")
     files = [settings_layer(path) for path in paths]
     below: dict[str, Any] = {}
     over: list[Layer] = []

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-LONGEST = 20_000  # characters of a message
+MAX_LENGTH = 20_000  # characters of a message
 
 
 class PixsimError(ValueError):
@@ -20,10 +20,10 @@ class PixsimError(ValueError):
 def shown(text: str) -> str:
     """What files and names say, for a terminal: characters that would steer it are spelled out, and nothing has no end."""
     text = CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]} … ({len(text)} characters)"
+    return text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]} … ({len(text)} characters)"
 
 
-def refuse(what: str, got: object, allowed: str, mend: str = "") -> PixsimError:
+def invalid(what: str, got: object, allowed: str, mend: str = "") -> PixsimError:
     """Build the error in the house's form; the caller raises it."""
     return PixsimError(f"{what}: got {got}; allowed: {allowed}." + (f" {mend}" if mend else ""))
 
@@ -34,10 +34,10 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"Did you mean '{near[0]}'?" if near else ""
 
 
-LONGEST_LABEL = 60  # characters of a label
+MAX_LABEL = 60  # characters of a label
 
 
-def one_line(text: str, longest: int = LONGEST_LABEL) -> str:
+def one_line(text: str, longest: int = MAX_LABEL) -> str:
     """What files and names say, as one line of bounded length."""
     line = " ".join(shown(text).split())
     return line if len(line) <= longest else line[: longest - 1] + "…"

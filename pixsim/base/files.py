@@ -17,7 +17,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
@@ -97,10 +97,10 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 MIB = 1 << 20
 # A file may always declare so much; more only where its length makes that likely. Deflate packs up to 1032 : 1.
 ALWAYS_BYTES = 256 * MIB
-LARGEST_RATIO = 1100
-MOST_PICTURE = 1 << 28  # samples of a PNG and its like
-LARGEST_SPECTRUM = 16 * MIB
-LARGEST_ASSET = 4096 * MIB  # a texture or a mesh
+MAX_RATIO = 1100
+MAX_PICTURE = 1 << 28  # samples of a PNG and its like
+MAX_SPECTRUM = 16 * MIB
+MAX_ASSET = 4096 * MIB  # a texture or a mesh
 KINDS = {
     stat.S_ISDIR: "a folder",
     stat.S_ISFIFO: "a named pipe",
@@ -119,17 +119,17 @@ def opened(path: Path, what: str, allowed: str, most_bytes: int | None = None) -
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
-        raise refuse(what, f"'{path}', which does not exist", allowed) from None
+        raise invalid(what, f"'{path}', which does not exist", allowed) from None
     except (OSError, ValueError) as error:  # ValueError: NUL in a name
-        raise refuse(what, f"'{path}' ({getattr(error, 'strerror', None) or error})", allowed) from None
+        raise invalid(what, f"'{path}' ({getattr(error, 'strerror', None) or error})", allowed) from None
     about = os.fstat(descriptor)
     if not stat.S_ISREG(about.st_mode):
         os.close(descriptor)
         kind = next((name for is_kind, name in KINDS.items() if is_kind(about.st_mode)), "no regular file")
-        raise refuse(what, f"'{path}', {kind}", allowed)
+        raise invalid(what, f"'{path}', {kind}", allowed)
     with os.fdopen(descriptor, "rb") as file:
         if most_bytes is not None and about.st_size > most_bytes:
-            raise refuse(what, f"'{path}' of {about.st_size} bytes", f"{allowed}, of up to {most_bytes} bytes")
+            raise invalid(what, f"'{path}' of {about.st_size} bytes", f"{allowed}, of up to {most_bytes} bytes")
         yield file
 
 
@@ -154,9 +154,9 @@ def read_bytes(path: Path, what: str, allowed: str, most_bytes: int) -> bytes:
         try:
             content = file.read(most_bytes + 1)
         except OSError as error:
-            raise refuse(what, f"'{path}' ({error.strerror})", allowed) from None
+            raise invalid(what, f"'{path}' ({error.strerror})", allowed) from None
     if len(content) > most_bytes:  # it grew, or is one of /proc, which tell no size
-        raise refuse(what, f"'{path}' of more than {most_bytes} bytes", f"{allowed}, of up to {most_bytes} bytes")
+        raise invalid(what, f"'{path}' of more than {most_bytes} bytes", f"{allowed}, of up to {most_bytes} bytes")
     return content
 
 
@@ -165,23 +165,23 @@ def read_text(path: Path, what: str, allowed: str, most_bytes: int) -> str:
     try:
         text = read_bytes(path, what, allowed, most_bytes).decode("utf-8-sig")  # a spreadsheet's byte order mark is no text
     except UnicodeDecodeError as error:
-        raise refuse(what, f"'{path}' ({error})", f"{allowed} in UTF-8") from None
+        raise invalid(what, f"'{path}' ({error})", f"{allowed} in UTF-8") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def refuse_swollen(what: str, declared_bytes: int, stored_bytes: int) -> None:
+def check_compression(what: str, declared_bytes: int, stored_bytes: int) -> None:
     """PixsimError where a file of so many bytes declares more content than it can hold: nothing is to be allocated for that."""
-    if declared_bytes > max(ALWAYS_BYTES, LARGEST_RATIO * stored_bytes):
+    if declared_bytes > max(ALWAYS_BYTES, MAX_RATIO * stored_bytes):
         got = f"{declared_bytes} bytes of content declared in a file of {stored_bytes}"
-        raise refuse(what, got, f"at most {LARGEST_RATIO} times its size", "Write the file anew: it is damaged.")
+        raise invalid(what, got, f"at most {MAX_RATIO} times its size", "Write the file anew: it is damaged.")
 
 
-def refuse_zip_bomb(path: Path, file: zipfile.ZipFile, most_members: int) -> None:
+def check_zip(path: Path, file: zipfile.ZipFile, most_members: int) -> None:
     """PixsimError for an archive of more members or bytes than it may have, by its own table; zipfile reads no more than that."""
     members: Sequence[zipfile.ZipInfo] = file.infolist()
     if len(members) > most_members:
-        raise refuse(f"archive '{path}'", f"{len(members)} members", f"at most {most_members}")
-    refuse_swollen(f"archive '{path}'", sum(member.file_size for member in members), os.path.getsize(path))
+        raise invalid(f"archive '{path}'", f"{len(members)} members", f"at most {most_members}")
+    check_compression(f"archive '{path}'", sum(member.file_size for member in members), os.path.getsize(path))
 
 
 def judge_picture(path: Path) -> None:
@@ -193,10 +193,10 @@ def judge_picture(path: Path) -> None:
         with warnings.catch_warnings(action="ignore"), Image.open(path) as image:  # its own limit warns first
             width, height = image.size
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise refuse(f"picture '{path}'", error, "a readable picture") from None
-    if width * height > MOST_PICTURE:
-        raise refuse(f"picture '{path}'", f"{width} × {height} samples", f"up to {MOST_PICTURE} in all")
-    refuse_swollen(f"picture '{path}'", 8 * width * height, os.path.getsize(path))
+        raise invalid(f"picture '{path}'", error, "a readable picture") from None
+    if width * height > MAX_PICTURE:
+        raise invalid(f"picture '{path}'", f"{width} × {height} samples", f"up to {MAX_PICTURE} in all")
+    check_compression(f"picture '{path}'", 8 * width * height, os.path.getsize(path))
 
 
 @contextmanager

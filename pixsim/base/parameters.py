@@ -75,12 +75,12 @@ def content_hash(content: object) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-SMALLEST_FRACTION = 1e-12  # of the light that a lens gathers nothing would be left
+MIN_FRACTION = 1e-12  # of the light that a lens gathers nothing would be left
 
 
 def _not_vanishing(value: float) -> float:
-    if value < SMALLEST_FRACTION:
-        raise ValueError(f"got {value:g}; allowed: at least {SMALLEST_FRACTION:g}, below which nothing is left")
+    if value < MIN_FRACTION:
+        raise ValueError(f"got {value:g}; allowed: at least {MIN_FRACTION:g}, below which nothing is left")
     return value
 
 
@@ -104,7 +104,7 @@ OffsetSpread = Annotated[float, Field(ge=0, le=1)]
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the sun's disc has 1.6e9
 EfficiencyCurve = tuple[tuple[float, float], ...]  # (wavelength in nm, electrons per photon), wavelengths increasing
 ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
-LARGEST_FILE_BYTES = 1 << 20
+MAX_FILE_BYTES = 1 << 20
 ALLOWED_NM = (100.0, 2000.0)
 ALLOWED = "wavelengths in nm that increase, 100 to 2000, each with a quantum efficiency of 0 to 1, not all of them 0"
 
@@ -120,7 +120,7 @@ def as_quantum_efficiency(value: Any) -> Any:
             return read_curve(Path(value))
     if isinstance(value, int | float):
         value = as_float(value)
-        if not SMALLEST_FRACTION <= value <= 1:
+        if not MIN_FRACTION <= value <= 1:
             raise ValueError(f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in nm and value")
         return value
     try:
@@ -141,7 +141,7 @@ def as_float(value: Any) -> float:
 def read_curve(path: Path) -> EfficiencyCurve:
     """The first two columns of a CSV file; lines before the first number are titles. ValueError where it is no curve."""
     try:
-        lines = read_text(path, "quantum efficiency", ALLOWED_FILE, LARGEST_FILE_BYTES).splitlines()
+        lines = read_text(path, "quantum efficiency", ALLOWED_FILE, MAX_FILE_BYTES).splitlines()
     except PixsimError as error:
         raise ValueError(str(error).removesuffix(".").partition(": ")[2]) from None
     pairs: list[tuple[float, float]] = []
@@ -174,7 +174,7 @@ def _checked(pairs: EfficiencyCurve, what: str) -> EfficiencyCurve:
         if not 0 <= efficiency <= 1:
             hint = " Divide per cent by 100." if 1 < efficiency <= 100 else ""
             raise ValueError(f"got {what} with {efficiency:g} at {nm:g} nm; allowed: {ALLOWED}.{hint}")
-    if not any(efficiency >= SMALLEST_FRACTION for _, efficiency in pairs):
+    if not any(efficiency >= MIN_FRACTION for _, efficiency in pairs):
         raise ValueError(f"got {what} that is 0 at every wavelength; allowed: {ALLOWED}")
     return pairs
 
@@ -228,50 +228,78 @@ class PixelOptions(Record):
     """A pixel but for its process and size. What is left at None is derived from the technology."""
 
     capacitance: Literal["mosis", "paper"] = Field(
-        "mosis", description="junction capacitance of the process, or 2.6 fF + 0.22 fF/µm² and a swing of 1 V"
+        "mosis",
+        description="'mosis': junction capacitance of the process; 'paper': 2.6 fF + 0.22 fF/µm² and a voltage swing of 1 V",
     )
     well_limit: Literal["swing", "diode"] = Field(
-        "swing", description="what fills the well: the voltage swing (hard clip), or the diode turning forward (soft, about twice)"
+        "swing",
+        description=(
+            "what limits the full well: 'swing', the voltage swing (hard clip); 'diode', forward bias of the photodiode "
+            "(soft, about twice the charge)"
+        ),
     )
     conversion: Literal["linear", "junction"] = Field(
-        "linear", description="charge to voltage: proportional, or by the junction's capacitance, which grows as it discharges"
+        "linear",
+        description=(
+            "charge to voltage: 'linear', proportional; 'junction', by the junction's capacitance, which grows as it discharges"
+        ),
     )
     response: Literal["scaled", "literal"] = Field(
-        "scaled", description="reading of the response curve: A/W scaled to the measured peak, or literally a QE"
+        "scaled",
+        description=(
+            "how the response curve is read: 'scaled', as A/W and scaled to the measured peak; 'literal', as quantum efficiency"
+        ),
     )
     quantum_efficiency: QuantumEfficiency | None = Field(
         None,
-        description="of the photodiode: a number for every wavelength, a CSV file or pairs of (wavelength in nm, value); None: the "
-        "technology's response curve",
+        description=(
+            "quantum efficiency of the photodiode: one number, a CSV file, or pairs of (wavelength in nm, value); None: the "
+            "technology's response curve"
+        ),
     )
-    infrared_cut_nm: Wavelength | None = Field(None, description="no response beyond this wavelength")
+    infrared_cut_nm: Wavelength | None = Field(
+        None, description="the response is zero beyond this wavelength (absent: no infrared cut)"
+    )
     fill_factor_law: Literal["technology", "inset", "inset_unlimited"] = Field(
-        "technology", description="photodiode area against pitch: the technology's, or another fit to the paper's numbers"
+        "technology", description="fill factor against pitch: the technology's law, or another fit to the paper's numbers"
     )
-    fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area")
-    full_well_e: Well | None = Field(None, description="charge that the ADC's top code stands for")
-    dark_current_e_per_s: Current | None = Field(None, description="per pixel")
+    fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area (absent: the technology's law)")
+    full_well_e: Well | None = Field(None, description="charge at the ADC's top code (absent: from the technology)")
+    dark_current_e_per_s: Current | None = Field(None, description="dark current of one pixel (absent: from the technology)")
     data_sheet_pitch_um: Pitch | None = Field(
         None,
-        description="pitch at which full_well_e and dark_current_e_per_s were measured; at others both go with the photodiode's "
-        "area. None: they hold at every pitch",
+        description=(
+            "pitch at which full_well_e and dark_current_e_per_s were measured; at other pitches both scale with the "
+            "photodiode's area. None: they hold at every pitch"
+        ),
     )
-    read_noise_e: NoiseElectrons | None = Field(None, description="temporal, beside the reset noise")
+    read_noise_e: NoiseElectrons | None = Field(None, description="temporal read noise without the reset noise")
     reset_noise_factor: ResetFactor | None = Field(
-        None, description="n in the variance n kTC/q²: 1 in the paper, ½ soft reset, 2 hard with delta double sampling"
+        None,
+        description=(
+            "n in the reset noise's variance n kTC/q²: 1 as in the paper, ½ soft reset, 2 hard reset with delta double sampling"
+        ),
     )
-    prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean")
+    prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean (PRNU)")
     dsnu: DarkSpread | None = Field(
         None,
-        description="spread of the dark current over its mean; EMVA 1288's DSNU in electrons is offset_fpn × full_well_e",
+        description=(
+            "standard deviation of the dark current over its mean; the DSNU in electrons of EMVA 1288 is offset_fpn × full_well_e"
+        ),
     )
-    offset_fpn: OffsetSpread | None = Field(None, description="per pixel, fraction of the full well")
-    column_fpn: OffsetSpread | None = Field(None, description="per column, fraction of the full well")
-    bits: Annotated[int, Field(ge=1, le=24)] = Field(10, description="of the ADC")
+    offset_fpn: OffsetSpread | None = Field(
+        None, description="standard deviation of the pixels' offsets, as a fraction of the full well"
+    )
+    column_fpn: OffsetSpread | None = Field(
+        None, description="standard deviation of the columns' offsets, as a fraction of the full well"
+    )
+    bits: Annotated[int, Field(ge=1, le=24)] = Field(10, description="bits of the ADC")
     black_level_dn: Annotated[float, Field(ge=0, lt=2**24)] = Field(
-        0.0, description="added before the ADC; at least 6 σ of the dark for data sheets"
+        0.0, description="added before the ADC; for `pixsim datasheet` at least 6 standard deviations of the dark signal"
     )
-    temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(300.15, description="of dark current and reset noise")
+    temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(
+        300.15, description="temperature of the sensor, for dark current and reset noise"
+    )
 
     @model_validator(mode="after")
     def _black_below_white(self) -> Self:
@@ -284,9 +312,10 @@ class Pixel(PixelOptions):
     """One pixel of a sensor; `pixsim.pixel.derive` fills in what is left at None."""
 
     technology: str = Field(
-        "0.35um", description="a packaged technology, the path of a TOML file, or none for a sensor that is known by its data sheet"
+        "0.35um",
+        description="a packaged technology, the path of a TOML file, or 'none' for a sensor described by its data sheet alone",
     )
-    pitch_um: Pitch = Field(6.5, description="centre to centre")
+    pitch_um: Pitch = Field(6.5, description="pixel size, centre to centre")
 
     @model_validator(mode="after")
     def _known_by_its_data_sheet(self) -> Self:
@@ -317,10 +346,10 @@ class Camera(Record):
     """
 
     focal_length_mm: FocalLength = Field(3.86, description="focal length")
-    f_number: FNumber = Field(4.0, description="f-number as engraved: focal length over entrance pupil diameter")
+    f_number: FNumber = Field(4.0, description="f-number as engraved: focal length over the diameter of the entrance pupil")
     die_mm: DieWidth = Field(2.7136, description="width of the die; 512 pixels of 5.3 µm by default")
-    object_distance_m: Distance = Field(1.0, description="from the lens to the plane in focus")
-    transmittance: Fraction = Field(1.0, description="of the lens")
+    object_distance_m: Distance = Field(1.0, description="distance from the lens to the plane in focus")
+    transmittance: Fraction = Field(1.0, description="transmittance of the lens")
 
     @model_validator(mode="after")
     def _in_front_of_the_focus(self) -> Self:
@@ -406,56 +435,66 @@ class CameraOptions(Record):
 class Exposure(Record):
     """Manual where `integration_s` is given, else automatic: the brightest pixel's mean at `well_target` of the well."""
 
-    integration_s: Seconds | None = Field(None, description="manual")
-    max_integration_s: Seconds = Field(0.1, description="automatic: never longer")
-    well_target: Fraction = Field(0.95, description="automatic: the brightest pixel's mean, of the full well")
+    integration_s: Seconds | None = Field(None, description="manual exposure time (absent: automatic exposure)")
+    max_integration_s: Seconds = Field(0.1, description="longest exposure time of the automatic exposure")
+    well_target: Fraction = Field(
+        0.95, description="automatic exposure: mean signal of the brightest pixel, as a fraction of the full well"
+    )
 
 
 class Display(Record):
     """A grey CRT or LCD, its viewer, and the metric."""
 
     raster: Literal["fixed_size", "one_to_one"] = Field(
-        "fixed_size", description="the die fills `dots` display dots, or one pixel is one dot"
+        "fixed_size", description="'fixed_size': the die fills `dots` dots of the display; 'one_to_one': one pixel is one dot"
     )
-    dots: Annotated[int, Field(ge=8, le=4096)] = Field(512, description="across the die, for fixed_size")
+    dots: Annotated[int, Field(ge=8, le=4096)] = Field(512, description="display dots across the die, for fixed_size")
     samples_per_deg: Annotated[float, Field(ge=1e-3, le=1e5)] = Field(
-        23.0, description="display dots per degree of visual angle; 72 dpi at 18 inch"
+        23.0, description="display dots per degree of visual angle; 23 is 72 dpi at 18 inches"
     )
     interpolation: Literal["linear", "nearest", "cubic"] = Field(
-        "linear", description="between pixel centres, before averaging over dots"
+        "linear", description="interpolation between pixel centres, before the mean over each dot"
     )
-    gamma: Annotated[float, Field(ge=0.01, le=100)] = Field(2.2, description="light = counts^gamma")
-    bits: Annotated[int, Field(ge=1, le=16)] = Field(8, description="of the digital counts")
+    gamma: Annotated[float, Field(ge=0.01, le=100)] = Field(2.2, description="luminance of the display = counts^gamma")
+    bits: Annotated[int, Field(ge=1, le=16)] = Field(8, description="bits of the display's digital counts")
     white_cd_per_m2: Luminance | None = Field(
-        None, description="scene luminance shown as display white; None: that of texel value 1 of an emissive chart"
+        None, description="scene luminance that is shown as display white; None: that of an emissive chart's white (texel value 1)"
     )
-    filters: Literal["published", "zhang1996"] = Field("published", description="of S-CIELAB")
-    delta_e: Literal["1976", "1994", "2000"] = Field("1976", description="colour difference formula")
+    filters: Literal["published", "zhang1996"] = Field(
+        "published", description="filters of S-CIELAB: as published, or as in the code of 1996"
+    )
+    delta_e: Literal["1976", "1994", "2000"] = Field("1976", description="colour difference formula: CIE 1976, 1994 or 2000")
 
 
 class Effort(Record):
     """How much work a result may cost, and how wrong it may be for that."""
 
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
-        1e-3, description="relative error of the mean electrons that all that is left out may cost together"
+        1e-3, description="largest relative error of the mean electrons from everything that is left out of the render"
     )
     tolerance_delta_e: Annotated[float, Field(ge=1e-9, le=1e3)] | None = Field(
-        None, description="error of mean ΔE; picks film, render noise, tolerance_e and sensors by a short, cached calibration"
+        None,
+        description=(
+            "largest error of the mean ΔE; film, render noise, tolerance_e and number of sensors are chosen by a short, "
+            "cached calibration"
+        ),
     )
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
-        0.2, description="noise of the render, as a fraction of the sensor's temporal noise"
+        0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
     )
-    max_seconds: Seconds = Field(120.0, description="of rendering; if they end it, a warning says so, and what noise was reached")
+    max_seconds: Seconds = Field(
+        120.0, description="longest render time; a render that stops there gives a warning with the noise it reached"
+    )
 
 
 class PitchRange(Record):
     """Pitches at equal ratios, from the pitch with `min_fill_factor` (or `min_um`) to `max_um`; or the list `values_um`."""
 
-    min_fill_factor: Fraction = Field(0.05, description="of the smallest pixel that is tried")
-    min_um: Pitch | None = Field(None, description="the smallest pixel that is tried, in place of its fill factor")
-    max_um: Pitch = Field(15.0, description="the largest pixel that is tried, centre to centre")
-    count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="pixel sizes that are tried")
-    values_um: tuple[Pitch, ...] | None = Field(None, description="these pixel sizes in place of the others")
+    min_fill_factor: Fraction = Field(0.05, description="fill factor of the smallest pixel size")
+    min_um: Pitch | None = Field(None, description="smallest pixel size, in place of min_fill_factor")
+    max_um: Pitch = Field(15.0, description="largest pixel size, centre to centre")
+    count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="number of pixel sizes")
+    values_um: tuple[Pitch, ...] | None = Field(None, description="list of pixel sizes, in place of min, max and count")
 
     @property
     def largest_um(self) -> float:
@@ -467,7 +506,7 @@ class StudyScene(Record):
     """What a study looks at."""
 
     file: str = Field("csf", description="an XML file or the name of a packaged scene")
-    parameters: dict[str, float | int | str] = Field(default_factory=dict, description="set <default> parameters")
+    parameters: dict[str, float | int | str] = Field(default_factory=dict, description="values of the scene's <default> parameters")
 
 
 class Study(Effort):
@@ -475,44 +514,51 @@ class Study(Effort):
 
     name: Annotated[
         str,
-        Field(pattern=r"^\w[\w.\-]*$", max_length=100, description="letters, digits, dots and dashes; random streams depend on it"),
+        Field(
+            pattern=r"^\w[\w.\-]*$",
+            max_length=100,
+            description="name: letters, digits, dots and dashes; the random streams depend on it",
+        ),
     ]
-    title: str = Field("", description="of the report")
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the render, the sensors and their noise")
+    title: str = Field("", description="title of the report")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        ("0.35um",), description="packaged technologies, or paths of TOML files; each is a curve"
+        ("0.35um",), description="packaged technologies, or paths of TOML files; one curve for each"
     )
     process: dict[str, dict[str, float]] = Field(
-        default_factory=dict, description="technology -> number of its file -> value in this study, in the number's unit"
+        default_factory=dict, description="technology -> number in its file -> value in this study, in the same unit"
     )
-    pitch: PitchRange = Field(PitchRange(), description="pixel sizes that are tried")
-    repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="individual sensors for each pitch")
+    pitch: PitchRange = Field(PitchRange(), description="pixel sizes of the study")
+    repeats: Annotated[int, Field(ge=2, le=10000)] = Field(8, description="number of sensors for each pitch")
     target_ci_um: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
         None,
-        description="add pixel sizes near the optimum, and sensors, until half of the length of every optimum's 95 % interval is "
-        "at most this",
+        description="target for half the length of every optimum's 95 % interval; sizes and sensors are added until it is met",
     )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(
-        32, description="at most so many sensors at one pixel size, for target_ci_um"
+        32, description="largest number of sensors at one pixel size, for target_ci_um"
     )
     max_evaluations: Annotated[int, Field(ge=1, le=10**9)] | None = Field(
         None,
-        description="at most so many frames in all, for target_ci_um; None: as many for each technology as max_repeats at each of "
-        "the first pixel sizes would take",
+        description=(
+            "largest number of frames in all, for target_ci_um; None: for each technology, max_repeats at each of the first "
+            "pixel sizes"
+        ),
     )
     iso_delta_e: Annotated[float, Field(gt=0, le=1e6)] = Field(3.0, description="level of the iso-ΔE curves")
     detail: tuple[Part, Part] | None = Field(
         None,
-        description="of the picture, from its left and its top (0 to 1): centre of the detail that the report shows of all sizes",
+        description="centre of the detail that the report shows of all pixel sizes, from the picture's left and top (0 to 1)",
     )
-    paper: bool = Field(False, description="compare with the statements of Chen et al. (2000); needs the csf scene and 0.35um")
-    scene: StudyScene = Field(StudyScene(), description="what is looked at")
-    camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")
-    pixel: PixelOptions = Field(PixelOptions(), description="of every pixel, but for its process and size")
-    exposure: Exposure = Field(Exposure(), description="of every frame")
-    display: Display = Field(Display(), description="and viewer, and metric")
-    sources: dict[str, str] = Field(default_factory=dict, description="dotted name -> where its value comes from")
-    quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
+    paper: bool = Field(
+        False, description="compare with the statements of Chen et al. (2000); needs the scene csf and the technology 0.35um"
+    )
+    scene: StudyScene = Field(StudyScene(), description="scene of the study")
+    camera: CameraOptions = Field(CameraOptions(), description="camera; replaces what the scene states")
+    pixel: PixelOptions = Field(PixelOptions(), description="pixel, without its process and size")
+    exposure: Exposure = Field(Exposure(), description="exposure of every frame")
+    display: Display = Field(Display(), description="display, viewer and metric")
+    sources: dict[str, str] = Field(default_factory=dict, description="dotted name -> source of its value")
+    quick: dict[str, Any] = Field(default_factory=dict, description="values that --quick uses instead")
 
     @model_validator(mode="after")
     def _paper_needs_its_scene(self) -> Self:
@@ -543,12 +589,14 @@ class Study(Effort):
 class Run(Effort):
     """The options of `pixsim run`, as tables."""
 
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the render, the sensor and its noise")
-    scene: dict[str, float | int | str] = Field(default_factory=dict, description="set <default> parameters, as -D does")
-    camera: CameraOptions = Field(CameraOptions(), description="over what the scene says")
-    pixel: Pixel = Field(Pixel(), description="of the sensor")
-    exposure: Exposure = Field(Exposure(), description="of the frame")
-    display: Display = Field(Display(), description="and viewer, and metric")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensor and its noise")
+    scene: dict[str, float | int | str] = Field(
+        default_factory=dict, description="values of the scene's <default> parameters, as -D sets them"
+    )
+    camera: CameraOptions = Field(CameraOptions(), description="camera; replaces what the scene states")
+    pixel: Pixel = Field(Pixel(), description="pixel of the sensor")
+    exposure: Exposure = Field(Exposure(), description="exposure of the frame")
+    display: Display = Field(Display(), description="display, viewer and metric")
 
 
 def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:

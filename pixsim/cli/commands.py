@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from pixsim.base.config import checked, read_toml, study_layers
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import MIB, output_folder
 from pixsim.cli.options import (
     DEFAULT_OUT,
@@ -193,7 +193,7 @@ def study(
     Writes results.csv, summary.json, figures (with a contact sheet), provenance.json, report.html; an interrupted
     study goes on where it stopped when the same command is given again.
     """
-    from pixsim.report.wording import budget_lines, found_line, sensitivity_lines, study_dark_notes, target_notes
+    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, target_notes
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
@@ -202,7 +202,7 @@ def study(
         options["scene"] = {"parameters": parameters}
     if "vary" in table.table and (config or define or pixel):
         mend = "Copy the study that it varies, set them there, and name the copy as its base."
-        raise refuse("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", mend)
+        raise invalid("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", mend)
     layers = study_layers(table, config or [], options)
     seconds: dict[str, float] = {}
     how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
@@ -227,7 +227,7 @@ def study(
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             found = result.as_dict()
             lines = [
-                *(found_line(curve) for curve in result.curves),
+                *(optimum_line(curve) for curve in result.curves),
                 *target_notes(result),
                 *study_dark_notes(result),
                 *budget_lines(found),
@@ -349,7 +349,7 @@ def sfr(
     from pixsim.measure.sfr import sfr_summary as summary
 
     if pitch_um is not None and not 0 < pitch_um < float("inf"):
-        raise refuse("--pitch-um", f"{pitch_um:g}", "a number above 0")
+        raise invalid("--pitch-um", f"{pitch_um:g}", "a number above 0")
     picture = read_edge_picture(image)
     pitch = picture.pitch_um if pitch_um is None else pitch_um
     black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
@@ -421,7 +421,7 @@ def template(
         show({"template": text}, json, text.rstrip())
         return
     if output.suffix != ".toml":
-        raise refuse("--output", f"'{output}'", "a name that ends in .toml, as the commands know it by")
+        raise invalid("--output", f"'{output}'", "a name that ends in .toml, as the commands know it by")
     write_new(output, text)
     use = f"pixsim run csf --config {output}" if kind == "sensor" else f"pixsim study {output}"
     show({"file": str(output), "use": use}, json, f"{output}: replace the numbers, then: {use}")
@@ -457,7 +457,7 @@ def cache(
 
     kinds = summary()["kinds"]
     if kind is not None and kind not in kinds:
-        raise refuse("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
+        raise invalid("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
     freed = kept.clear(kind) if clear else None
     found = summary(kind)
     lines = [f"{kept.folder()}: {found['size_bytes'] / MIB:.1f} MiB of {found['limit_bytes'] / MIB:.0f}"]
@@ -524,7 +524,7 @@ def doctor(
     from pixsim.cli.doctor import LIMIT_S, PROBLEM, examine
 
     if limit_s is not None and not 0 < limit_s < float("inf"):
-        raise refuse("--limit-s", f"{limit_s:g}", "a number above 0")
+        raise invalid("--limit-s", f"{limit_s:g}", "a number above 0")
     findings = examine(Path(out or DEFAULT_OUT), LIMIT_S if limit_s is None else limit_s)
     sick = any(each.mark == PROBLEM for each in findings)
     if json:

@@ -68,7 +68,7 @@ LIMIT_S = 20.0  # for each trial; one takes 1 to 3 s
 MEAN_GATE, RMS_GATE = 1e-3, 1e-2  # of the tried picture's illuminance: 1e-5 and 0.4 % where all is right
 MEMORY_GIB = 1.0  # `pixsim run csf` takes 0.6
 DISK_GIB = 0.5  # it writes 0.13
-LEAST = ("mitsuba", "drjit", "numpy", "scipy")  # looked at where pixsim's own metadata are missing
+MIN_VERSIONS = ("mitsuba", "drjit", "numpy", "scipy")  # looked at where pixsim's own metadata are missing
 OPTIONAL = {  # package -> pixsim's extra that brings it, and its purpose
     variant.LLVM_WHEEL: ("llvm", "fast renders where the system has no LLVM"),
     "distributed": ("cluster", "studies on a cluster"),
@@ -108,7 +108,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
         usable = usable_llvm(libraries)
         taken = (LLVM if usable else SCALAR) if chosen.facts.get("refused") is None else None
         other = {name: pool.submit(attempt, "render", name, limit_s=limit_s) for name in (SCALAR, CUDA) if name != taken}
-        imports = pool.submit(attempt, "imports", *map(module_of, required or LEAST), limit_s=limit_s)
+        imports = pool.submit(attempt, "imports", *map(module_of, required or MIN_VERSIONS), limit_s=limit_s)
         tried = {name: each.result() for name, each in other.items()}
     if taken:
         tried[taken] = chosen
@@ -141,7 +141,7 @@ def _software(required: dict[str, str], imports: Trial) -> Iterator[Finding]:
     system = f"{platform.platform()}, {platform.machine()}"
     only = "" if sys.platform == "linux" else "; pixsim is tried on Linux only"
     yield Finding(room, "system", NOTE if only else OK, system + only, facts={"platform": platform.platform()})
-    required = required or dict.fromkeys(LEAST, "")
+    required = required or dict.fromkeys(MIN_VERSIONS, "")
     versions = {name: installed(name) for name in required}
     told = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
     yield Finding(room, "packages", OK, told, facts={"versions": versions})

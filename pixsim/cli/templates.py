@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import DATA_SHEET, Record, Run, Study
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
@@ -106,7 +106,7 @@ def template(kind: str) -> str:
 def json_schema(kind: str) -> dict[str, Any]:
     """JSON schema (draft 2020-12) of such a file, for editors. PixsimError for another kind."""
     if kind not in KINDS:
-        raise refuse("kind", f"'{kind}'", " or ".join(KINDS))
+        raise invalid("kind", f"'{kind}'", " or ".join(KINDS))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **KINDS[kind].model_json_schema()}
 
 

@@ -15,20 +15,20 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.errors import PixsimError, refuse
-from pixsim.base.files import opened, quiet_stdout, refuse_swollen, replacing
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import check_compression, opened, quiet_stdout, replacing
 from pixsim.light.spectral import WHOLE, SpectralImage
 
 MAGIC = 20000630
 LONG_NAMES, TILED = 0x400, 0x200
 OTHER_KINDS = {0x800: "a deep picture", 0x1000: "several parts"}
-LONGEST_HEADER_NAME = 255
-MOST_ATTRIBUTES = 4096
-MOST_CHANNELS = 4096
-LARGEST_ATTRIBUTE = 1 << 26  # pixsim's own, with all bands and the light within them, takes less than one MiB
-MOST_SIDE = 1 << 20
-MOST_TILE_BYTES = 1 << 28
-MOST_BYTES = 1 << 33
+MAX_HEADER_NAME = 255
+MAX_ATTRIBUTES = 4096
+MAX_CHANNELS = 4096
+MAX_ATTRIBUTE = 1 << 26  # pixsim's own, with all bands and the light within them, takes less than one MiB
+MAX_SIDE = 1 << 20
+MAX_TILE_BYTES = 1 << 28
+MAX_BYTES = 1 << 33
 ALLOWED = "a readable OpenEXR file"
 
 
@@ -44,16 +44,16 @@ def judge_exr(path: Path) -> None:
 
 
 def _damaged(path: Path, got: str) -> PixsimError:
-    return refuse("EXR file", f"'{path}' with {got}", ALLOWED)
+    return invalid("EXR file", f"'{path}' with {got}", ALLOWED)
 
 
 def _judge(path: Path, file: IO[bytes]) -> None:
     magic, version = struct.unpack("<2I", file.read(8))
     if magic != MAGIC or version & 0xFF != 2:
-        raise refuse("EXR file", f"'{path}', which does not begin as one", ALLOWED)
+        raise invalid("EXR file", f"'{path}', which does not begin as one", ALLOWED)
     for flag, kind in OTHER_KINDS.items():
         if version & flag:
-            raise refuse("EXR file", f"'{path}' with {kind}", "one flat picture", "Write it as scan lines or tiles of one part.")
+            raise invalid("EXR file", f"'{path}' with {kind}", "one flat picture", "Write it as scan lines or tiles of one part.")
     stored = os.fstat(file.fileno()).st_size
     told = _attributes(path, file, stored)
     for needed in ("channels", "dataWindow", "compression"):
@@ -61,43 +61,43 @@ def _judge(path: Path, file: IO[bytes]) -> None:
             raise _damaged(path, f"a header without {needed}")
     layout = told.get("type", b"").rstrip(b"\0")
     if layout not in (b"", b"scanlineimage", b"tiledimage"):
-        raise refuse("EXR file", f"'{path}' of type {layout.decode('utf-8', 'replace')!r}", "scanlineimage or tiledimage")
+        raise invalid("EXR file", f"'{path}' of type {layout.decode('utf-8', 'replace')!r}", "scanlineimage or tiledimage")
     left, top, right, bottom = struct.unpack("<4i", told["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     count = _channel_count(told["channels"])
-    if not (1 <= width <= MOST_SIDE and 1 <= height <= MOST_SIDE and 4 * width * height * count <= MOST_BYTES):
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 4 * width * height * count <= MAX_BYTES):
         got = f"{width} × {height} × {count} values in '{path}'"
-        raise refuse("EXR file", got, f"up to {MOST_SIDE} a side and {MOST_BYTES // 4} in all")
-    if not 1 <= count <= MOST_CHANNELS:
-        raise refuse("EXR file", f"{count} channels in '{path}'", f"1 to {MOST_CHANNELS}")
+        raise invalid("EXR file", got, f"up to {MAX_SIDE} a side and {MAX_BYTES // 4} in all")
+    if not 1 <= count <= MAX_CHANNELS:
+        raise invalid("EXR file", f"{count} channels in '{path}'", f"1 to {MAX_CHANNELS}")
     if version & TILED:
         across, down = struct.unpack("<2IB", told.get("tiles", b""))[:2]
-        if min(across, down) < 1 or 4 * across * down * count > MOST_TILE_BYTES:
+        if min(across, down) < 1 or 4 * across * down * count > MAX_TILE_BYTES:
             raise _damaged(path, f"tiles of {across} × {down} samples")
-    refuse_swollen(f"EXR file '{path}'", 4 * width * height * count, stored)
+    check_compression(f"EXR file '{path}'", 4 * width * height * count, stored)
 
 
 def _attributes(path: Path, file: IO[bytes], stored: int) -> dict[str, bytes]:
     """Those of the picture's shape; the others are stepped over."""
     told: dict[str, bytes] = {}
-    for _ in range(MOST_ATTRIBUTES):
+    for _ in range(MAX_ATTRIBUTES):
         name = _read_name(file)
         if not name:
             return told
         _read_name(file)
         (size,) = struct.unpack("<I", file.read(4))
-        if size > min(LARGEST_ATTRIBUTE, stored - file.tell()):
+        if size > min(MAX_ATTRIBUTE, stored - file.tell()):
             raise _damaged(path, f"an attribute {name!r} of {size} bytes")
         if name in ("channels", "dataWindow", "compression", "tiles", "type"):
             told[name] = file.read(size)
         else:
             file.seek(size, os.SEEK_CUR)
-    raise _damaged(path, f"more than {MOST_ATTRIBUTES} attributes")
+    raise _damaged(path, f"more than {MAX_ATTRIBUTES} attributes")
 
 
 def _read_name(file: IO[bytes]) -> str:
     """A text that ends with a zero."""
-    text = file.read(LONGEST_HEADER_NAME + 1)
+    text = file.read(MAX_HEADER_NAME + 1)
     length = text.find(b"\0")
     if length < 0:
         raise EOFError
@@ -135,7 +135,7 @@ def checked_own(own: dict[str, Any]) -> dict[str, Any]:
 
 Rows = Callable[[slice], NDArray[np.float32]]
 VERSION = 2
-LONGEST_NAME = 31  # bytes, without a flag that old readers do not know
+MAX_NAME = 31  # bytes, without a flag that old readers do not know
 FLOAT = 2
 BLOCK_BYTES = 1 << 22  # fits into a processor's cache with what it is made of
 
@@ -159,7 +159,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     except PixsimError:
         raise
     except (OSError, RuntimeError, ValueError) as error:  # ValueError: a name that OpenEXR does not take
-        raise refuse("output file", f"'{path}' ({error})", "a path that can be written") from None
+        raise invalid("output file", f"'{path}' ({error})", "a path that can be written") from None
 
 
 @contextmanager
@@ -177,7 +177,7 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
         raise
     except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
         reason = "its pixels are damaged or cut off" if "part index" in str(error) else error  # the part was left out
-        raise refuse("EXR file", f"'{path}' ({reason})", ALLOWED) from None
+        raise invalid("EXR file", f"'{path}' ({reason})", ALLOWED) from None
 
 
 def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -238,7 +238,7 @@ def _header(names: list[str], shape: tuple[int, int], texts: Mapping[str, str]) 
 
 def _name(text: str) -> bytes:
     name = text.encode()
-    assert 0 < len(name) <= LONGEST_NAME
+    assert 0 < len(name) <= MAX_NAME
     return name + b"\0"
 
 
@@ -248,7 +248,7 @@ def shortest(value: float) -> float:
     return float(np.format_float_scientific(np.float32(value), unique=True))
 
 
-MOST_BAND_BYTES = 1 << 30  # of a file's channels: where they would be more, one of illuminance stands for them
+MAX_BAND_BYTES = 1 << 30  # of a file's channels: where they would be more, one of illuminance stands for them
 CHANNEL_WIDTH_NM = 10.0  # of a file's channels, where finer bands are in its header
 
 
@@ -271,7 +271,7 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
     shown = _merged(image) if image.factors else image
     header = {"emissiveUnits": "W.m^-2.nm^-1"}
     channels: dict[str, Rows]
-    if image.factors and 4 * shown.wavelength_nm.size * math.prod(image.shape) > MOST_BAND_BYTES:
+    if image.factors and 4 * shown.wavelength_nm.size * math.prod(image.shape) > MAX_BAND_BYTES:
         weight = image.luminous_weight()
         channels = {"Y": lambda rows: image.weighted_part(weight, (rows, WHOLE)).astype(np.float32)}
         header["illuminanceUnits"] = "lx"
@@ -328,7 +328,7 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     """
     channels, header = read_channels(path)
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
-        raise refuse("irradiance file", f"'{path}' without pixsim's header", "a file from pixsim.write_exr")
+        raise invalid("irradiance file", f"'{path}' without pixsim's header", "a file from pixsim.write_exr")
     try:
         own = checked_own(json.loads(header["pixsim"]))
         bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
@@ -340,4 +340,4 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
         data = np.stack([channels[_band_channel(nm)] for nm in own["wavelength_nm"]], axis=2)
         return SpectralImage(*bands, data=data, **more)
     except (KeyError, TypeError, ValueError, OverflowError, IndexError, RecursionError) as error:
-        raise refuse("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None
+        raise invalid("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, read_arrays
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import read_bytes, size_of
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S
@@ -72,7 +72,7 @@ def parse_light_unit(text: str, what: str = "units") -> LightUnit:
         if not tokens and watt == 1 and metre in (-2, -3) and steradian in (0, -1):
             spectral = metre == -3  # an area and a wavelength
             return LightUnit(ten + NM if spectral else ten, steradian == -1, spectral)
-    raise refuse(what, f"'{text}'", ALLOWED_UNITS, HOW_TO_STATE)
+    raise invalid(what, f"'{text}'", ALLOWED_UNITS, HOW_TO_STATE)
 
 
 def _product(tokens: list[str]) -> Powers:
@@ -98,14 +98,14 @@ def _factor(tokens: list[str]) -> Powers:
     return powers
 
 
-MOST_VALUES = 1 << 31  # 8 GiB of float32
+MAX_VALUES = 1 << 31  # 8 GiB of float32
 SHOWN_NAMES = 12
 # Fichet et al.: a Stokes component, a number with a decimal comma, a prefix, and metres or hertz.
 CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
 NPZ_NEEDED = ("data", "wavelength_nm", "units")
 NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
-LARGEST_BESIDE = 1 << 16  # bytes of what stands beside the picture
-LARGEST_ENVI_HEADER, MOST_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
+MAX_BESIDE = 1 << 16  # bytes of what stands beside the picture
+MAX_ENVI_HEADER, MAX_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
 ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
 ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 1e3, "µm": 1e3, "μm": 1e3}
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
@@ -148,14 +148,14 @@ def read_cube(path: Path) -> Cube:
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise refuse("picture", f"'{path}'", "a file that ends in .exr, .npz or .hdr (ENVI, its raw file beside it)")
+        raise invalid("picture", f"'{path}'", "a file that ends in .exr, .npz or .hdr (ENVI, its raw file beside it)")
     size_of(path, "picture", "a readable file")
     return reader(path)
 
 
 def _check_size(path: Path, shape: tuple[int, ...]) -> None:
-    if min(shape, default=1) < 1 or math.prod(shape) > MOST_VALUES:
-        raise refuse(f"size of '{path}'", " × ".join(map(str, shape)) + " values", f"1 to {MOST_VALUES} values")
+    if min(shape, default=1) < 1 or math.prod(shape) > MAX_VALUES:
+        raise invalid(f"size of '{path}'", " × ".join(map(str, shape)) + " values", f"1 to {MAX_VALUES} values")
 
 
 def read_spectral_exr(path: Path) -> Cube:
@@ -169,25 +169,25 @@ def read_spectral_exr(path: Path) -> Cube:
     names = header["channels"]
     found = f"the channels {shortened(names)} in '{path}'"
     if any(name.startswith("T.") for name in names):
-        raise refuse("spectral EXR", f"reflectances, {found}", "light, S0.550,0nm", "Light the surface and render it.")
+        raise invalid("spectral EXR", f"reflectances, {found}", "light, S0.550,0nm", "Light the surface and render it.")
     matches = {name: match for name in names if (match := CHANNEL.fullmatch(name))}
     centre_nm = {name: _channel_nm(match) for name, match in matches.items() if match[1] == "S0"}
     if not centre_nm:
         mend = 'RGB has no spectrum: render spectrally (in pbrt-v4 with Film "spectral").'
-        raise refuse("spectral EXR", found, "a channel for each wavelength, named as S0.550,0nm", mend)
+        raise invalid("spectral EXR", found, "a channel for each wavelength, named as S0.550,0nm", mend)
     window, whole = header["dataWindow"], header["displayWindow"]
     if not np.array_equal(window, whole) or header.get("pixelAspectRatio", 1.0) != 1:
-        raise refuse("spectral EXR", f"a crop or oblong samples in '{path}'", "the whole picture in square samples")
+        raise invalid("spectral EXR", f"a crop or oblong samples in '{path}'", "the whole picture in square samples")
     width, height = (np.asarray(window[1], int) - window[0] + 1).tolist()
     _check_size(path, (height, width, len(names)))
     planes, _ = read_channels(path)
     if any(planes[name].any() for name, match in matches.items() if match[1] != "S0"):
-        raise refuse("spectral EXR", f"polarised light, {found}", "S0 alone, or S1 to S3 of zeros")
+        raise invalid("spectral EXR", f"polarised light, {found}", "S0 alone, or S1 to S3 of zeros")
     order = sorted(centre_nm, key=lambda name: centre_nm[name])
     try:
         data = np.stack([planes[name] for name in order], axis=2)
     except ValueError as error:
-        raise refuse("spectral EXR", f"{found} ({error})", "channels of one size") from None
+        raise invalid("spectral EXR", f"{found} ({error})", "channels of one size") from None
     # OpenEXR's other types of attribute may not even print.
     plain = {key: value for key, value in header.items() if isinstance(value, str | int | float | np.ndarray)}
     told: dict[str, Any] = {key: plain.get(key) for key in NPZ_OPTIONAL}
@@ -208,15 +208,15 @@ def read_npz(path: Path) -> Cube:
     told: dict[str, Any] = read_arrays(path, "npz file", "a readable file of numpy.savez, without pickled objects")
     if {"data", "wavelength_nm"} - set(told) or set(told) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
         allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
-        raise refuse(f"arrays in '{path}'", shortened(list(told)) or "none", allowed)
+        raise invalid(f"arrays in '{path}'", shortened(list(told)) or "none", allowed)
     for name, array in told.items():
         _check_size(path, array.shape)
-        if name != "data" and array.size * array.itemsize > LARGEST_BESIDE:
-            raise refuse(f"{name} in '{path}'", f"{array.size} values", f"up to {LARGEST_BESIDE} bytes")
+        if name != "data" and array.size * array.itemsize > MAX_BESIDE:
+            raise invalid(f"{name} in '{path}'", f"{array.size} values", f"up to {MAX_BESIDE} bytes")
     data, nm = told.pop("data"), told.pop("wavelength_nm")
     if data.ndim != 3 or data.dtype.kind not in "iuf" or nm.ndim != 1 or nm.dtype.kind not in "iuf":
         got = f"data {data.dtype} {data.shape}, wavelength_nm {nm.dtype} {nm.shape}"
-        raise refuse(f"arrays in '{path}'", got, "real numbers, data (H, W, B) and wavelength_nm (B,)")
+        raise invalid(f"arrays in '{path}'", got, "real numbers, data (H, W, B) and wavelength_nm (B,)")
     return Cube(data, nm.astype(float), str(told.pop("units", "")), **told)
 
 
@@ -232,10 +232,10 @@ def read_envi(path: Path) -> Cube:
         import spectral
         from spectral.io import envi
     except ImportError:
-        raise refuse("ENVI file", f"'{path}' and no SPy to read it", "pip install 'pixsim[envi]'") from None
+        raise invalid("ENVI file", f"'{path}' and no SPy to read it", "pip install 'pixsim[envi]'") from None
     name = str(path.absolute())
-    if read_bytes(path, "ENVI file", "an ENVI header", LARGEST_ENVI_HEADER).count(b"\n") > MOST_ENVI_LINES:
-        raise refuse("ENVI file", f"'{path}' of more than {MOST_ENVI_LINES} lines", "an ENVI header")
+    if read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER).count(b"\n") > MAX_ENVI_LINES:
+        raise invalid("ENVI file", f"'{path}' of more than {MAX_ENVI_LINES} lines", "an ENVI header")
     try:
         with warnings.catch_warnings(action="ignore"):  # about capitals in field names
             header: dict[str, Any] = envi.read_envi_header(name)
@@ -244,7 +244,7 @@ def read_envi(path: Path) -> Cube:
             image = envi.open(name)
         if not image.using_memmap:
             got = f"{Path(image.filename).stat().st_size} bytes in '{image.filename}'"
-            raise refuse("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' tells of")
+            raise invalid("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' tells of")
         data = image.open_memmap(interleave="bip")
         nm, width_nm = _envi_nm(path, header, "wavelength"), _envi_nm(path, header, "fwhm")
         gaps = np.argwhere(data == float(header["data ignore value"])) if "data ignore value" in header else np.empty((0, 3))
@@ -252,12 +252,12 @@ def read_envi(path: Path) -> Cube:
         raise
     except (*ENVI_DAMAGE, spectral.SpyException) as error:
         got = f"'{path}' ({type(error).__name__}: {error})"
-        raise refuse("ENVI file", got, "an ENVI header with its raw file beside it") from None
+        raise invalid("ENVI file", got, "an ENVI header with its raw file beside it") from None
     if gaps.size:
         got = f"no data ({header['data ignore value']}) at row {gaps[0, 0]}, column {gaps[0, 1]}, band {gaps[0, 2]}"
-        raise refuse(f"light in '{path}'", got, "a value everywhere", "Fill the gaps or cut them off.")
+        raise invalid(f"light in '{path}'", got, "a value everywhere", "Fill the gaps or cut them off.")
     if nm is None:
-        raise refuse("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
+        raise invalid("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
     if width_nm is not None and width_nm.shape == nm.shape and np.any(np.diff(nm) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2):
         width_nm = None
     extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
@@ -272,11 +272,11 @@ def _check_envi(path: Path, header: dict[str, Any]) -> None:
     kind, interleave, order, number = told = [str(header.get(field, "ENVI Standard")).lower() for field in fields]
     if kind != "envi standard" or interleave not in ENVI_INTERLEAVES or order not in "01" or number in ENVI_COMPLEX:
         got = ", ".join(f"{field} = {value}" for field, value in zip(fields, told, strict=True)) + f" in '{path}'"
-        raise refuse("ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers")
+        raise invalid("ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers")
     for field, neutral in ENVI_NEUTRAL.items():
         if any(float(value) != neutral for value in np.atleast_1d(header.get(field, []))):
             allowed, mend = f"none, or {neutral:g} for each band", "Apply it (leave bad bands out) and write the light itself."
-            raise refuse(f"'{field}' in '{path}'", header[field], allowed, mend)
+            raise invalid(f"'{field}' in '{path}'", header[field], allowed, mend)
 
 
 def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
@@ -285,7 +285,7 @@ def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
     unit = str(header.get("wavelength units", "none"))
     scale = ENVI_NM.get(unit.strip().lower().rstrip("s"))
     if scale is None:
-        raise refuse(f"wavelength units in '{path}'", unit, "Nanometers or Micrometers", "Write them into the header.")
+        raise invalid(f"wavelength units in '{path}'", unit, "Nanometers or Micrometers", "Write them into the header.")
     return scale * np.atleast_1d(header[field]).astype(float)
 
 

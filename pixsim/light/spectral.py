@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arrays import Array, strips
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 
 # What the reference shows; the rest is for pixsim itself.
 __all__ = ["SpectralImage", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
@@ -26,7 +26,7 @@ PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
 WHOLE = slice(None)
 STRIP_VALUES = 1 << 18  # of all bands, 1 MiB in float32
-LARGEST = float(np.finfo(np.float32).max)
+MAX_VALUE = float(np.finfo(np.float32).max)
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
@@ -102,20 +102,20 @@ class SpectralImage:
             self.factors = np.atleast_2d(np.asarray(factors[0], float)), np.asarray(factors[1], np.float32)
             spectra, pictures = self.factors
             if pictures.ndim != 3 or spectra.shape != (len(pictures), self.wavelength_nm.size):
-                raise refuse("factors", f"{spectra.shape} and {pictures.shape}", "spectra (r, B), pictures (r, H, W)")
+                raise invalid("factors", f"{spectra.shape} and {pictures.shape}", "spectra (r, B), pictures (r, H, W)")
         else:
             self.data = np.ascontiguousarray(data, np.float32)
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
-                raise refuse("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
+                raise invalid("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
         positive = (self.wavelength_nm > 0) & (self.band_width_nm > 0)
         if not (self.pitch_um > 0 and positive.size and positive.all()):
             got = f"pitch {pitch_um} µm, bands {self.band_width_nm} nm at {self.wavelength_nm} nm"
-            raise refuse("sampling", got, "positive pitch and band widths, at positive wavelengths")
+            raise invalid("sampling", got, "positive pitch and band widths, at positive wavelengths")
         if within is None:
             within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
         self.within = np.asarray(within[0], float), np.asarray(within[1], float)
         if not self.within[0].shape == self.within[1].shape == (self.wavelength_nm.size, self.within[0].shape[-1]):
-            raise refuse("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, (B, n) each")
+            raise invalid("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, (B, n) each")
 
     @cached_property
     def data(self) -> NDArray[np.float32]:
@@ -189,12 +189,12 @@ class SpectralImage:
         spectra, picture = self.factors or (np.ones((1, 1)), self.data)
         low, high = (float(picture.min()), float(picture.max())) if picture.size else (math.nan, math.nan)  # NaN passes both
         beside = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
-        if not all(np.abs(each).max() <= LARGEST for each in (low, high, *beside)):
+        if not all(np.abs(each).max() <= MAX_VALUE for each in (low, high, *beside)):
             got = f"a picture from {low:g} to {high:g}, or what goes with it"
-            raise refuse("irradiance", got, f"light, spectra and bands that are finite, at most {LARGEST:.4g}")
+            raise invalid("irradiance", got, f"light, spectra and bands that are finite, at most {MAX_VALUE:.4g}")
         if len(spectra) == 1 and min(low, float(spectra.min())) < 0:
             mend = "Take what is below zero for darkness first."
-            raise refuse("irradiance", f"values from {low:g} to {high:g}", "0 and more", mend)
+            raise invalid("irradiance", f"values from {low:g} to {high:g}", "0 and more", mend)
 
     def __repr__(self) -> str:
         height, width = self.shape
@@ -210,8 +210,8 @@ LOW_NM, HIGH_NM = 360.0, 830.0  # what Mitsuba samples
 # Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
 # their ratios are exact in Mitsuba's float32 and its combined response has its nodes where ours are.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
-MOST = 1e30  # of any unit
-FINEST_REGULAR_NM, MOST_REGULAR_VALUES = 0.1, 8192
+MAX_COUNT = 1e30  # of any unit
+FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
 COARSE_SPACING_NM = 0.199  # of a table's nodes: 0.2 nm but for rounding; closer ones get the finest step
 
 
@@ -229,11 +229,11 @@ class Spectrum:
     def __post_init__(self) -> None:
         x = self.nodes_nm
         if x.size < 2 or x.shape != self.values.shape or not np.all(np.diff(x) >= 0):
-            raise refuse("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in rising order")
+            raise invalid("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in rising order")
         if not (np.isfinite(x).all() and np.isfinite(self.values).all()):
-            raise refuse("spectrum", "nan or infinity among its wavelengths or values", "finite numbers")
-        if self.values.max() > MOST or self.values.min() < -MOST:
-            raise refuse("spectrum", f"values up to {np.abs(self.values).max():.3g}", f"up to {MOST:g}, which float32 holds")
+            raise invalid("spectrum", "nan or infinity among its wavelengths or values", "finite numbers")
+        if self.values.max() > MAX_COUNT or self.values.min() < -MAX_COUNT:
+            raise invalid("spectrum", f"values up to {np.abs(self.values).max():.3g}", f"up to {MAX_COUNT:g}, which float32 holds")
 
     def at(self, wavelength_nm: Array) -> Array:
         return np.interp(wavelength_nm, self.nodes_nm, self.values, left=0.0, right=0.0)
@@ -281,6 +281,6 @@ def regular_values(table: Spectrum) -> Array | None:
     if not np.allclose(distances, whole, rtol=0, atol=1e-6) or not np.all(whole > 0):
         return None
     count = int(whole.sum()) // int(np.gcd.reduce(whole)) + 1
-    if count > MOST_REGULAR_VALUES:
+    if count > MAX_REGULAR_VALUES:
         return None
     return table.at(np.linspace(table.nodes_nm[0], table.nodes_nm[-1], count))

@@ -47,7 +47,7 @@ from pixsim.measure.estimators import (
     stack,
 )
 from pixsim.measure.experiment import Experiment, make_experiment
-from pixsim.sensor.photodiode import kept_level_e
+from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.show.pages import plain
 
@@ -89,7 +89,7 @@ def expected_moments(mean_e: float, integration_s: float, physics: PixelPhysics)
     shot, shot_weight = normal_nodes(SHOT_NODES, 1.0)
     charge = np.maximum(1 + gain, 0.0)[:, None] * mean_e + p.dark_current_e_per_s * integration_s
     generated = np.maximum(charge + np.sqrt(charge) * shot, 0.0)
-    level = kept_level_e(generated, integration_s, p)[:, None, :] + offset[:, None] - p.full_well_e
+    level = stored_signal_e(generated, integration_s, p)[:, None, :] + offset[:, None] - p.full_well_e
     first, second = clipped_moments(level, math.hypot(p.reset_noise_e, p.read_noise_e), 0.0)
     first, second = first @ shot_weight, second @ shot_weight
     weight = gain_weight[:, None] * offset_weight

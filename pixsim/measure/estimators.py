@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
 from pixsim.sensor.integration import M2_PER_UM2
 from pixsim.sensor.pixel import PixelPhysics
@@ -71,7 +71,7 @@ def stack(frames: Iterable[Frames]) -> Stack:
         wide = each.astype(np.int64)  # sums of 24-bit codes squared stay exact up to 2^15 frames
         count, total, squares = count + 1, total + wide, squares + wide * wide
     if count < 2:
-        raise refuse("frames of a stack", count, "2 or more")
+        raise invalid("frames of a stack", count, "2 or more")
     sum_of_squares = (count * squares - total * total).astype(float) / count
     return Stack(count, np.asarray(total / count), np.asarray(sum_of_squares / (count - 1)))
 
@@ -326,7 +326,7 @@ def doubling_k(temperature_k: Array, current_e_per_s: Array, error_e_per_s: Arra
 SATURATION_SPEED_LX_S = 78.0  # ISO 12232: S = 78/H_sat, half a stop of headroom above 18 % grey included
 NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H at the S/N
 SIGNAL_TO_NOISE = 40.0, 10.0  # "first excellent" and "first acceptable" picture
-LEAST_FRAMES = 8
+MIN_FRAMES = 8
 TINY = 1e-300
 DAYLIGHT_NM = np.arange(360.0, 831.0)
 
@@ -340,8 +340,8 @@ def noise_15739(frames: Array) -> tuple[Estimate, Estimate, Estimate]:
     Standard errors are those of the temporal noise: the fixed pattern is that of these pixels.
     """
     n = len(frames)
-    if n < LEAST_FRAMES:
-        raise refuse("frames", n, f"{LEAST_FRAMES} or more")
+    if n < MIN_FRAMES:
+        raise invalid("frames", n, f"{MIN_FRAMES} or more")
     pixels = frames[0].size
     average = frames.mean(axis=0)
     difference_dn2 = float(np.mean([(each - average).var() for each in frames]))

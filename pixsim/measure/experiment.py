@@ -15,12 +15,12 @@ from functools import cached_property
 import numpy as np
 
 from pixsim.base.arrays import Array, stream
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Exposure, Pixel
 from pixsim.measure.estimators import Frames, Pair, Series, pair, series
-from pixsim.sensor.photodiode import kept_level_e
+from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import MOST_BLACK, Sensor, draw_sensor, expose, least_black_level_dn
+from pixsim.sensor.readout import MAX_BLACK, Sensor, least_black_level_dn, read_out, sample_sensor
 
 SHAPE = 200, 200  # pixels of the command's sensor: a variance is known to 0.7 %, a fitted slope to 0.2 %
 EXPOSURES = 50  # the least of EMVA 1288, section 6.5
@@ -32,11 +32,11 @@ WARMER_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # temperatures of the dark series
 HOTTEST_K = 400.0
 USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
 DARK_SHARE = 0.02  # of the well that dark charge takes at most in the light series, unless told otherwise
-LONGEST_DARK_SHARE = 0.2  # of the well, in the longest of the dark series
-LONGEST_DARK_S = 3600.0
+MAX_DARK_SHARE = 0.2  # of the well, in the longest of the dark series
+MAX_DARK_S = 3600.0
 SEARCH_NM = (200.0, 1200.0)  # where the peak of a response is looked for
 FULL_LEVEL = 0.999  # of the full well: where a soft saturation counts as full
-MOST_LIGHT = 4.0  # wells of generated charge, if a soft saturation is not full before
+MAX_LIGHT = 4.0  # wells of generated charge, if a soft saturation is not full before
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Experiment:
         """One frame of the individual, (rows, columns) DN; the key names its random stream."""
         own = sensor or self.sensor
         mean_e = np.full(own.shape, photons * self.efficiency)
-        return expose(mean_e, integration_s, own, stream("datasheet", self.seed, *key))
+        return read_out(mean_e, integration_s, own, stream("datasheet", self.seed, *key))
 
     def frames(self, count: int, photons: float, *key: object) -> Iterator[Frames]:
         """Frames of the same light at the light series' integration time."""
@@ -115,8 +115,8 @@ def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysic
     least = least_black_level_dn(physics, integration_s)
     if physics.pixel.black_level_dn >= least:
         return physics
-    if least > MOST_BLACK * (2**physics.pixel.bits - 1):
-        raise refuse(
+    if least > MAX_BLACK * (2**physics.pixel.bits - 1):
+        raise invalid(
             "pixel.bits",
             physics.pixel.bits,
             f"enough for a black level of 6 σ of the dark, here {least} DN, in the lower half of the codes",
@@ -132,7 +132,7 @@ def usual_integration_s(physics: PixelPhysics, exposure: Exposure) -> float:
     if chosen is None:
         return min(USUAL_INTEGRATION_S, DARK_SHARE * physics.full_well_e / dark) if dark else USUAL_INTEGRATION_S
     if dark * chosen > physics.full_well_e / 2:
-        raise refuse(
+        raise invalid(
             "exposure.integration_s",
             f"{chosen:g}, in which {dark * chosen:.3g} e- of dark charge gather",
             f"at most {physics.full_well_e / 2 / dark:.3g} s, which fills half the well",
@@ -143,8 +143,8 @@ def usual_integration_s(physics: PixelPhysics, exposure: Exposure) -> float:
 def filling_light_e(physics: PixelPhysics, integration_s: float) -> float:
     """Mean photo-electrons that fill the well, soft saturation included."""
     dark_e = physics.dark_current_e_per_s * integration_s
-    grid = np.linspace(0.01, MOST_LIGHT, 400) * physics.full_well_e
-    level = kept_level_e(grid, integration_s, physics)
+    grid = np.linspace(0.01, MAX_LIGHT, 400) * physics.full_well_e
+    level = stored_signal_e(grid, integration_s, physics)
     full = np.flatnonzero(level >= FULL_LEVEL * physics.full_well_e)
     return float(grid[full[0]] if full.size else grid[-1]) - dark_e
 
@@ -152,7 +152,7 @@ def filling_light_e(physics: PixelPhysics, integration_s: float) -> float:
 def dark_times_s(physics: PixelPhysics, integration_s: float) -> Array:
     """Equally spaced, up to a fifth of the well or an hour."""
     dark = physics.dark_current_e_per_s
-    longest = min(LONGEST_DARK_SHARE * physics.full_well_e / dark, LONGEST_DARK_S) if dark else LONGEST_DARK_S
+    longest = min(MAX_DARK_SHARE * physics.full_well_e / dark, MAX_DARK_S) if dark else MAX_DARK_S
     return np.linspace(integration_s, max(longest, 2 * integration_s), DARK_TIMES)
 
 
@@ -191,11 +191,11 @@ def make_experiment(
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
     efficiency = pixel_efficiency(physics, nm)
     if not efficiency > 0:
-        raise refuse("wavelength_nm", f"{nm:g}", f"one at which the pixel sees light, as {peak_wavelength_nm(physics):g}")
+        raise invalid("wavelength_nm", f"{nm:g}", f"one at which the pixel sees light, as {peak_wavelength_nm(physics):g}")
     brightest = BEYOND_SATURATION * filling_light_e(physics, time_s) / efficiency
     photons = brightest * np.arange(1, exposures + 1) / exposures
     return Experiment(
-        sensor=draw_sensor(physics, shape, stream("datasheet", seed, "sensor")),
+        sensor=sample_sensor(physics, shape, stream("datasheet", seed, "sensor")),
         wavelength_nm=nm,
         integration_s=time_s,
         photons=photons,

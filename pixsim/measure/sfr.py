@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import tukey
 
 from pixsim.base.arrays import Array, read_array, read_arrays
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder, size_of, write_json
 from pixsim.light.exr import read_channels, shortest
 from pixsim.sensor.raw import BITS_OF_PICTURES, read_frame
@@ -28,20 +28,20 @@ from pixsim.show.pages import Plate
 BINS_A_PIXEL = 4  # ISO 12233
 NYQUIST_CY_PER_PX = 0.5
 HALF_WINDOW_PX = 64  # of 5.3 µm under f/8: ±20 miss 0.010 of the wide skirts of diffraction, ±48 0.0042, ±64 0.0032
-LEAST_HALF_WINDOW_PX = 8
-LEAST_SIDE_PX = 24
-LEAST_SLANT_DEG = 1.0
+MIN_HALF_WINDOW_PX = 8
+MIN_SIDE_PX = 24
+MIN_SLANT_DEG = 1.0
 # Of the window, the part that falls off. ISO's Hamming and Hann ones have no flat middle and take 1.6 times as much of the
 # skirts of diffraction, which fall as 1/x².
 TAPER = 0.5
-LARGEST_CORRECTION = 10.0  # ISO 12233: the derivative's own response is 0 at 2 cy/px
+MAX_CORRECTION = 10.0  # ISO 12233: the derivative's own response is 0 at 2 cy/px
 EDGE_SEARCH_PX = 4  # smoothing of the first look for the edge, along a row
 CENTROID_HALF_PX = 8.0
 FIT_ROUNDS = 4
-LEAST_CONTRAST = 0.05  # Michelson's, of linear data
-LEAST_STEP_SIGMAS = 4.0  # below it the edge of a row is lost in its noise
-MOST_RESIDUAL_PX = 2.0  # RMS of rows about the line
-MOST_SATURATED = 1e-3  # of a region's pixels
+MIN_CONTRAST = 0.05  # Michelson's, of linear data
+MIN_STEP_SIGMAS = 4.0  # below it the edge of a row is lost in its noise
+MAX_RESIDUAL_PX = 2.0  # RMS of rows about the line
+MAX_SATURATED = 1e-3  # of a region's pixels
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,9 @@ def edge_response(
     (True, 5.0)
     """
     data = cropped(picture, region)
-    if saturation is not None and (full := float(np.mean(data >= saturation))) > MOST_SATURATED:  # a clipped side is sharper
+    if saturation is not None and (full := float(np.mean(data >= saturation))) > MAX_SATURATED:  # a clipped side is sharper
         mend = "Expose less (--exposure.well-target, --exposure.integration-s)."
-        raise refuse("edge picture", f"{full:.1%} of its pixels saturated (at the top code)", f"at most {MOST_SATURATED:.1%}", mend)
+        raise invalid("edge picture", f"{full:.1%} of its pixels saturated (at the top code)", f"at most {MAX_SATURATED:.1%}", mend)
     data, contrast, turned = upright(data)
     intercept, slope = fit_edge(data, np.sign(contrast))
     rows, half_px = rows_and_window(data.shape, intercept, slope, half_window_px)
@@ -148,18 +148,18 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     """The region as float64; PixsimError where it is no grey picture, too small or not finite."""
     data = np.asarray(picture)
     if data.ndim != 2 or data.dtype.kind not in "biuf":
-        raise refuse("edge picture", f"{data.dtype} of shape {data.shape}", "one channel of numbers, (rows, columns)")
+        raise invalid("edge picture", f"{data.dtype} of shape {data.shape}", "one channel of numbers, (rows, columns)")
     if region is not None:
         x0, y0, x1, y1 = region
         height, width = data.shape
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
-            raise refuse("region", ",".join(map(str, region)), f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1")
+            raise invalid("region", ",".join(map(str, region)), f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1")
         data = data[y0:y1, x0:x1]
-    if min(data.shape) < LEAST_SIDE_PX:
-        raise refuse("edge picture", f"{data.shape[1]} × {data.shape[0]} pixels", f"at least {LEAST_SIDE_PX} a side")
+    if min(data.shape) < MIN_SIDE_PX:
+        raise invalid("edge picture", f"{data.shape[1]} × {data.shape[0]} pixels", f"at least {MIN_SIDE_PX} a side")
     data = data.astype(float)
     if not np.isfinite(data).all():
-        raise refuse("edge picture", f"{np.count_nonzero(~np.isfinite(data))} values that are no numbers", "finite ones")
+        raise invalid("edge picture", f"{np.count_nonzero(~np.isfinite(data))} values that are no numbers", "finite ones")
     return data
 
 
@@ -171,15 +171,15 @@ def upright(data: Array) -> tuple[Array, float, bool]:
     data = data.T if turned else data
     low, high = sides[int(turned)]
     contrast = (high - low) / (high + low) if high + low > 0 else np.inf
-    if not LEAST_CONTRAST <= abs(contrast) < np.inf:
+    if not MIN_CONTRAST <= abs(contrast) < np.inf:
         got = f"a contrast of {abs(contrast):.2g} ({low:.4g} and {high:.4g} on either side)"
         mend = "Is there an edge in the region, and the black level right?"
-        raise refuse("edge picture", got, f"Michelson contrast of {LEAST_CONTRAST:g} and more", mend)
+        raise invalid("edge picture", got, f"Michelson contrast of {MIN_CONTRAST:g} and more", mend)
     quarter = data.shape[1] // 4
     noise = max(np.diff(side, axis=0).std() / np.sqrt(2) for side in (data[:, :quarter], data[:, -quarter:]))
-    if abs(high - low) < LEAST_STEP_SIGMAS * noise:
+    if abs(high - low) < MIN_STEP_SIGMAS * noise:
         mend = "Take the mean of several frames, or more light."
-        raise refuse("edge picture", f"a step of {abs(high - low) / noise:.2g} σ", f"{LEAST_STEP_SIGMAS:g} σ of its noise", mend)
+        raise invalid("edge picture", f"a step of {abs(high - low) / noise:.2g} σ", f"{MIN_STEP_SIGMAS:g} σ of its noise", mend)
     return data, float(contrast), turned
 
 
@@ -212,14 +212,14 @@ def fit_edge(data: Array, sign: float) -> tuple[float, float]:
         centre = (weight[seen] * x).sum(axis=1) / total[seen]
         slope, intercept = np.polyfit(row[seen], centre, 1)
     residual = float(np.sqrt(np.mean((centre - intercept - slope * row[seen]) ** 2)))
-    if residual > MOST_RESIDUAL_PX:
+    if residual > MAX_RESIDUAL_PX:
         raise no_edge(f"lines that cross it {residual:.2g} px (RMS) from a straight line")
     return float(intercept), float(slope)
 
 
 def no_edge(got: str) -> PixsimError:
-    return refuse(
-        "edge picture", got, f"one straight edge, to {MOST_RESIDUAL_PX:g} px RMS", "Give the --region that holds it alone."
+    return invalid(
+        "edge picture", got, f"one straight edge, to {MAX_RESIDUAL_PX:g} px RMS", "Give the --region that holds it alone."
     )
 
 
@@ -232,18 +232,18 @@ def rows_and_window(shape: tuple[int, int], intercept: float, slope: float, half
     edge = intercept + slope * row
     room = np.minimum(edge, width - 1 - edge) * cos
     slant_deg = abs(np.degrees(np.arctan(slope)))
-    if abs(slope) * height < 1 or slant_deg < LEAST_SLANT_DEG:
+    if abs(slope) * height < 1 or slant_deg < MIN_SLANT_DEG:
         got = f"an edge {slant_deg:.2g}° from the pixels' own lines, over {height} of them"
-        allowed = f"{LEAST_SLANT_DEG:g}° and more, and one pixel sideways at least: 5° is usual"
-        raise refuse("edge picture", got, allowed, "Without a slant the edge meets one phase of the pixels only.")
+        allowed = f"{MIN_SLANT_DEG:g}° and more, and one pixel sideways at least: 5° is usual"
+        raise invalid("edge picture", got, allowed, "Without a slant the edge meets one phase of the pixels only.")
     half_px = float(np.floor(min(half_window_px, np.sort(room)[height // 2]) * BINS_A_PIXEL) / BINS_A_PIXEL)
-    if half_px < LEAST_HALF_WINDOW_PX:
+    if half_px < MIN_HALF_WINDOW_PX:
         got = f"{max(half_px, 0):.3g} px on either side of the edge"
-        raise refuse("edge picture", got, f"{LEAST_HALF_WINDOW_PX} px and more", "Give a --region with the edge in its middle.")
+        raise invalid("edge picture", got, f"{MIN_HALF_WINDOW_PX} px and more", "Give a --region with the edge in its middle.")
     inside = row[room >= half_px]
     steps = int(inside.size * abs(slope))
     if steps < 1:
-        raise refuse("edge picture", f"{inside.size} lines across the edge", f"{np.ceil(1 / abs(slope)):.0f}: one step of it")
+        raise invalid("edge picture", f"{inside.size} lines across the edge", f"{np.ceil(1 / abs(slope)):.0f}: one step of it")
     count = round(steps / abs(slope))
     start = (inside.size - count) // 2
     return inside[max(start, 0) : max(start, 0) + count], half_px
@@ -259,7 +259,7 @@ def edge_spread(data: Array, rows: Array, intercept: float, slope: float, half_p
     pixels = np.bincount(index[within], minlength=count)
     if pixels.min() == 0:
         got = f"{np.count_nonzero(pixels == 0)} of {count} bins without a pixel, at {np.degrees(np.arctan(slope)):.2f}°"
-        raise refuse("edge picture", got, "pixels in all", "Angles whose tangent is a small fraction meet few phases: take 5°.")
+        raise invalid("edge picture", got, "pixels in all", "Angles whose tangent is a small fraction meet few phases: take 5°.")
     total = np.bincount(index[within], weights=data[rows.astype(int)][within], minlength=count)
     centre_px = (np.arange(count) + 0.5) / BINS_A_PIXEL - half_px
     # The few phases of a slant do not fill bins evenly: a mean belongs to the mean distance of its pixels. Else 0.003 off.
@@ -275,11 +275,11 @@ def response(spread: Array) -> tuple[Array, Array]:
     frequency = np.asarray(np.fft.rfftfreq(line.size, 1 / BINS_A_PIXEL), float)
     modulation = np.asarray(np.abs(np.fft.rfft(line)), float)
     own = np.sinc(frequency / BINS_A_PIXEL) * np.sinc(2 * frequency / BINS_A_PIXEL)
-    return frequency, modulation / modulation[0] / np.maximum(own, 1 / LARGEST_CORRECTION)
+    return frequency, modulation / modulation[0] / np.maximum(own, 1 / MAX_CORRECTION)
 
 
 SUFFIXES = ".exr, .npy, .npz, or a grey .png or .tiff of 16 bits"
-MOST_BITS = 32
+MAX_BITS = 32
 
 
 @dataclass(frozen=True)
@@ -304,7 +304,7 @@ def read_edge_picture(path: Path) -> EdgePicture:
     readers = {".exr": read_exr_picture, ".npy": read_npy_picture, ".npz": read_npy_picture}
     readers |= {".png": read_picture, ".tif": read_picture, ".tiff": read_picture}
     if path.suffix.lower() not in readers:
-        raise refuse("edge picture", f"'{path}'", SUFFIXES)
+        raise invalid("edge picture", f"'{path}'", SUFFIXES)
     size_of(path, "edge picture", SUFFIXES)
     return readers[path.suffix.lower()](path)
 
@@ -313,12 +313,12 @@ def read_exr_picture(path: Path) -> EdgePicture:
     """The one channel of an EXR; pitch, black level and bits from pixsim's own header."""
     channels, header = read_channels(path)
     if len(channels) != 1:
-        raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: DN of pixsim's raw.exr, or luminance")
+        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: DN of pixsim's raw.exr, or luminance")
     (data,) = channels.values()
     pitch_um, black_level_dn, bits = (_attribute(path, header, name) for name in ("pitch_um", "black_level_dn", "bits"))
-    if (pitch_um is not None and not pitch_um > 0) or (bits is not None and not 1 <= bits <= MOST_BITS):
+    if (pitch_um is not None and not pitch_um > 0) or (bits is not None and not 1 <= bits <= MAX_BITS):
         got = f"pitch_um {pitch_um}, bits {bits}"
-        raise refuse(f"header of '{path}'", got, f"a pitch above 0, 1 to {MOST_BITS} bits")
+        raise invalid(f"header of '{path}'", got, f"a pitch above 0, 1 to {MAX_BITS} bits")
     return EdgePicture(data, pitch_um, black_level_dn, None if bits is None else 2.0**bits - 1)
 
 
@@ -328,7 +328,7 @@ def _attribute(path: Path, header: dict[str, Any], name: str) -> float | None:
     if value is None:
         return None
     if not isinstance(value, int | float) or not math.isfinite(value):
-        raise refuse(f"header of '{path}'", f"{name} = {value!r}", "a number")
+        raise invalid(f"header of '{path}'", f"{name} = {value!r}", "a number")
     return shortest(value)
 
 
@@ -341,10 +341,10 @@ def read_npy_picture(path: Path) -> EdgePicture:
         if "dn" in arrays:  # as pixsim writes it
             return read_picture(path)
         if len(arrays) != 1:
-            raise refuse(f"arrays of '{path}'", ", ".join(arrays) or "none", "one: the picture")
+            raise invalid(f"arrays of '{path}'", ", ".join(arrays) or "none", "one: the picture")
         (loaded,) = arrays.values()
     if loaded.dtype.kind not in "biuf":
-        raise refuse("edge picture", f"'{path}' of {loaded.dtype}", "real numbers")
+        raise invalid("edge picture", f"'{path}' of {loaded.dtype}", "real numbers")
     return EdgePicture(loaded)
 
 

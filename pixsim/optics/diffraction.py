@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips_of
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 
 NM_PER_MM = 1e6
 OTF_TABLE_SIZE = 1 << 15  # linear interpolation between so many frequencies errs by 3e-8 at most
@@ -26,7 +26,7 @@ def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
     """
     wavelength_nm = np.asarray(wavelength_nm, float)
     if not (np.all(wavelength_nm > 0) and f_number > 0):
-        raise refuse("wavelength and f-number", f"{wavelength_nm} nm, {f_number}", "numbers above 0")
+        raise invalid("wavelength and f-number", f"{wavelength_nm} nm, {f_number}", "numbers above 0")
     with np.errstate(over="ignore", divide="ignore"):  # to a cut-off at 0 or at infinity
         return NM_PER_MM / (wavelength_nm * f_number)
 
@@ -139,7 +139,7 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
     """
     total = weight.sum()
     if total == 0:
-        raise refuse("weight", "a sum of 0", "weights that do not cancel", "Unscaled weights are for `diffract_sum`.")
+        raise invalid("weight", "a sum of 0", "weights that do not cancel", "Unscaled weights are for `diffract_sum`.")
     share = weight / total
     return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number, workers)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.config import checked
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
 from pixsim.base.parameters import Camera, CameraOptions, Layer
 from pixsim.base.version import VERSION
@@ -31,7 +31,7 @@ from pixsim.light.foreign import (
     read_cube,
     shortened,
 )
-from pixsim.light.spectral import LARGEST, SpectralImage
+from pixsim.light.spectral import MAX_VALUE, SpectralImage
 from pixsim.optics.thin_lens import field_factor
 
 ALLOWED_NM = (300.0, 1200.0)  # what glass lets through and silicon sees
@@ -104,7 +104,7 @@ def _from_cube(path: Path, cube: Cube, camera: Camera | None, units: str | None,
     if unit.radiance:
         if camera is None:
             mend = "Give read_irradiance(path, camera); on the command line --camera.f-number and its like."
-            raise refuse(f"light in '{path}'", f"radiance ({text}) without a camera", "irradiance, or radiance and a camera", mend)
+            raise invalid(f"light in '{path}'", f"radiance ({text}) without a camera", "irradiance, or radiance and a camera", mend)
         lens = camera.image_distance_mm, camera.f_number, camera.magnification
         light = unit.factor * camera.transmittance * field_factor(cube.data.shape[:2], sampling_um, *lens)
         header["camera"] = camera.model_dump()
@@ -142,7 +142,7 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
         with replacing(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, **arrays)
     except OSError as error:
-        raise refuse("output file", f"'{path}' ({error})", "a path that can be written") from None
+        raise invalid("output file", f"'{path}' ({error})", "a path that can be written") from None
 
 
 def _own(path: Path, camera: Camera | None, units: str | None, pitch_um: float | None) -> SpectralImage:
@@ -164,16 +164,16 @@ def _bands(path: Path, cube: Cube) -> tuple[Array, Array]:
     if nm.shape != cube.data.shape[2:] or not np.all(np.diff(nm) > 0) or not np.all((nm >= low) & (nm <= high)):
         got = f"{shortened(nm.tolist())} nm for {cube.data.shape[2]} bands"
         allowed = f"one a band, increasing, {low:g} to {high:g} nm"
-        raise refuse(f"wavelengths in '{path}'", got, allowed, "Leave out the other bands.")
+        raise invalid(f"wavelengths in '{path}'", got, allowed, "Leave out the other bands.")
     if cube.band_width_nm is not None:
         width_nm = np.asarray(cube.band_width_nm)
         numbers = width_nm.shape in ((), nm.shape) and width_nm.dtype.kind in "iuf"
         if not (numbers and np.all((width_nm > 0) & (width_nm < np.inf))):
-            raise refuse(f"band widths in '{path}'", width_nm, f"one, or {nm.size}, positive, in nm")
+            raise invalid(f"band widths in '{path}'", width_nm, f"one, or {nm.size}, positive, in nm")
         return nm, np.broadcast_to(width_nm.astype(float), nm.shape)
     if nm.size == 1:
         mend = "Add band_width_nm to the .npz, as an attribute to the EXR, or fwhm to the ENVI header."
-        raise refuse(f"band width in '{path}'", "none, and one band has no neighbour that tells it", "a width in nm", mend)
+        raise invalid(f"band width in '{path}'", "none, and one band has no neighbour that tells it", "a width in nm", mend)
     middle = (nm[1:] + nm[:-1]) / 2
     return nm, np.diff(np.concatenate([[2 * nm[0] - middle[0]], middle, [2 * nm[-1] - middle[-1]]]))
 
@@ -182,7 +182,7 @@ def _agreed_unit(path: Path, told: str, stated: str | None, per_nm: bool = False
     """The unit of the values and how it was spelled; what the caller states may add to what the file tells, not differ."""
     what, text = f"units of '{path}'", stated or told
     if not text:
-        raise refuse(what, "none in the file", ALLOWED_UNITS, HOW_TO_STATE)
+        raise invalid(what, "none in the file", ALLOWED_UNITS, HOW_TO_STATE)
     unit = own = parse_light_unit(text, what)
     if stated and told:
         with suppress(PixsimError):  # what the file says is no unit
@@ -190,9 +190,9 @@ def _agreed_unit(path: Path, told: str, stated: str | None, per_nm: bool = False
     if per_nm:
         unit, own = (replace(each, spectral=True) if each.radiance else each for each in (unit, own))
     if (own != unit) if own.spectral else (own.radiance != unit.radiance):
-        raise refuse(what, f"{told} in the file, {stated} stated", "one unit", "Leave the stated one out.")
+        raise invalid(what, f"{told} in the file, {stated} stated", "one unit", "Leave the stated one out.")
     if not unit.spectral:
-        raise refuse(what, f"{text}, which names no wavelength", ALLOWED_UNITS, HOW_TO_STATE)
+        raise invalid(what, f"{text}, which names no wavelength", ALLOWED_UNITS, HOW_TO_STATE)
     return unit, text
 
 
@@ -205,13 +205,13 @@ def _agreed_pitch(path: Path, told: Any, stated: float | None, camera: Camera | 
     pitches = {what: _positive(path, "pitch_um", value) for what, value in known.items() if value is not None}
     if not pitches:
         mend = "Give pitch_um=, or a camera whose die the picture fills (--camera.die-mm)."
-        raise refuse(f"pitch of '{path}'", "none in the file", "the pitch of the samples on the sensor in µm", mend)
+        raise invalid(f"pitch of '{path}'", "none in the file", "the pitch of the samples on the sensor in µm", mend)
     values = list(pitches.values())
     if not np.allclose(values, values[0], rtol=PITCH_TOLERANCE, atol=0.0):
         got = ", ".join(f"{pitch:.9g} µm by {what}" for what, pitch in pitches.items())
         die_mm = values[-1] * columns / 1e3
         mend = f"Leave pitch_um out, or take camera.die_mm = {die_mm:.9g} (--camera.die-mm {die_mm:.9g})."
-        raise refuse(f"pitch of '{path}'", got, "one pitch", mend)
+        raise invalid(f"pitch of '{path}'", got, "one pitch", mend)
     return values[0]
 
 
@@ -221,19 +221,19 @@ def _positive(path: Path, what: str, value: Any) -> float:
     except (TypeError, ValueError):
         number = np.nan
     if not 0 < number < np.inf:
-        raise refuse(f"{what} of '{path}'", value, "a positive number")
+        raise invalid(f"{what} of '{path}'", value, "a positive number")
     return number
 
 
 def _check_band(path: Path, values: NDArray[np.float32], told: NDArray[Any], centre_nm: float) -> None:
     """Refuse what is not light; `told` are the file's own values of it."""
-    bad = np.argwhere(~((values >= 0) & (values <= LARGEST)))
+    bad = np.argwhere(~((values >= 0) & (values <= MAX_VALUE)))
     if bad.size:
         row, column = bad[0]
         got = f"{told[row, column]} at row {row}, column {column} of the band at {centre_nm:g} nm"
-        raise refuse(f"light in '{path}'", got, f"0 to {LARGEST:.3g} W/m²/nm", "Mend the picture where it was made.")
+        raise invalid(f"light in '{path}'", got, f"0 to {MAX_VALUE:.3g} W/m²/nm", "Mend the picture where it was made.")
 
 
 def _check_lit(path: Path, lit: object) -> None:
     if not lit:
-        raise refuse(f"light in '{path}'", "black everywhere", "some light", "Is this the right file, and are its lamps on?")
+        raise invalid(f"light in '{path}'", "black everywhere", "some light", "Is this the right file, and are its lamps on?")

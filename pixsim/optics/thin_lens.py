@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, strips
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.light.spectral import WHOLE
 
 
@@ -32,13 +32,13 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
     """
     f_number, tan_field = np.asarray(f_number, float), np.asarray(tan_field, float)
     if np.isnan(tan_field).any():
-        raise refuse("tan_field", "nan", "a number, or infinity for light along the sensor")
+        raise invalid("tan_field", "nan", "a number, or infinity for light along the sensor")
     # Divided before squaring, so that neither f/1e-200 nor f/1e200 overflows on the way. What overflows is grazing light,
     # which brings nothing.
     with np.errstate(divide="ignore", over="ignore"):
         tan_alpha = 0.5 / (f_number * (1 + np.abs(magnification)))
         if not np.all((f_number > 0) & (tan_alpha <= 1)):
-            raise refuse("f-number", f_number, "N (1 + |m|) ≥ 0.5", "A thin lens in air cannot be faster than f/0.5.")
+            raise invalid("f-number", f_number, "N (1 + |m|) ≥ 0.5", "A thin lens in air cannot be faster than f/0.5.")
         a = tan_alpha**2
         t = tan_field**2
         p = (1 - a) + t

@@ -13,7 +13,7 @@ from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_col
 from pixsim.viewer.display import picture_size_um
 from pixsim.viewer.score import Score
 
-MOST_TICKS = 7
+MAX_TICKS = 7
 CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
 Border = tuple[float, float]  # µm above and below, and left and right, that a picture leaves out of what was rendered
 NO_BORDER: Border = (0.0, 0.0)
@@ -63,7 +63,7 @@ def _ratio_ticks(ends_mm: tuple[float, float], ends: tuple[float, float], inner:
 
 def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...]:
     """In steps of 1, 2 or 5 times a power of ten."""
-    rough = (last_mm - first_mm) / (MOST_TICKS - 1)
+    rough = (last_mm - first_mm) / (MAX_TICKS - 1)
     unit = 10.0 ** math.floor(math.log10(rough))
     step = unit * min(each for each in (1, 2, 5, 10) if each * unit >= rough * (1 - 1e-9))
     steps = range(math.ceil(first_mm / step * (1 - 1e-9)), math.floor(last_mm / step * (1 + 1e-9)) + 1)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, versions, write_json
 from pixsim.base.parameters import Camera, Display, Exposure, Run
 from pixsim.base.progress import Stage
@@ -31,7 +31,7 @@ from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
 from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced, save_delta_e_png, save_png, scale, worst_window
 from pixsim.viewer.display import white_header, white_rate, white_spectrum
-from pixsim.viewer.score import Score, dark_clip, make_bench
+from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
 
 if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
@@ -149,9 +149,9 @@ def run_and_write(
 
     derive(settings.pixel)
     if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
-        raise refuse("--raw", f"tiff or png for an ADC of {settings.pixel.bits} bits", f"{BITS_OF_PICTURES} bits; npz for more")
+        raise invalid("--raw", f"tiff or png for an ADC of {settings.pixel.bits} bits", f"{BITS_OF_PICTURES} bits; npz for more")
     if settings.tolerance_delta_e and full:
-        raise refuse("--tolerance-delta-e", "with --full", "one of them: the first leaves out what it can, the second nothing")
+        raise invalid("--tolerance-delta-e", "with --full", "one of them: the first leaves out what it can, the second nothing")
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -162,18 +162,18 @@ def run_and_write(
     if Path(source).suffix.lower() in PICTURE_SUFFIXES:
         if settings.scene or sensor or variant or settings.tolerance_delta_e:
             options = "-D, --sensor, --variant, --tolerance-delta-e"
-            raise refuse(options, f"'{source}', a picture", "a Mitsuba scene for these options")
+            raise invalid(options, f"'{source}', a picture", "a Mitsuba scene for these options")
         prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]] = partial(_read, source, settings, units)
     else:
         if units:
-            raise refuse("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr): a render's units are known")
+            raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr): a render's units are known")
         prepared = _prepare(source, settings, full, sensor, variant, progress)
     with output_folder(out) as folder:
         irradiance, camera, more = prepared()
         lap("read" if not more else "render")
         progress("sense and score")
         irradiance.header |= white_header(irradiance, camera, settings.display)
-        bench = make_bench(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
+        bench = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
         score = bench.score("evaluate", settings.seed)
         if "error_budget" in more:  # over as many sensors as it asks for, the pictured one among them
             sensors = more["error_budget"]["settings"]["sensors"]

@@ -16,7 +16,7 @@ from pixsim.base.parameters import Exposure
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of
-from pixsim.sensor.readout import frame_of
+from pixsim.sensor.readout import make_frame
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, Look, draw_delta_e, draw_picture, label_axes, new_figure
 from pixsim.show.pages import Plate, coarse_table
 from pixsim.show.pictures import (
@@ -30,10 +30,10 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.evaluations import bench_at, block_key, light_of, stream_key
+from pixsim.studies.evaluations import block_key, chain_at, light_of, stream_key
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.viewer.display import picture_size_um, shown_luminance
-from pixsim.viewer.score import Projection, Score
+from pixsim.viewer.score import PreparedScene, Score
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -192,13 +192,13 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
     physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
     whole = tuple(pixels_along(um, pitch_um) for um in picture_size_um(result.irradiance))
-    if not isinstance(light, Projection) or kept is None or kept.shape != whole:
-        bench = bench_at(study, light, result.camera, curve.technology, pitch_um)
+    if not isinstance(light, PreparedScene) or kept is None or kept.shape != whole:
+        bench = chain_at(study, light, result.camera, curve.technology, pitch_um)
         frame = bench.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
         screen, white_e = bench.screen, bench.white_e_per_s * frame.integration_s
     else:
         screen, white_e = light.screen, light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s
         # Nothing that is shown depends on the saturated fraction or on the mean signal.
         unknown = np.broadcast_to(np.nan, kept.shape)
-        frame = frame_of(kept.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
+        frame = make_frame(kept.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
     return shown_luminance(window.of(screen.luminance(frame, white_e)), study.display)

@@ -7,7 +7,7 @@ from typing import Any
 
 from pixsim.studies.result import interval_words, within_words
 
-SATURATED_TOLD = 0.01
+SATURATED_SHOWN = 0.01
 HIDDEN_DN = 0.05  # a shift of the dark's mean that is hidden: a sixth of the rounding error, 1/√12 DN
 TAIL_SIGMAS = 0.01  # of the dark's spread: what a black level of 1.9 σ cuts off
 
@@ -15,7 +15,7 @@ TAIL_SIGMAS = 0.01  # of the dark's spread: what a black level of 1.9 σ cuts of
 def sensitivity_lines(outcome: Any) -> list[str]:
     """The base, then each assumption with the range that it gives, widest first."""
     base = outcome.base_case.reference
-    lines = ["base: " + found_line(base)]
+    lines = ["base: " + optimum_line(base)]
     for name, cases in outcome.by_variation().items():
         optima = [base.optimum, *(case.reference.optimum for case in cases)]
         sizes, best = ([getattr(each, number) for each in optima] for number in ("pitch_um", "mean_delta_e"))
@@ -24,7 +24,7 @@ def sensitivity_lines(outcome: Any) -> list[str]:
     return lines
 
 
-def found_line(curve: Any) -> str:
+def optimum_line(curve: Any) -> str:
     """The optimum of a curve with its interval, and how flat the minimum is."""
     best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"
     found = f"optimal pixel size {best.pitch_um:.2f} µm {interval}"
@@ -67,7 +67,7 @@ def score_line(result: dict[str, Any]) -> str:
     border = f" ({border_um:.3g} µm at each side not scored)" if border_um else ""
     exposure, time_s, saturated = result["exposure"], result["integration_s"], result["saturated_fraction"]
     longest = " (the longest allowed)" if exposure["integration_s"] is None and time_s >= exposure["max_integration_s"] else ""
-    full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_TOLD else ""
+    full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
     return f"{found} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}"
 
@@ -99,10 +99,10 @@ def clips_dark(dark: dict[str, float]) -> bool:
 
 
 def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> str:
-    from pixsim.sensor.readout import MOST_BLACK
+    from pixsim.sensor.readout import MAX_BLACK
 
     black, kept = pixel["black_level_dn"], dark["least_black_level_dn"]
-    room = kept <= MOST_BLACK * (2 ** pixel["bits"] - 1)
+    room = kept <= MAX_BLACK * (2 ** pixel["bits"] - 1)
     mend = f"pixel.black_level_dn = {kept} keeps it" if room else "to keep it takes more bits (pixel.bits)"
     return (
         f"a black level of {black:g} DN cuts off dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "

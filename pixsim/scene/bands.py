@@ -20,9 +20,9 @@ Response = Callable[[Array], Array]  # of a sensor or an eye, at wavelengths in 
 # 10 nm bands, and what is left of 360-830 nm at the ends.
 BAND_EDGES_NM = np.concatenate([[LOW_NM], np.arange(365.0, 826.0, 10.0), [HIGH_NM]])
 NARROWEST_BAND_NM = 1.0
-MOST_BANDS = 256
+MAX_BANDS = 256
 PARTS_OF_A_BAND = 10
-SMALLEST_SHIFT_NM = 1.0  # of a band's wavelength from its centre that is worth telling
+MIN_SHIFT_NM = 1.0  # of a band's wavelength from its centre that is worth telling
 PULSES_PER_PASS = 4
 SHAPE_TOLERANCE = 0.1  # error of any one band, of the brightest band of the same light
 PULSE_COUNTS = (1, 4, 8, 12, 16, 20, 24, 28, 32)
@@ -118,7 +118,7 @@ def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness]
         bands = _shaped(edges, lamps)
         errors = [band_errors(bands, light, witnesses) for light in lights]
         worst = max((float(np.abs(each.sum(axis=2)).max()) for each in errors), default=0.0)
-        if worst <= tolerance or edges.size > MOST_BANDS:
+        if worst <= tolerance or edges.size > MAX_BANDS:
             return bands
         guilt = np.max([np.abs(each).max(axis=(0, 1)) for each in errors], axis=0)
         guilt[np.diff(edges) < 2 * NARROWEST_BAND_NM] = 0.0
@@ -178,7 +178,7 @@ def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
     shares = energy / energy.sum(axis=1, keepdims=True)
     centre = (edges_nm[:-1] + edges_nm[1:]) / 2
     centroid = (shares * nodes).sum(axis=1)
-    near = np.abs(centroid - centre) < SMALLEST_SHIFT_NM
+    near = np.abs(centroid - centre) < MIN_SHIFT_NM
     return Bands(edges_nm, np.where(near, centre, centroid), nodes, shares)
 
 
@@ -258,8 +258,8 @@ def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness],
         if not known:  # windows narrower than their flanks
             return None
         weights = _fit_weights(families, known, light, step)
-        told_of = np.array([np.interp(at, grid, weight) for weight in weights])
-        spectra = np.add.reduceat(told_of * fine_light, first, axis=1) / bands.width_nm
+        description_of = np.array([np.interp(at, grid, weight) for weight in weights])
+        spectra = np.add.reduceat(description_of * fine_light, first, axis=1) / bands.width_nm
         measured = np.stack([pulse.mean(families, step) for pulse in known], axis=1)
         told = measured @ spectra
         wrong = np.abs(seen @ told.T - truth)

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.light.exr import write_channels
 
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
 LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
-HIGHEST_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
-LOWEST_FREQUENCY_LP_PER_MM = 1.0
-LOWEST_CONTRAST = 0.01  # of the largest
+MAX_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
+MIN_FREQUENCY_LP_PER_MM = 1.0
+MIN_CONTRAST = 0.01  # of the largest
 DIE_MM = 2.7136  # 512 pixels of 5.3 µm
 CSF_STEPS = 2**18
 SLANT_DEG = 5.0  # ISO 12233
@@ -33,7 +33,7 @@ def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
     >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # the Nyquist frequency of 15 µm pixels at the right
     [1.0, 33.333]
     """
-    return LOWEST_FREQUENCY_LP_PER_MM * (HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM) ** np.asarray(x)
+    return MIN_FREQUENCY_LP_PER_MM * (MAX_FREQUENCY_LP_PER_MM / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
 
 
 def csf_contrast(y: ArrayLike) -> Array:
@@ -42,7 +42,7 @@ def csf_contrast(y: ArrayLike) -> Array:
     25 to 1000 cd/m² (Chen et al. 2000).
     """
     low, high = LUMINANCE_CD_PER_M2
-    return (high - low) / (high + low) * LOWEST_CONTRAST ** (1 - np.asarray(y, float))
+    return (high - low) / (high + low) * MIN_CONTRAST ** (1 - np.asarray(y, float))
 
 
 def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
@@ -54,8 +54,8 @@ def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
     die_mm : width that the chart fills
     """
     low, high = LUMINANCE_CD_PER_M2
-    growth = np.log(HIGHEST_FREQUENCY_LP_PER_MM / LOWEST_FREQUENCY_LP_PER_MM)
-    cycles = die_mm / growth * (csf_frequency_lp_per_mm(x) - LOWEST_FREQUENCY_LP_PER_MM)
+    growth = np.log(MAX_FREQUENCY_LP_PER_MM / MIN_FREQUENCY_LP_PER_MM)
+    cycles = die_mm / growth * (csf_frequency_lp_per_mm(x) - MIN_FREQUENCY_LP_PER_MM)
     return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
 
 
@@ -122,14 +122,14 @@ def make_chart(kind: str, width: int | None = None, height: int | None = None, d
     [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
     """
     if kind not in CHARTS:
-        raise refuse("chart", f"'{kind}'", ", ".join(CHARTS))
+        raise invalid("chart", f"'{kind}'", ", ".join(CHARTS))
     size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
     if any(not 2 <= value <= 32768 for value in size.values()):
-        raise refuse("chart size", size, "2 to 32768 texels a side")
+        raise invalid("chart size", size, "2 to 32768 texels a side")
     if die_mm is None:
         return CHARTS[kind](**size)
     if kind != "csf" or not 0 < die_mm < 1000:
-        raise refuse("chart die_mm", f"{die_mm:g} for {kind}", "0 to 1000 mm, for csf: the others scale with the die")
+        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", "0 to 1000 mm, for csf: the others scale with the die")
     return csf(**size, die_mm=die_mm)
 
 
@@ -142,5 +142,5 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
     Raises PixsimError for another ending, and for a path that cannot be written.
     """
     if Path(path).suffix.lower() != ".exr":
-        raise refuse("chart file", f"'{path}'", "a name that ends in .exr")
+        raise invalid("chart file", f"'{path}'", "a name that ends in .exr")
     write_channels(path, {"Y": texels}, {})

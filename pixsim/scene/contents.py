@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.files import judge_picture
 from pixsim.base.parameters import Camera
 from pixsim.light.exr import read_channels
@@ -172,7 +172,7 @@ def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
     for lamp in lamps:
         values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
         if not np.isfinite(values).all() or values.min() < 0:
-            raise refuse("emitter", f"radiance {values.min():g}", "finite and not negative")
+            raise invalid("emitter", f"radiance {values.min():g}", "finite and not negative")
     return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
 
 
@@ -189,9 +189,9 @@ SPECTRA: dict[str, tuple[str, ...]] = {
 }
 INTERNAL_REFLECTION = 0.6  # of a coat of index 1.49, from inside
 METAL_COSINES = (1.0, 0.7, 0.3)
-HIGHEST_POWER = 3  # of a reflectance, for light that goes to and fro between like surfaces; what goes on longer is little
+MAX_POWER = 3  # of a reflectance, for light that goes to and fro between like surfaces; what goes on longer is little
 TO_AND_FRO = (0.5, 0.8, 0.95)
-MOST_PRODUCTS = 160
+MAX_PRODUCTS = 160
 NEUTRAL_SPREAD = 1e-6
 
 
@@ -217,9 +217,9 @@ class Surfaces:
             return single
         # Light that goes to and fro for long, a little or most of it: ρ/(1 - aρ).
         series = [single / (1 - part * np.minimum(single, 1.0)) for part in (TO_AND_FRO if bounces < 0 else ())]
-        powers = [single**power for power in range(2, HIGHEST_POWER + 1 if bounces < 0 else min(bounces, HIGHEST_POWER) + 1)]
+        powers = [single**power for power in range(2, MAX_POWER + 1 if bounces < 0 else min(bounces, MAX_POWER) + 1)]
         pairs = [single[i] * single[j] for i, j in combinations_with_replacement(range(len(single)), 2) if i != j]
-        spread = np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PRODUCTS)).astype(int)
+        spread = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PRODUCTS)).astype(int)
         return np.vstack([single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])])
 
 
@@ -299,7 +299,7 @@ def _metal(state: Any, node: Any, variant: str) -> list[Array] | None:
     return [evaluate_reflection(described, cosine, variant) for cosine in METAL_COSINES]
 
 
-SMALLEST_VOLUME = 1e-200  # what a scale makes of 1
+MIN_VOLUME = 1e-200  # what a scale makes of 1
 FLAT = ("rectangle", "disk")
 PARALLEL = 1e-6  # sine of the angle between normals of planes that count as parallel
 IN_FRONT_M = 1e-9
@@ -343,7 +343,7 @@ def matrix_of(node: Any, name: str = "to_world") -> Array:
     if name not in node.props:
         return np.eye(4)
     if "Transform" not in node.props.type(name).name:
-        raise refuse(f"{node.props.plugin_name()}.{name}", node.props[name], "a <transform>")
+        raise invalid(f"{node.props.plugin_name()}.{name}", node.props[name], "a <transform>")
     return np.asarray(node.props[name].matrix, float).reshape(4, 4)
 
 
@@ -351,8 +351,8 @@ def check_transforms(state: Any) -> None:
     """Refuse what turns things into nothing, or into what has no place."""
     for node in state.nodes:
         matrix = matrix_of(node)
-        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < SMALLEST_VOLUME:
-            raise refuse(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "finite numbers and scales other than 0")
+        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < MIN_VOLUME:
+            raise invalid(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "finite numbers and scales other than 0")
 
 
 def find_bodies(state: Any, sensor: Any) -> list[Body]:
@@ -378,7 +378,7 @@ def find_bodies(state: Any, sensor: Any) -> list[Body]:
             bodies.append(Body(index, _moved(place, np.vstack(known)) if known and len(known) == len(boxes) else None, None))
         else:
             box = _box(node)
-            bodies.append(Body(index, None if box is None else _moved(to_camera, box), _normal(to_camera, node)))
+            bodies.append(Body(index, None if box is None else _moved(to_camera, box), _gaussian_map(to_camera, node)))
     return bodies
 
 
@@ -401,7 +401,7 @@ def _box(node: Any) -> Array | None:
     return _moved(matrix_of(node), unit)
 
 
-def _normal(to_camera: Array, node: Any) -> Array | None:
+def _gaussian_map(to_camera: Array, node: Any) -> Array | None:
     if node.props.plugin_name() not in FLAT:
         return None
     # As normals are moved, so that a mirrored shape keeps its side.
@@ -454,7 +454,7 @@ def _file_of(node: Any, folder: Path) -> Path:
     name = str(node.props["filename"])
     found = next((path for path in (folder / name, Path(name)) if os.path.lexists(path)), None)
     if found is None:
-        raise refuse("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
+        raise invalid("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
     judge_asset(found, "texture")
     return found
 
@@ -477,17 +477,17 @@ def check_textures(state: Any, folder: Path) -> None:
             continue
         what = f"texture '{path}'"
         if path in raw and path.suffix.lower() in EIGHT_BIT:
-            raise refuse(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes")
+            raise invalid(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes")
         if path.suffix.lower() == ".exr":
             channels = read_channels(path)[0]
             if path in raw and len(channels) > 1:
-                raise refuse(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture")
+                raise invalid(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture")
             for name, texels in channels.items():
                 bad = np.argwhere(~(np.isfinite(texels) & (texels >= 0)))
                 if bad.size:
                     row, column = bad[0]
                     got = f"{texels[row, column]} at row {row}, column {column} of channel {name}"
-                    raise refuse(what, got, "finite texels of 0 or more")
+                    raise invalid(what, got, "finite texels of 0 or more")
 
 
 def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:

@@ -24,8 +24,8 @@ from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
 
 RENDER_NOISE = 0.2  # of the sensor noise: adds 2 % to its standard deviation
 MAX_SECONDS = 120.0
-MOST_RUNS = 1 << 12
-MOST_SPP = 1024  # of one render
+MAX_RUNS = 1 << 12
+MAX_SPP = 1024  # of one render
 PAIRS_A_LEVEL = 2
 
 
@@ -99,14 +99,14 @@ def render_until(
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
         much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
-        up = much and at_level >= PAIRS_A_LEVEL and spp < MOST_SPP
+        up = much and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP
         level, at_level = (level + 1, 0) if up else (level, at_level)
         now = time.perf_counter()
         if fraction <= render_noise:
             ended = "target"
         elif runs >= in_time if in_time else now - start + (now - began) * (LEVEL_FACTOR if up else 1) > max_seconds:
             ended = "max_seconds"
-        elif runs >= MOST_RUNS:
+        elif runs >= MAX_RUNS:
             ended = "runs"
         found = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
     if ended == "max_seconds" and job.kept:

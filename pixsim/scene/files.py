@@ -20,17 +20,17 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from pixsim.base.errors import PixsimError, refuse
-from pixsim.base.files import LARGEST_ASSET, LARGEST_SPECTRUM, is_utf8, read_text, size_of
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import MAX_ASSET, MAX_SPECTRUM, is_utf8, read_text, size_of
 
 ALLOWED = "a readable XML file"
-LARGEST_XML = 8 << 20  # bytes of all files together, an include as often as it is included
-DEEPEST = 24  # elements in elements; Mitsuba's two-sided materials double at each
-MOST_INCLUDES = 64
-DEEPEST_INCLUDE = 8
-MOST_PARAMETERS = 512
-LONGEST_VALUE = 1 << 20  # characters of an attribute
-MOST_EXPANDED = 16 << 20  # characters of all attributes that name parameters
+MAX_XML = 8 << 20  # bytes of all files together, an include as often as it is included
+MAX_DEPTH = 24  # elements in elements; Mitsuba's two-sided materials double at each
+MAX_INCLUDES = 64
+MAX_INCLUDE_DEPTH = 8
+MAX_PARAMETERS = 512
+MAX_VALUE = 1 << 20  # characters of an attribute
+MAX_EXPANDED = 16 << 20  # characters of all attributes that name parameters
 TAG = re.compile(r"<[^<>\"']*(?:\"[^\"]*\"[^<>\"']*|'[^']*'[^<>\"']*)*>")
 
 
@@ -43,8 +43,8 @@ class Told:
     names: set[str] = field(default_factory=set)
     defaults: dict[str, str] = field(default_factory=dict)
     values: dict[str, str] = field(default_factory=dict)
-    left_bytes: int = LARGEST_XML
-    left_expanded: int = MOST_EXPANDED
+    left_bytes: int = MAX_XML
+    left_expanded: int = MAX_EXPANDED
     includes: int = 0
 
     def put_in(self, value: str, path: Path) -> str:
@@ -54,13 +54,13 @@ class Told:
         self.names.update(re.findall(r"\$\{?(\w+)", value))
         for name in sorted((name for name in self.values if f"${name}" in value), key=len, reverse=True):
             grown = len(value) + value.count(f"${name}") * len(self.values[name])
-            if grown > LONGEST_VALUE:
+            if grown > MAX_VALUE:
                 got = f"an attribute that its parameters make {grown} characters long"
-                raise refuse(f"scene '{path}'", got, f"up to {LONGEST_VALUE}")
+                raise invalid(f"scene '{path}'", got, f"up to {MAX_VALUE}")
             value = re.sub(rf"(?<!\\)\${re.escape(name)}", self.values[name].replace("\\", r"\\"), value)
         self.left_expanded -= len(value)
         if self.left_expanded < 0:
-            raise refuse(f"scene '{path}'", "parameters in more places than can be", f"{MOST_EXPANDED} characters in all")
+            raise invalid(f"scene '{path}'", "parameters in more places than can be", f"{MAX_EXPANDED} characters in all")
         return value.replace("\\$", "$")
 
 
@@ -70,7 +70,7 @@ def judge_scene(path: Path, given: dict[str, str]) -> Told:
     given : parameters that the user sets
     """
     if not is_utf8(path):
-        raise refuse("scene", f"'{path}'", "a path in UTF-8, as Mitsuba takes it", "Rename the file or its folder.")
+        raise invalid("scene", f"'{path}'", "a path in UTF-8, as Mitsuba takes it", "Rename the file or its folder.")
     told = Told(Path(os.path.realpath(path)).parent, given, values=dict(given))
     _judge(path, told, 0)
     return told
@@ -95,7 +95,7 @@ def without_comments(text: str, path: Path) -> str:
             at = tag.end()
         else:
             line = text.count("\n", 0, start) + 1
-            raise refuse("scene", f"'{path}' (line {line}: a tag that does not end)", ALLOWED)
+            raise invalid("scene", f"'{path}' (line {line}: a tag that does not end)", ALLOWED)
         kept.append(text[start:at])
     return "".join(kept) + text[at:]
 
@@ -103,7 +103,7 @@ def without_comments(text: str, path: Path) -> str:
 def _after(text: str, end: str, start: int, path: Path) -> int:
     at = text.find(end, start)
     if at < 0:
-        raise refuse("scene", f"'{path}' (no {end} to the end)", ALLOWED)
+        raise invalid("scene", f"'{path}' (no {end} to the end)", ALLOWED)
     return at + len(end)
 
 
@@ -116,8 +116,8 @@ def _judge(path: Path, told: Told, includes_deep: int) -> None:
     def begins(tag: str, attributes: dict[str, str]) -> None:
         nonlocal deep
         deep += 1
-        if deep > DEEPEST:
-            raise refuse(f"scene '{path}'", f"elements nested more than {DEEPEST} deep", f"at most {DEEPEST}")
+        if deep > MAX_DEPTH:
+            raise invalid(f"scene '{path}'", f"elements nested more than {MAX_DEPTH} deep", f"at most {MAX_DEPTH}")
         _judge_element(tag, attributes, path, told, includes_deep)
 
     def ends(_: str) -> None:
@@ -125,7 +125,7 @@ def _judge(path: Path, told: Told, includes_deep: int) -> None:
         deep -= 1
 
     def has_document_type(*_: Any) -> None:
-        raise refuse(f"scene '{path}'", "a DOCTYPE", "none", "Leave it out, with the entities that it declares.")
+        raise invalid(f"scene '{path}'", "a DOCTYPE", "none", "Leave it out, with the entities that it declares.")
 
     parser = expat.ParserCreate("utf-8")
     parser.StartElementHandler, parser.EndElementHandler = begins, ends
@@ -133,7 +133,7 @@ def _judge(path: Path, told: Told, includes_deep: int) -> None:
     try:
         parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
-        raise refuse("scene", f"'{path}' ({error})", ALLOWED) from None
+        raise invalid("scene", f"'{path}' ({error})", ALLOWED) from None
 
 
 def _judge_element(tag: str, attributes: dict[str, str], path: Path, told: Told, includes_deep: int) -> None:
@@ -142,19 +142,19 @@ def _judge_element(tag: str, attributes: dict[str, str], path: Path, told: Told,
     if tag == "default" and "name" in own:
         told.defaults.setdefault(own["name"], own.get("value", ""))
         told.values.setdefault(own["name"], own.get("value", ""))
-        if len(told.values) > MOST_PARAMETERS:
-            raise refuse(f"scene '{path}'", f"more than {MOST_PARAMETERS} parameters", f"up to {MOST_PARAMETERS}")
+        if len(told.values) > MAX_PARAMETERS:
+            raise invalid(f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}")
     elif tag == "include":
         told.includes += 1
-        if told.includes > MOST_INCLUDES or includes_deep >= DEEPEST_INCLUDE:
-            got = "includes without end" if includes_deep >= DEEPEST_INCLUDE else f"more than {MOST_INCLUDES} includes"
-            raise refuse(f"scene '{path}'", got, f"{MOST_INCLUDES} in all, {DEEPEST_INCLUDE} in each other")
+        if told.includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
+            got = "includes without end" if includes_deep >= MAX_INCLUDE_DEPTH else f"more than {MAX_INCLUDES} includes"
+            raise invalid(f"scene '{path}'", got, f"{MAX_INCLUDES} in all, {MAX_INCLUDE_DEPTH} in each other")
         _judge(_included(own.get("filename", ""), written, path, told), told, includes_deep + 1)
     elif tag == "spectrum" and "filename" in own:
         for folder in (path.parent, told.folder, Path()):
-            judge_asset(folder / own["filename"], "spectrum", LARGEST_SPECTRUM)
+            judge_asset(folder / own["filename"], "spectrum", MAX_SPECTRUM)
     elif tag == "path":
-        raise refuse(f"scene '{path}'", f'<path value="{own.get("value", "")}"/>', "none", "Name files with their folders.")
+        raise invalid(f"scene '{path}'", f'<path value="{own.get("value", "")}"/>', "none", "Name files with their folders.")
 
 
 def _included(name: str, written: str, path: Path, told: Told) -> Path:
@@ -164,11 +164,11 @@ def _included(name: str, written: str, path: Path, told: Told) -> Path:
     inside = any(Path(os.path.realpath(found)).is_relative_to(os.path.realpath(folder)) for folder in (told.folder, Path()))
     if not (inside or any(f"${parameter}" in written for parameter in told.given)):
         mend = "Put the file beside the scene, or name it by a parameter, -D part=FILE."
-        raise refuse(f"scene '{path}'", f'<include filename="{name}"/>', f"files in '{told.folder}' and below", mend)
+        raise invalid(f"scene '{path}'", f'<include filename="{name}"/>', f"files in '{told.folder}' and below", mend)
     return found
 
 
-def judge_asset(path: Path, what: str, most_bytes: int = LARGEST_ASSET) -> None:
+def judge_asset(path: Path, what: str, most_bytes: int = MAX_ASSET) -> None:
     """PixsimError for a spectrum, texture or mesh that is there, but is no file, cannot be read, or is too large."""
     if os.path.lexists(path):
         size_of(path, what, "a readable file", most_bytes)
@@ -185,5 +185,5 @@ def judge_tree(nodes: list[list[int]]) -> None:
             below[index] = max((below[child] + 1 for child in nodes[index]), default=0)
     except CycleError:
         raise PixsimError("scene: got references in a circle; allowed: none that lead back to where they begin.") from None
-    if max(below, default=0) > DEEPEST:
-        raise refuse("scene", f"nodes that refer to others {max(below)} deep", f"at most {DEEPEST}")
+    if max(below, default=0) > MAX_DEPTH:
+        raise invalid("scene", f"nodes that refer to others {max(below)} deep", f"at most {MAX_DEPTH}")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.spectral import grid_nm
 
 
@@ -26,7 +26,7 @@ def import_mitsuba(variant: str) -> Any:
             mi.set_variant(variant)
         except ImportError as error:
             reason = " ".join(str(error).split())
-            raise refuse("variant", f"'{variant}' ({reason})", "one that runs here", "Leave out --variant.") from None
+            raise invalid("variant", f"'{variant}' ({reason})", "one that runs here", "Leave out --variant.") from None
     if dr.thread_count() < 2:
         dr.set_thread_count(2)  # Mitsuba 3.9 waits for ever for an EXR texture in a pool of one
     return mi
@@ -76,7 +76,7 @@ def children(node: Any, state: Any) -> dict[str, int]:
         elif kind == "Reference":
             name = node.props[key].id()
             if name not in state.id_to_index:
-                raise refuse("scene", f"a reference to '{name}', which does not exist", "ids of the scene's nodes")
+                raise invalid("scene", f"a reference to '{name}', which does not exist", "ids of the scene's nodes")
             found[key] = state.id_to_index[name]
     return found
 

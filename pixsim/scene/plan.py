@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import photons_per_joule, photopic_efficiency
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
@@ -154,7 +154,7 @@ def make_render_plan(
     Raises PixsimError for emitters that are negative or not finite, and for a tolerance that is not positive.
     """
     if not 0 < tolerance_e < 1:
-        raise refuse("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1: a relative error of mean electrons")
+        raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1: a relative error of mean electrons")
     camera = camera or scene.camera()
     state = scene.for_camera(camera)
     sensor = sensor_node(state, scene.sensor_id)[1]
@@ -163,7 +163,7 @@ def make_render_plan(
     lamps = checked_lamps(find_lamps(state, scene.choice.variant))
     surfaces = find_surfaces(state, scene.choice.variant)
     if not lamps:
-        raise refuse("scene", "no emitter that shines", "a lamp, a chart or a sky with light", "Is its scale above 0?")
+        raise invalid("scene", "no emitter that shines", "a lamp, a chart or a sky with light", "Is its scale above 0?")
     integrator, met, bounces = decide_bounces(state, bodies, full)
     lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
     by_index, tables = decide_tables(state, full)
@@ -181,7 +181,7 @@ def make_render_plan(
         ranges = ", ".join(surfaces.short)
         told.append(f"reflectance tables of {ranges}: Mitsuba takes 0 outside; extend them to 360-830 nm")
     if bound_e > tolerance_e:
-        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MOST_BANDS} of them, are the finest"
+        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MAX_BANDS} of them, are the finest"
         told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
     return Plan(

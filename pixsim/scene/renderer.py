@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, strips
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, content_hash
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
@@ -96,11 +96,11 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
         lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
     how = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
     tree = hash_of_tree(state, scene.path.parent)
-    made_by = cache.made_by("mitsuba", "drjit")
-    return content_hash([tree, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, how, seed, made_by])
+    version_fingerprint = cache.version_fingerprint("mitsuba", "drjit")
+    return content_hash([tree, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, how, seed, version_fingerprint])
 
 
-class KeptRenders:
+class CachedRenders:
     """The runs of one job: as many are kept as fit into one entry's share of the cache, those made first."""
 
     def __init__(self, job: str) -> None:
@@ -119,7 +119,7 @@ class KeptRenders:
         self.size_bytes += sum(each.nbytes for each in pictures)
         if cache.has_room(self.size_bytes):
             named = {f"light{number}": each for number, each in enumerate(pictures)}
-            cache.keep_arrays(KIND, self._key(index, level), {"spp": np.array(spp), **named})
+            cache.store_arrays(KIND, self._key(index, level), {"spp": np.array(spp), **named})
 
     def runs_in_time(self, limits: str) -> int | None:
         """After how many runs the clock ended the job under the same limits, or None: the clock would not say so twice."""
@@ -127,7 +127,7 @@ class KeptRenders:
         return None if content is None else int(content["runs"])
 
     def keep_runs_in_time(self, limits: str, runs: int) -> None:
-        cache.keep_arrays(KIND, f"{self.job}-{limits}", {"runs": np.array(runs)})
+        cache.store_arrays(KIND, f"{self.job}-{limits}", {"runs": np.array(runs)})
 
     def _key(self, index: int, level: int) -> str:
         return f"{self.job}-{level}-{index}"
@@ -196,12 +196,12 @@ class Renderer:
         sides = [("resolution", side, ALLOWED_RESOLUTION) for side in (max(self.size), min(self.size))]
         for name, value, (low, high) in (*sides, ("spp", plan.spp, ALLOWED_SPP)):
             if not low <= value <= high:
-                raise refuse(name, value, f"{low} to {high}")
+                raise invalid(name, value, f"{low} to {high}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
         self.scalar = scene.choice.variant.startswith("scalar")
         self.sensor = self._sensor(node)
-        self.kept = KeptRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
+        self.kept = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
 
     @cached_property
     def _loaded(self) -> list[tuple[Any, Any]]:
@@ -284,7 +284,7 @@ class Renderer:
         if not any(picture.any() for picture in pictures):
             where = "is the chart turned away, behind the camera, hidden by hide_emitters, or unlit?"
             mend = f"Lamps and charts shine to one side only: {where}"
-            raise refuse("rendered picture", "black everywhere", "some light", mend)
+            raise invalid("rendered picture", "black everywhere", "some light", mend)
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
@@ -330,10 +330,10 @@ class Renderer:
 def _checked(values: Array, channels: int) -> Array:
     """PixsimError for what is no light."""
     if values.shape[2] != channels:
-        raise refuse("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
+        raise invalid("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
     if not np.isfinite(values).all() or values.min() < 0:
         mend = "Check the scene's spectra and textures."
-        raise refuse("rendered picture", "NaN, infinite or negative values", "finite light", mend)
+        raise invalid("rendered picture", "NaN, infinite or negative values", "finite light", mend)
     return values
 
 

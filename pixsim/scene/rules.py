@@ -148,7 +148,7 @@ BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance
 BLURRED_EDGE = 2 / (3 * math.pi)
 AIRY_DIAMETER = 2.44  # first dark ring over λN (Goodman)
 UNLIMITED = -1
-LEAST_OF_A_PATH = 16  # samples: of 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
+MIN_OF_A_PATH = 16  # samples: of 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
 ALIGNED = 1e-6  # of a chart's half width: so little may be off the axis, turned or short
 # Emitters that a pinhole sees as the lens does: they shine alike to all sides, or cannot be seen.
 ALIKE = ("area", "constant", "point", "spot", "directional", "projector")
@@ -279,15 +279,15 @@ def decide_samples(
     subject = "texture samples"
     if full or explicit:
         return most, Decision(subject, True, f"{most} a film cell, as {'the scene says' if full else 'asked for'}")
-    if chart is None and most < LEAST_OF_A_PATH:
-        told = f"{LEAST_OF_A_PATH} a film cell, the scene says {most}: with so few, multijitter makes paths too dark"
-        return LEAST_OF_A_PATH, Decision(subject, True, told)
+    if chart is None and most < MIN_OF_A_PATH:
+        told = f"{MIN_OF_A_PATH} a film cell, the scene says {most}: with so few, multijitter makes paths too dark"
+        return MIN_OF_A_PATH, Decision(subject, True, told)
     if chart is None:
         told = f"{most} a film cell, as the scene says: edges and depth are known to the renderer only"
         if passes == 1:
             return most, Decision(subject, True, told)
         # Passes have seeds of their own, and the sum over bands averages their noise.
-        each = next((count for count in SAMPLE_COUNTS if count >= max(most / passes, LEAST_OF_A_PATH)), most)
+        each = next((count for count in SAMPLE_COUNTS if count >= max(most / passes, MIN_OF_A_PATH)), most)
         each = min(each, most)
         saved = f"{each} of {most} samples a pass" if each < most else ""
         return each, Decision(subject, each == most, f"{told}; shared by {passes} passes, {each} each", saved)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from pixsim.base.errors import PixsimError, did_you_mean, refuse
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
 from pixsim.scene import variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, texture_files
@@ -118,10 +118,10 @@ def load_scene(
     path = packaged_scenes().get(str(scene)) or Path(scene)
     if path.suffix == ".toml":
         mend = f"The file of a sensor goes with a scene: pixsim run csf --config {path}"
-        raise refuse("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", mend)
+        raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", mend)
     if not os.path.lexists(path) or path.is_dir():
         known = packaged_scenes()
-        raise refuse("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
+        raise invalid("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     given = {name: str(value) for name, value in parameters.items()}
     told = judge_scene(path, given)
@@ -131,11 +131,11 @@ def load_scene(
     if wrong := [name for name in given if name not in allowed]:
         near = difflib.get_close_matches(wrong[0], allowed, 1)
         mend = f"Did you mean '{near[0]}'?" if near else ""
-        raise refuse("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), mend)
+        raise invalid("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), mend)
     own_white = told.defaults.get(WHITE)
     if white is not None and own_white is None:
         got = f"'{white}', but '{path.name}' has no such <default>"
-        raise refuse(WHITE, got, "scenes that have", "Set display.white_cd_per_m2.")
+        raise invalid(WHITE, got, "scenes that have", "Set display.white_cd_per_m2.")
     shown = own_white if white is None else white
     choice = variants.choose(variant)
     loaded = Scene(path.resolve(), given, names, sensor, choice, None if shown is None else _positive(WHITE, shown))
@@ -157,11 +157,11 @@ def _with_luminance(scene: Scene, luminance: object) -> Scene:
     value = _positive(LUMINANCE, luminance)
     if EMITTER_SCALE not in scene.names:
         got = f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}"
-        raise refuse(LUMINANCE, got, f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>')
+        raise invalid(LUMINANCE, got, f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>')
     unit = parse(scene.path, scene.choice.variant, {**scene.parameters, EMITTER_SCALE: "1"})
     lamp = find_lamp(unit, scene.choice.variant)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
-        raise refuse(LUMINANCE, f"{value:g}, but the luminance of the emitters is not known", "one lamp spectrum above zero")
+        raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is not known", "one lamp spectrum above zero")
     scale = repr(value / lamp.luminance_cd_per_m2)
     return replace(scene, parameters={**scene.parameters, EMITTER_SCALE: scale})
 
@@ -172,7 +172,7 @@ def _positive(name: str, value: object) -> float:
     except ValueError:
         number = math.nan
     if not (0 < number < math.inf):
-        raise refuse(name, repr(value), "a positive number")
+        raise invalid(name, repr(value), "a positive number")
     return number
 
 
@@ -182,23 +182,23 @@ def check_supported(state: Any) -> None:
     for name in integrators:
         if name not in INTEGRATORS:
             mend = 'Write <integrator type="path"/>; polarisation, depth and AOVs are no light on a sensor.'
-            raise refuse("integrator", f"'{name}'", ", ".join(INTEGRATORS), mend)
+            raise invalid("integrator", f"'{name}'", ", ".join(INTEGRATORS), mend)
     for _, node in nodes_of(state, "Sensor"):
         if any(state.nodes[index].type.name == "Medium" for index in children(node, state).values()):
-            raise refuse("sensor", "a camera in a medium", "one in air", "Let the medium begin in front of the lens.")
+            raise invalid("sensor", "a camera in a medium", "one in air", "Let the medium begin in front of the lens.")
     for _, node in nodes_of(state, "Film"):
         cropped = [name for name in node.props.keys() if name.startswith("crop_")]  # noqa: SIM118
         if cropped:
-            raise refuse("film", ", ".join(cropped), "a whole film", "Leave the crop out: the die is what the film shows.")
+            raise invalid("film", ", ".join(cropped), "a whole film", "Leave the crop out: the die is what the film shows.")
     if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
         got = f"a participating medium with {integrators or 'no integrator'}"
-        raise refuse("scene", got, "volpath or volpathmis with media", 'Write <integrator type="volpath"/>.')
+        raise invalid("scene", got, "volpath or volpathmis with media", 'Write <integrator type="volpath"/>.')
     for _, node in nodes_of(state, "BSDF"):
         for name in ("int_ior", "ext_ior"):
             if name in node.props and node.props.type(name).name not in ("Float", "Integer", "String"):
                 allowed = "one index for all wavelengths, as Mitsuba's dielectrics have"
                 what, mend = f"{node.props.plugin_name()}.{name}", "Give the index at 589 nm."
-                raise refuse(what, "a spectrum: dispersive glass", allowed, mend)
+                raise invalid(what, "a spectrum: dispersive glass", allowed, mend)
 
 
 def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
@@ -209,18 +209,18 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
         sensors = [(index, node) for index, node in sensors if node.props.id() == sensor_id]
     if len(sensors) != 1:
         got = "no sensor" if not ids else f"sensors {ids}" + (f", none named '{sensor_id}'" if sensor_id else "")
-        raise refuse("scene", got, "one thinlens sensor", "Name one of several: --sensor ID." if ids else "")
+        raise invalid("scene", got, "one thinlens sensor", "Name one of several: --sensor ID." if ids else "")
     index, node = sensors[0]
     plugin = node.props.plugin_name()
     if plugin != "thinlens":
         mend = 'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.'
-        raise refuse("sensor", f"'{plugin}'", "thinlens: a pixel's exposure and blur need an aperture", mend)
+        raise invalid("sensor", f"'{plugin}'", "thinlens: a pixel's exposure and blur need an aperture", mend)
     for offset in ("principal_point_offset_x", "principal_point_offset_y"):
         if sensor_offset := float(node.props.get(offset, 0.0)):
-            raise refuse("sensor", f"{offset} = {sensor_offset:g}", "0: the die is centred on the axis of the lens")
+            raise invalid("sensor", f"{offset} = {sensor_offset:g}", "0: the die is centred on the axis of the lens")
     for needed in ("aperture_radius", "focus_distance"):
         if needed not in node.props:
-            raise refuse("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")
+            raise invalid("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")
     return index, node
 
 
@@ -244,7 +244,7 @@ def _whole(node: Any, name: str, default: int) -> int:
         return default
     value = node.props[name]
     if not isinstance(value, int):
-        raise refuse(f"{node.props.plugin_name()}.{name}", value, "a whole number")
+        raise invalid(f"{node.props.plugin_name()}.{name}", value, "a whole number")
     return value
 
 
@@ -258,10 +258,10 @@ def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
     elif "fov" in sensor.props:
         fov_deg = _positive("fov", sensor.props["fov"])
         if fov_deg >= 180:
-            raise refuse("fov", f"{fov_deg:g}", "between 0 and 180 degrees")
+            raise invalid("fov", f"{fov_deg:g}", "between 0 and 180 degrees")
         half = math.tan(math.radians(fov_deg) / 2)
     else:
-        raise refuse("sensor", "a thinlens without fov", "fov, aperture_radius and focus_distance")
+        raise invalid("sensor", "a thinlens without fov", "fov, aperture_radius and focus_distance")
     vertical = axis == "y" or (axis == "smaller" and aspect > 1) or (axis == "larger" and aspect < 1)
     factor = aspect if vertical else 1 / math.hypot(1, 1 / aspect) if axis == "diagonal" else 1.0
     return math.degrees(2 * math.atan(half * factor))

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
@@ -151,7 +151,7 @@ def find_llvm() -> tuple[str | None, str]:
             return path, f"{origin}, LLVM {library.version}"
         if origin == LLVM_VARIABLE:
             mend = f"Unset it and install the wheel: pip install {LLVM_WHEEL}."
-            raise refuse(LLVM_VARIABLE, f"'{path}', which {library.fault}", f"LLVM {OLDEST_LLVM} or newer", mend)
+            raise invalid(LLVM_VARIABLE, f"'{path}', which {library.fault}", f"LLVM {OLDEST_LLVM} or newer", mend)
     return None, f"no LLVM {OLDEST_LLVM} or newer was found"
 
 
@@ -163,14 +163,14 @@ def choose(asked: str | None = None) -> Choice:
     or for an LLVM variant without a usable LLVM.
     """
     if asked is not None and asked not in VARIANTS:
-        raise refuse("variant", f"'{asked}'", ", ".join(VARIANTS))
+        raise invalid("variant", f"'{asked}'", ", ".join(VARIANTS))
     if asked in ("scalar_spectral", "cuda_ad_spectral"):
         return Choice(asked, None, "asked for")
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
         # Too late to choose a library: scalar never touches one.
         mend = "import pixsim.scene.renderer before mitsuba and drjit, or set " + LLVM_VARIABLE
         if asked is not None:
-            raise refuse("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {mend}.")
+            raise invalid("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {mend}.")
         why = "Mitsuba was imported before its LLVM was judged"
         warnings.warn(f"rendering with scalar_spectral, since {why}; {mend}", stacklevel=2)
         return Choice("scalar_spectral", None, "Mitsuba was imported before pixsim could judge its LLVM")
@@ -181,6 +181,6 @@ def choose(asked: str | None = None) -> Choice:
         return Choice("llvm_ad_spectral", path, reason)
     mend = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if asked is not None:
-        raise refuse("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {mend}.")
+        raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {mend}.")
     warnings.warn(f"rendering with scalar_spectral, since {reason}; {mend}", stacklevel=2)
     return Choice("scalar_spectral", None, reason)

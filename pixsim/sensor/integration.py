@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, strips
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.diffraction import diffract_sum
@@ -42,13 +42,13 @@ class Columns:
     columns: Callable[[int, int], ArrayLike]
 
 
-def along(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
+def map_columns(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
     """What `of_columns`, (which, (n, columns)) -> (count, columns), makes of a picture (H, W) along an axis, strip by strip.
 
     Beside the picture and the result only a strip is in memory.
     """
     if axis == 1 and not isinstance(picture, Columns):
-        return along(picture.T, 0, count, of_columns).T
+        return map_columns(picture.T, 0, count, of_columns).T
     found = np.empty((count, picture.shape[1]))
     for which in strips(picture.shape[1], 1, STRIP_COLUMNS):
         strip = picture.columns(which.start, which.stop) if isinstance(picture, Columns) else picture[:, which]
@@ -114,22 +114,22 @@ def spline_coefficients(samples: Array) -> Array:
 
 def running_integral(samples: Array) -> Array:
     """`spline_coefficients` of all columns of a picture (n, columns), strip by strip."""
-    return along(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
+    return map_columns(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
 
 
-def is_steep(samples: Array) -> bool:
+def has_hard_edge(samples: Array) -> bool:
     """Whether light changes by more than `EDGE_CONTRAST` : 1 from one sample of a column to the next."""
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
 
 
-def rising(running: Array, edges: Array) -> Array:
+def make_monotonic(running: Array, edges: Array) -> Array:
     """The running integral of what is nowhere negative, never falling from one edge to the next; sums stay as they are."""
     order = np.argsort(edges, kind="stable")
     return np.maximum.accumulate(running[order])[np.argsort(order, kind="stable")]
 
 
-def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
+def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     """The running integral at `edges` (in samples), limited to what the light within each cell can be.
 
     A cell's light lies within the range of itself and its neighbours, by half of that range on either side (so that the
@@ -147,7 +147,7 @@ def without_ringing(running: Array, samples: Array, edges: Array) -> Array:
 
 
 M2_PER_UM2 = 1e-12
-MOST_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
+MAX_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
 
 
 def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
@@ -184,9 +184,9 @@ def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
 
 
 def pixel_count(length_um: float, pitch_um: float) -> int:
-    """⌊length/pitch⌋; a pitch that divides the length but for rounding counts as dividing it. At most `MOST_PIXELS`."""
+    """⌊length/pitch⌋; a pitch that divides the length but for rounding counts as dividing it. At most `MAX_PIXELS`."""
     pixels = length_um / pitch_um * (1 + 1e-9)
-    refuse_too_many([pixels], pitch_um)
+    check_pixel_count([pixels], pitch_um)
     return math.floor(pixels)
 
 
@@ -194,14 +194,14 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
     """`pixel_count`; PixsimError where not one pixel fits."""
     count = pixel_count(length_um, pitch_um)
     if count < 1:
-        raise refuse("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm")
+        raise invalid("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm")
     return count
 
 
-def refuse_too_many(shape: Iterable[float], pitch_um: float) -> None:
+def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
     """PixsimError for more pixels than memory holds."""
-    if (pixels := math.prod(shape)) > MOST_PIXELS:
-        raise refuse("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MOST_PIXELS:.3g} pixels")
+    if (pixels := math.prod(shape)) > MAX_PIXELS:
+        raise invalid("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MAX_PIXELS:.3g} pixels")
 
 
 def integrate_axis(
@@ -221,16 +221,16 @@ def integrate_axis(
 
     def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
         sums = at_edges @ (spline_coefficients(strip) if running is None else running[:, which])
-        low, high = np.split(rising(without_ringing(sums, strip, edges), edges) if limited else sums, 2)
+        low, high = np.split(make_monotonic(limit_overshoot(sums, strip, edges), edges) if limited else sums, 2)
         found = high - low
         below_zero.append(bool(strip.min() < 0))
-        ringing.append(bool(found.min() < 0) or is_steep(strip))
+        ringing.append(bool(found.min() < 0) or has_hard_edge(strip))
         return found * sample_pitch_um
 
-    found = along(samples, axis, low_um.size, integrals)
+    found = map_columns(samples, axis, low_um.size, integrals)
     if any(ringing) and not any(below_zero):
         del found
-        return along(samples, axis, low_um.size, partial(integrals, limited=True))
+        return map_columns(samples, axis, low_um.size, partial(integrals, limited=True))
     return found
 
 
@@ -252,7 +252,7 @@ def integrate_pixels(
     Returns (rows, columns), rows = ⌊H · sample pitch / pitch⌋. Beside the picture, (rows, W) and the result are in memory.
     Raises PixsimError where not one pixel fits.
     """
-    refuse_too_many([pixel_count(n * sample_pitch_um, pitch_um) for n in rate.shape], pitch_um)
+    check_pixel_count([pixel_count(n * sample_pitch_um, pitch_um) for n in rate.shape], pitch_um)
     y_um, x_um = (photodiode_edges_um(n * sample_pitch_um, pitch_um, photodiode_side_um) for n in rate.shape)
     down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)
     return integrate_axis(down, sample_pitch_um, *x_um, 1)

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Pixel
 from pixsim.sensor.pixel import E_PER_FC, Diode, PixelPhysics, derive
 
@@ -53,7 +53,7 @@ def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
     """
     physics = derive(pixel) if isinstance(pixel, Pixel) else pixel
     if physics.diode is None:
-        raise refuse("photodiode", f"the pinned one of {physics.technology.name}", "those of 3T pixels")
+        raise invalid("photodiode", f"the pinned one of {physics.technology.name}", "those of 3T pixels")
     return physics.diode
 
 
@@ -85,7 +85,7 @@ def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike
     current, time_s = np.asarray(photocurrent_e_per_s, float), np.asarray(integration_s, float)
     for name, values in (("photocurrent_e_per_s", current), ("integration_s", time_s)):
         if (wrong := values[~(np.isfinite(values) & (values >= 0))]).size:
-            raise refuse(name, wrong[0], "finite numbers, not below 0")
+            raise invalid(name, wrong[0], "finite numbers, not below 0")
     current, time_s = np.broadcast_arrays(current, time_s)
     return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
 
@@ -191,12 +191,12 @@ LINEAR_WITHIN = 1e-6  # of the well: what the linear law may be off below `linea
 LINEAR_SHARE = 0.9  # of `linear_limit_e`, where a table begins: the diode has taken 1e-8 of the well
 TABLE_WITHIN = 8e-7  # of the well, between two entries
 FIRST_ENTRIES = 129  # below and beyond the knee, before intervals are halved
-MOST_KEPT = 4.0  # wells: levels end there, beyond the ADC's top code whatever the offsets; all knees are below
-MOST_GENERATED = 1e20  # of the well, where the table ends: 1e17 e-/s fill 1e3 e- so often in 10 h
+MAX_KEPT = 4.0  # wells: levels end there, beyond the ADC's top code whatever the offsets; all knees are below
+MAX_GENERATED = 1e20  # of the well, where the table ends: 1e17 e-/s fill 1e3 e- so often in 10 h
 SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well, for the limit
 
 
-def kept_charge_e(generated_e: Array, integration_s: float, diode: Diode) -> Array:
+def stored_charge_e(generated_e: Array, integration_s: float, diode: Diode) -> Array:
     """f_t: charge that stays of what light and dark current together generate in a time, in the shape of `generated_e`."""
     total = np.asarray(generated_e, float) / integration_s
     return charge_from_total_e(total, np.full(total.shape, integration_s), diode)
@@ -218,7 +218,7 @@ def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> fl
     low, high = (each * full_well_e for each in SEARCHED)
     for _ in range(4):  # each narrows the interval 256 times
         grid = np.geomspace(low, high, 257)
-        lost = grid - kept_charge_e(grid, integration_s, diode)
+        lost = grid - stored_charge_e(grid, integration_s, diode)
         below = max(int(np.searchsorted(np.maximum.accumulate(lost), LINEAR_WITHIN * full_well_e, "right")) - 1, 0)
         low, high = float(grid[below]), float(grid[min(below + 1, 256)])
     return low
@@ -265,15 +265,15 @@ def level_table(diode: Diode, full_well_e: float, integration_s: float | None, b
 
     def level(log_generated: Array) -> Array:
         generated_e = np.exp(log_generated)
-        kept = generated_e if integration_s is None else kept_charge_e(generated_e, integration_s, diode)
-        kept = np.minimum(kept, MOST_KEPT * full_well_e)
+        kept = generated_e if integration_s is None else stored_charge_e(generated_e, integration_s, diode)
+        kept = np.minimum(kept, MAX_KEPT * full_well_e)
         return converted_e(kept, full_well_e, diode) if bent else kept
 
     first_e, last_e = LINEAR_WITHIN * full_well_e, full_well_e
     if integration_s is not None:
-        last_e = MOST_GENERATED * full_well_e
+        last_e = MAX_GENERATED * full_well_e
         first_e = first_e if bent else LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
-    knee = np.linspace(np.log(first_e), np.log(min(MOST_KEPT * full_well_e, last_e)), FIRST_ENTRIES)
+    knee = np.linspace(np.log(first_e), np.log(min(MAX_KEPT * full_well_e, last_e)), FIRST_ENTRIES)
     beyond = np.linspace(knee[-1], np.log(last_e), FIRST_ENTRIES)[1:] if last_e > full_well_e else knee[:0]
     return LevelTable(*refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e)
 
@@ -289,7 +289,7 @@ def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
     return linear_limit_e(physics.diode, physics.full_well_e, integration_s)
 
 
-def kept_level_e(generated_e: Array, integration_s: float, physics: PixelPhysics) -> Array:
+def stored_signal_e(generated_e: Array, integration_s: float, physics: PixelPhysics) -> Array:
     """Level in electrons of each pixel's generated charge (light and dark), by the pixel's well limit and conversion.
 
     A picture whose brightest pixel stays below `linear_limit_e` is taken as it is, unless V(Q) is bent.

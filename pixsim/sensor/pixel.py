@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
-from pixsim.base.parameters import SMALLEST_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
+from pixsim.base.errors import invalid
+from pixsim.base.parameters import MIN_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
 
@@ -81,9 +81,9 @@ class Diode:
         for name, value in vars(self).items():
             positive = name in ("pb_v", "pbsw_v", "reset_voltage_v", "temperature_k")
             if not math.isfinite(value) or value < 0 or (positive and value == 0):
-                raise refuse(f"diode {name}", value, "finite and above 0" if positive else "finite and not below 0")
+                raise invalid(f"diode {name}", value, "finite and above 0" if positive else "finite and not below 0")
         if max(self.mj, self.mjsw) >= 1 or self.capacitance_ff(0.0) <= 0:
-            raise refuse("diode", self, "grading coefficients below 1, and some capacitance")
+            raise invalid("diode", self, "grading coefficients below 1, and some capacitance")
 
     @property
     def thermal_v(self) -> float:
@@ -213,7 +213,7 @@ def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_p
         for name, allowed in (("capacitance", "mosis"), ("well_limit", "swing"), ("conversion", "linear")):
             if (value := getattr(pixel, name)) != allowed:
                 told = f"'{allowed}', or a 3T technology: a pinned photodiode's well is given, and its charge is handed over"
-                raise refuse(f"pixel.{name}", f"'{value}' for {technology.name}", told)
+                raise invalid(f"pixel.{name}", f"'{value}' for {technology.name}", told)
         return Well(technology.full_well_e_per_um2 * area_um2)
     own = junction.model_dump(exclude={"voltage_swing_v"})
     if pixel.capacitance == "paper":
@@ -263,7 +263,7 @@ def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> floa
     Raises PixsimError for a fill factor at or above the technology's limit.
     """
     if not 0 < fill_factor < technology.fill_factor_limit:
-        raise refuse("fill factor", fill_factor, f"0 to {technology.fill_factor_limit} (limit of {technology.name})")
+        raise invalid("fill factor", fill_factor, f"0 to {technology.fill_factor_limit} (limit of {technology.name})")
     p0_um, inset_um = smallest_pitch_um(technology), technology.fill_factor_inset_features * technology.feature_size_um
     limit = technology.fill_factor_limit
     # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
@@ -401,7 +401,7 @@ class PixelPhysics:
         dark_e = self.dark_current_e_per_s * integration_s
         if dark_e >= self.full_well_e:
             allowed, mend = f"less than the well, {self.full_well_e:.4g} e-", "Integrate for a shorter time or cool the sensor."
-            raise refuse("dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, mend)
+            raise invalid("dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, mend)
         variance_e2 = self._dark_variance_e2(dark_e)
         return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
@@ -412,7 +412,7 @@ class PixelPhysics:
         """
         if signal_e <= 0:
             if signal_e < 0:
-                raise refuse("signal_e", signal_e, "0 or more electrons")
+                raise invalid("signal_e", signal_e, "0 or more electrons")
             return -math.inf
         dark_e = self.dark_current_e_per_s * integration_s
         return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
@@ -430,15 +430,15 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
     if measured_um is None:
         return 1.0
     fill_factor = pixel.fill_factor or float(fill_factor_law(measured_um, technology))
-    if fill_factor < SMALLEST_FRACTION:
+    if fill_factor < MIN_FRACTION:
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
-        raise refuse("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
+        raise invalid("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
     growth = area_um2 / (fill_factor * measured_um**2)
     low_e, high_e = WELL_RANGE_E
     if pixel.full_well_e is not None and not low_e <= growth * pixel.full_well_e <= high_e:
         scaled_e = growth * pixel.full_well_e
         found = f"{pixel.pitch_um:g}, where {pixel.full_well_e:g} electrons at {measured_um:g} µm are {scaled_e:.2g}"
-        raise refuse("pixel.pitch_um", found, f"a full well of {low_e:g} to {high_e:g} electrons")
+        raise invalid("pixel.pitch_um", found, f"a full well of {low_e:g} to {high_e:g} electrons")
     return growth
 
 
@@ -458,11 +458,11 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         return otherwise if value is None else value
 
     fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
-    if fill_factor < SMALLEST_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
+    if fill_factor < MIN_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
         usual = min(0.05, technology.fill_factor_limit / 2)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         mend = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
-        raise refuse("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, mend)
+        raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, mend)
     area_um2 = fill_factor * pixel.pitch_um**2
     factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
     warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
@@ -512,5 +512,5 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Arra
     Raises PixsimError as `technology_of` does.
     """
     process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
-    fill_factor = study.pixel.fill_factor or np.maximum(fill_factor_law(pitch_um, process), SMALLEST_FRACTION)
+    fill_factor = study.pixel.fill_factor or np.maximum(fill_factor_law(pitch_um, process), MIN_FRACTION)
     return np.asarray(np.sqrt(fill_factor) * pitch_um)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import DAMAGE, read_arrays
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import judge_picture, size_of
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.readout import Frame
@@ -103,7 +103,7 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     path = Path(path)
     writers = {".exr": _write_exr, ".npz": _write_npz, ".png": _write_png, ".tif": _write_tiff, ".tiff": _write_tiff}
     if path.suffix.lower() not in writers:
-        raise refuse("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
+        raise invalid("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
     writers[path.suffix.lower()](path, np.asarray(frame.dn), facts_of(frame))
 
 
@@ -147,7 +147,7 @@ def _picture(path: Path, dn: NDArray[Any]) -> Any:
 
     if dn.max(initial=0) >= 2**BITS_OF_PICTURES:
         mend = "Write .exr or .npz, which hold them all."
-        raise refuse(f"raw frame '{path}'", f"digital numbers up to {dn.max()}", f"{BITS_OF_PICTURES} bits", mend)
+        raise invalid(f"raw frame '{path}'", f"digital numbers up to {dn.max()}", f"{BITS_OF_PICTURES} bits", mend)
     return Image.fromarray(dn.astype(np.uint16))
 
 
@@ -168,18 +168,18 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     path = Path(path)
     readers = {".exr": _read_exr, ".npz": _read_npz, ".png": _read_picture, ".tif": _read_picture, ".tiff": _read_picture}
     if path.suffix.lower() not in readers:
-        raise refuse("raw frame", f"'{path}'", f"a file that ends in {', '.join(SUFFIXES)}")
+        raise invalid("raw frame", f"'{path}'", f"a file that ends in {', '.join(SUFFIXES)}")
     size_of(path, "raw frame", f"a file that ends in {', '.join(SUFFIXES)}")
     try:
         dn, told = readers[path.suffix.lower()](path)
     except PixsimError:
         raise
     except DAMAGE as error:
-        raise refuse("raw frame", f"'{path}' ({' '.join(str(error).split())})", "a readable file of digital numbers") from None
+        raise invalid("raw frame", f"'{path}' ({' '.join(str(error).split())})", "a readable file of digital numbers") from None
     if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
-        raise refuse(f"raw frame '{path}'", f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
+        raise invalid(f"raw frame '{path}'", f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
     if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**32 and (dn == np.floor(dn)).all()):
-        raise refuse(f"raw frame '{path}'", f"values from {dn.min()} to {dn.max()}", "whole numbers from 0 on: digital numbers")
+        raise invalid(f"raw frame '{path}'", f"values from {dn.min()} to {dn.max()}", "whole numbers from 0 on: digital numbers")
     facts: dict[str, Any] = {}
     for name in FACTS:
         with suppress(KeyError, TypeError, ValueError):  # others' text under the same name is none
@@ -192,7 +192,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
 def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     channels, header = read_channels(path)
     if len(channels) != 1:
-        raise refuse(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: the digital numbers")
+        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: the digital numbers")
     told = {name: header[name] if name == "bits" else shortest(header[name]) for name in FACTS if name in header}
     return next(iter(channels.values())), told | _json_of(header.get("facts"))
 
@@ -200,7 +200,7 @@ def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
 def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     arrays = read_arrays(path, "raw frame", "a readable file of digital numbers")
     if "dn" not in arrays and len(arrays) != 1:
-        raise refuse(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, the digital numbers")
+        raise invalid(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, the digital numbers")
     name = "dn" if "dn" in arrays else next(iter(arrays))
     return arrays[name], {fact: arrays[fact] for fact in FACTS if fact in arrays}
 
@@ -213,7 +213,7 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
         if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
             mend = "One of 8 bits is encoded for a display; write the sensor's own numbers, linear in light."
-            raise refuse(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", mend)
+            raise invalid(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", mend)
         told: dict[str, Any] = dict(getattr(image, "text", {}))
         tags = getattr(image, "tag_v2", {})
         levels = {BLACK_LEVEL_TAG: "black_level_dn", WHITE_LEVEL_TAG: "white_level_dn"}

@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.integration import mean_signal_rate, pixels_along, refuse_too_many
-from pixsim.sensor.photodiode import kept_level_e, saturation_level_e
+from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_along
+from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
 # Above this mean NumPy's Poisson is wrong (variance +3.5 % at 1e15) and a rounded normal differs from it by less than
 # 1e-5 in its skewness, which is 1/√mean.
 POISSON_LIMIT_E = 1e9
 BLACK_SIGMAS = 6.0  # of the dark below the black level: a clip at 0 DN destroys the dark's statistics
-MOST_BLACK = 0.5  # of the codes for the black level: more leaves no light to measure
+MAX_BLACK = 0.5  # of the codes for the black level: more leaves no light to measure
 
 
 # --- exposure ---------------------------------------------------------------------------------------------------------
@@ -62,25 +62,25 @@ class Sensor:
     column_offset_e: Array | None = field(repr=False)
 
 
-def draw_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Generator) -> Sensor:
+def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
     PRNU is normal (cut at zero), DSNU gamma-distributed, since a normal one of 0.3 would go negative.
     """
     p = physics
-    gain = _normal(p.prnu, shape, rng)
+    gain = _gaussian_map(p.prnu, shape, rng)
     if gain is not None:
         gain += 1.0
         np.maximum(gain, 0.0, out=gain)
     # A spread below the rounding of 1 leaves a map of ones; 1/dsnu² would overflow.
     uneven_dark = p.dsnu > np.finfo(float).eps and p.dark_current_e_per_s > 0
     dark_gain = rng.gamma(p.dsnu**-2, p.dsnu**2, shape) if uneven_dark else None
-    offset_e = _normal(p.offset_fpn_e, shape, rng)
-    column_offset_e = _normal(p.column_fpn_e, (1, shape[1]), rng)
+    offset_e = _gaussian_map(p.offset_fpn_e, shape, rng)
+    column_offset_e = _gaussian_map(p.column_fpn_e, (1, shape[1]), rng)
     return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
-def _normal(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
+def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
     """A normal of mean 0 and that standard deviation; None, and no numbers drawn, where it is 0."""
     if not spread:
         return None
@@ -101,13 +101,13 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 
     (512, 512)
     """
     if seed < 0:
-        raise refuse("seed", seed, "an integer of 0 and more")
+        raise invalid("seed", seed, "an integer of 0 and more")
     if not 0 < aspect < math.inf:
-        raise refuse("aspect", aspect, "width over height, a finite number above 0")
+        raise invalid("aspect", aspect, "width over height, a finite number above 0")
     physics, die_um = derive(pixel), 1e3 * camera.die_mm
     shape = pixels_along(die_um / aspect, pixel.pitch_um), pixels_along(die_um, pixel.pitch_um)
-    refuse_too_many(shape, pixel.pitch_um)
-    return draw_sensor(physics, shape, np.random.default_rng(seed))
+    check_pixel_count(shape, pixel.pitch_um)
+    return sample_sensor(physics, shape, np.random.default_rng(seed))
 
 
 # --- noise, in the order of the charge --------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
     return np.clip(counts, 0, 2**bits - 1, out=counts).astype(np.int32)
 
 
-def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
+def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
     """One frame from the mean photo-electrons of each pixel, its temporal noise from `rng`: (rows, columns) int32 DN.
 
     PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) → fixed
@@ -186,7 +186,7 @@ def expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.G
 
 
 def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
-    """`expose`, and the fraction of saturated pixels, as `Frame` defines it."""
+    """`read_out`, and the fraction of saturated pixels, as `Frame` defines it."""
     p = sensor.physics
     charge = mean_e if sensor.gain is None else mean_e * sensor.gain
     mean_dark_e = p.dark_current_e_per_s * integration_s
@@ -196,8 +196,8 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
     generated = shot_noise(charge, rng)
     # Counted here: reset noise and negative offsets take half of the full pixels off the top code.
     saturated = generated >= saturation_level_e(integration_s, p)
-    level = kept_level_e(generated, integration_s, p)
-    noise_e = _normal(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng)
+    level = stored_signal_e(generated, integration_s, p)
+    noise_e = _gaussian_map(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng)
     for offset_e in (noise_e, sensor.offset_e, sensor.column_offset_e):
         if offset_e is not None:
             level += offset_e
@@ -247,7 +247,7 @@ def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
     return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
 
 
-def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
+def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
     """A frame from the mean photo-electron rates (rows, columns) of a sensor's pixels, with temporal noise from `rng`.
 
     Raises PixsimError for rates of another shape than the sensor's.
@@ -255,13 +255,13 @@ def capture_rate(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng:
     p = sensor.physics
     if signal_e_per_s.shape != sensor.shape:
         mend = "Make the sensor with the camera and the film's aspect that the irradiance was rendered with."
-        raise refuse("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", mend)
+        raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", mend)
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
     dn, saturated_fraction = _expose(signal_e_per_s * time_s, time_s, sensor, rng)
-    return frame_of(dn, saturated_fraction, signal_e_per_s, p, exposure)
+    return make_frame(dn, saturated_fraction, signal_e_per_s, p, exposure)
 
 
-def frame_of(
+def make_frame(
     dn: NDArray[np.int32], saturated_fraction: float, signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure
 ) -> Frame:
     """Digital numbers with what is known about them, from the mean photo-electron rates that gave them, (rows, columns) both.
@@ -308,4 +308,4 @@ def capture(
     1.0
     """
     rate = mean_signal_rate(irradiance, camera, sensor.physics)
-    return capture_rate(rate, sensor, exposure or Exposure(), rng)
+    return capture_from_rates(rate, sensor, exposure or Exposure(), rng)

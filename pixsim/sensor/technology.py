@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from pixsim.base.config import checked, packaged, read_toml
-from pixsim.base.errors import PixsimError, did_you_mean, one_line, refuse
+from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
 from pixsim.base.parameters import (
     NO_TECHNOLOGY,
     DarkSpread,
@@ -27,30 +27,30 @@ from pixsim.base.parameters import (
 Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
 Grading = Annotated[float, Field(ge=0, le=0.99)]
 Capacitance = Annotated[float, Field(ge=0, le=1e9)]
-LEAST_FF = 1e-6  # an electron would swing it by 160 V
+MIN_FF = 1e-6  # an electron would swing it by 160 V
 
 
 class Junction(Record):
     """An n+/psub photodiode of a 3T pixel, with SPICE's names; capacitances are zero-bias."""
 
     reset_voltage_v: Volts = Field(description="reverse bias after reset, V")
-    voltage_swing_v: Volts = Field(description="of the photodiode, from reset to full, V")
-    cj_ff_per_um2: Capacitance = Field(description="of the area, fF/µm²")
+    voltage_swing_v: Volts = Field(description="voltage swing of the photodiode, from reset to full, V")
+    cj_ff_per_um2: Capacitance = Field(description="junction capacitance of the area, fF/µm²")
     pb_v: Volts = Field(description="built-in potential of the area's junction, V")
     mj: Grading = Field(description="grading coefficient of the area's junction: ½ abrupt, ⅓ linear")
-    cjsw_ff_per_um: Capacitance = Field(description="of the sidewall, fF/µm")
+    cjsw_ff_per_um: Capacitance = Field(description="junction capacitance of the sidewall, fF/µm")
     pbsw_v: Volts = Field(description="built-in potential of the sidewall's junction, V")
     mjsw: Grading = Field(description="grading coefficient of the sidewall's junction")
-    node_capacitance_ff: Capacitance = Field(description="fixed, of the node beside the photodiode, fF")
+    node_capacitance_ff: Capacitance = Field(description="fixed capacitance of the sense node, fF")
 
     @model_validator(mode="after")
     def _keeps_charge_within_its_swing(self) -> Self:
         if self.voltage_swing_v > self.reset_voltage_v:
             raise ValueError(f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}")
-        if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < LEAST_FF:
+        if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < MIN_FF:
             raise ValueError(
                 f"no capacitance keeps a charge: one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff "
-                f"must be at least {LEAST_FF:g}"
+                f"must be at least {MIN_FF:g}"
             )
         return self
 
@@ -58,32 +58,40 @@ class Junction(Record):
 class Technology(Record):
     """A CMOS process, as a pixel sees it. Lengths of the fill-factor law are in units of the feature size."""
 
-    name: str = Field(description="as results spell it")
-    feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="F, which names the process")]
-    junction: Junction | None = Field(None, description="3T: the well is the junction's capacitance times the swing")
-    full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
-        None, description="4T: the well of a pinned photodiode, per its area"
+    name: str = Field(description="name, as results show it")
+    feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="feature size F of the process")]
+    junction: Junction | None = Field(
+        None, description="3T pixel: the full well is the junction's capacitance times the voltage swing"
     )
-    reset_noise_factor: ResetFactor = Field(1.0, description="n in the variance n kTC/q²; 0 for charge transfer with true CDS")
+    full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
+        None, description="4T pixel: full well of the pinned photodiode for each µm² of its area"
+    )
+    reset_noise_factor: ResetFactor = Field(
+        1.0, description="n in the reset noise's variance n kTC/q²; 0 for charge transfer with true correlated double sampling"
+    )
     response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="shape of the quantum efficiency, packaged")
-    dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(description="of the photodiode at 27 °C, nA/cm²")
-    dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)] = Field(description="warmth that doubles it; 4 to 12 in silicon")
-    peak_quantum_efficiency: Fraction = Field(description="electrons per photon on the photodiode where it is largest")
+    dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(
+        description="dark current of the photodiode at 27 °C, nA/cm²"
+    )
+    dark_doubling_k: Annotated[float, Field(ge=1, le=1e6)] = Field(
+        description="temperature rise that doubles the dark current; 4 to 12 K in silicon"
+    )
+    peak_quantum_efficiency: Fraction = Field(description="largest quantum efficiency, electrons per photon on the photodiode")
     prnu: GainSpread = Field(description="standard deviation of the gain over its mean")
     dsnu: DarkSpread = Field(description="standard deviation of the dark current over its mean")
-    offset_fpn: OffsetSpread = Field(description="per pixel, fraction of the full well")
-    column_fpn: OffsetSpread = Field(description="per column, fraction of the full well")
-    read_noise_e: NoiseElectrons = Field(description="temporal, beside the reset noise")
-    fill_factor_limit: Fraction = Field(description="η of the fill-factor law, reached by infinitely large pixels")
+    offset_fpn: OffsetSpread = Field(description="standard deviation of the pixels' offsets, as a fraction of the full well")
+    column_fpn: OffsetSpread = Field(description="standard deviation of the columns' offsets, as a fraction of the full well")
+    read_noise_e: NoiseElectrons = Field(description="temporal read noise without the reset noise")
+    fill_factor_limit: Fraction = Field(description="η of the fill-factor law: its limit for large pixels")
     fill_factor_zero_pitch_features: Annotated[float, Field(gt=0, le=1e6)] = Field(
-        description="p0 of the law, in feature sizes: the pitch without a photodiode"
+        description="p0 of the fill-factor law, in feature sizes: pitch at which the photodiode vanishes"
     )
     fill_factor_inset_features: Annotated[float, Field(ge=0, le=1e6)] = Field(
-        0.0, description="s of the law, in feature sizes: width that is lost at every pitch"
+        0.0, description="s of the fill-factor law, in feature sizes: width lost at every pitch"
     )
     sources: dict[str, str] = Field(default_factory=dict, description="field -> confidence and source")
     ranges: dict[str, tuple[float, float]] = Field(
-        default_factory=dict, description="field -> lowest and highest plausible value, in the field's unit"
+        default_factory=dict, description="field -> smallest and largest plausible value, in the field's unit"
     )
 
     @model_validator(mode="after")
@@ -102,9 +110,9 @@ class Technology(Record):
         for name, (low, high) in self.ranges.items():
             value = self.numbers.get(name)
             if value is None:
-                raise refuse("range", f"'{name}'", f"numbers of this process: {', '.join(self.numbers)}")
+                raise invalid("range", f"'{name}'", f"numbers of this process: {', '.join(self.numbers)}")
             if not low <= value <= high:
-                raise refuse(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
+                raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
             for end in (low, high):
                 self.with_numbers({name: end}, f"range of {name}")  # it has the bounds of the value
         return self
@@ -130,7 +138,7 @@ class Technology(Record):
         """
         for name in values:
             if name not in self.numbers:
-                raise refuse(source, f"'{name}'", ", ".join(self.numbers), did_you_mean(name, self.numbers))
+                raise invalid(source, f"'{name}'", ", ".join(self.numbers), did_you_mean(name, self.numbers))
         told = {
             name: f"set by the study; the file has {self.numbers[name]:g} ({self.sources.get(name, 'no source')})"
             for name in values
@@ -192,7 +200,7 @@ def load_technology(name: str) -> Technology:
     path = known.get(name) or Path(name)
     if path.suffix != ".toml" or not name:
         mend = f"{did_you_mean(name, known)} Or give the path of a technology's TOML file.".strip()
-        raise refuse("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), mend)
+        raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), mend)
     about = path.stat() if path.is_file() else None
     return _read(path, (about.st_mtime_ns, about.st_size) if about else ())
 
@@ -207,7 +215,7 @@ def technology_of(study: Study, name: str) -> Technology:
         return technology
     if name == NO_TECHNOLOGY:
         mend = "Put them into [pixel]."
-        raise refuse(f"process.{name}", ", ".join(values), "technologies: a data sheet has no numbers of a process", mend)
+        raise invalid(f"process.{name}", ", ".join(values), "technologies: a data sheet has no numbers of a process", mend)
     return technology.with_numbers(values, f"process.{name}")
 
 

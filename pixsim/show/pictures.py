@@ -171,7 +171,7 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
 COLUMNS = 6
 SHEET_MARGIN, SHEET_GAP, SHEET_FRAME = 16, 14, 3  # px
 TITLE, LINE, LABEL_WIDTH = 34, 19, 112
-LONGEST_TITLE = 140  # characters
+MAX_TITLE = 140  # characters
 INK, PAPER = 0, 255
 
 
@@ -205,7 +205,7 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
     """Grey pictures of at most one size in rows of six, each of their dots one of the sheet."""
     from PIL import Image, ImageDraw
 
-    title = one_line(title, LONGEST_TITLE)
+    title = one_line(title, MAX_TITLE)
     side_y, side_x = (max(tile.codes.shape[axis] for tile in tiles) for axis in (0, 1))
     pitch_x, pitch_y = max(side_x, LABEL_WIDTH) + SHEET_GAP, side_y + 2 * LINE + SHEET_GAP
     columns = min(COLUMNS, len(tiles))
@@ -225,7 +225,7 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
 
 
 DETAIL_DOTS = 112  # three of them stand abreast on a telephone
-MOST_PICTURE_DOTS = 1024  # along a side of a whole picture in a page: larger ones would make it tens of megabytes
+MAX_PICTURE_DOTS = 1024  # along a side of a whole picture in a page: larger ones would make it tens of megabytes
 DETAIL_STEPS = 4  # tried places a detail's width
 SCALE_DOTS = 200, 12  # of the bar of colours
 
@@ -280,11 +280,11 @@ def worst_window(maps: Sequence[Array]) -> Window:
 
 def factor_for(picture: Array) -> int:
     """How many dots a side come to one where a whole picture stands in a page."""
-    return -(-max(picture.shape) // MOST_PICTURE_DOTS)
+    return -(-max(picture.shape) // MAX_PICTURE_DOTS)
 
 
 def reduced(luminance: Array) -> Array:
-    """A whole picture for a page, at most `MOST_PICTURE_DOTS` a side: means of squares of dots (what is left over is cut off)."""
+    """A whole picture for a page, at most `MAX_PICTURE_DOTS` a side: means of squares of dots (what is left over is cut off)."""
     down, across = (min(factor_for(luminance), size) for size in luminance.shape)
     if down == across == 1:
         return luminance

@@ -38,7 +38,7 @@ from scipy.stats import t as student_t
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run, Study, content_hash, pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
@@ -48,14 +48,14 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
 from pixsim.viewer.display import white_header
-from pixsim.viewer.score import Bench, Lights, bench_of, project
+from pixsim.viewer.score import ImagingChain, Lights, chain_at_pitch, prepare_scene
 
 SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
-FEW_E, MOST_FEW = 16.0, 80  # a mean of 16 has no count of 80 in 1e27
+FEW_E, MAX_FEW = 16.0, 80  # a mean of 16 has no count of 80 in 1e27
 DEGREE = 3  # through pitches that lie close to the optimum
 LEVEL = 1e-9  # relative; a minimum of less is one of rounding
-FEWEST_PIXELS, MOST_PIXELS = 16, 1024  # across the die, of the largest and the smallest pitch that are tried
+MIN_PIXELS, MAX_PIXELS = 16, 1024  # across the die, of the largest and the smallest pitch that are tried
 
 
 @dataclass(frozen=True)
@@ -158,13 +158,13 @@ def probe(image: SpectralImage, setup: Setup) -> Probe:
     """Sense and score a picture at the set-up's pixel, and at its pitches."""
     start = time.perf_counter()
     with unheard():
-        bench_at = benches(image, setup, setup.pitches_um)
-        bench = bench_at(setup.pixel.pitch_um)
+        chain_at = benches(image, setup, setup.pitches_um)
+        bench = chain_at(setup.pixel.pitch_um)
         middle = time.perf_counter()
         first = score(bench, setup, setup.pixel.pitch_um, 0)
         end = time.perf_counter()
         own = np.array([first, *(score(bench, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))])
-        swept = zip(setup.pitches_um, map(bench_at, setup.pitches_um), strict=True)
+        swept = zip(setup.pitches_um, map(chain_at, setup.pitches_um), strict=True)
         sweep = np.array([[score(each, setup, p, k) for k in range(setup.sensors)] for p, each in swept])
     shape = len(setup.pitches_um), setup.sensors
     return Probe(bench.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
@@ -195,7 +195,7 @@ def few_counts(mean: Array, z: Array) -> Array:
     below = ndtr(z)
     term = np.exp(-mean)
     total, count = term.copy(), np.zeros(mean.shape)
-    for number in range(1, MOST_FEW + 1):
+    for number in range(1, MAX_FEW + 1):
         above = below > total
         if not above.any():
             break
@@ -205,24 +205,24 @@ def few_counts(mean: Array, z: Array) -> Array:
     return count
 
 
-def score(bench: Bench, setup: Setup, pitch_um: float, sensor: int) -> float:
+def score(bench: ImagingChain, setup: Setup, pitch_um: float, sensor: int) -> float:
     """Mean ΔE of an individual sensor, the same for the same set-up, pitch and number."""
     own = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
     return bench.view(bench.capture_with(own, PairedNoise(own.bit_generator))).mean_delta_e
 
 
-def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], Bench]:
+def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], ImagingChain]:
     """A bench of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless at the optimum."""
     lights, own_um = Lights(image, setup.camera, setup.display), setup.pixel.pitch_um
     widest_um = setup.border_um or max(pitches_um, default=own_um)
 
-    def at(pitch_um: float) -> Bench:
+    def at(pitch_um: float) -> ImagingChain:
         physics = setup.physics(pitch_um)
         border_um = own_um if pitch_um == own_um and not setup.at_optimum else widest_um
         light = lights.of(border_um, physics, border_um)
         if isinstance(light, SpectralImage):
-            light = project(light, setup.camera, physics, setup.display)
-        return bench_of(light, physics, setup.exposure)
+            light = prepare_scene(light, setup.camera, physics, setup.display)
+        return chain_at_pitch(light, physics, setup.exposure)
 
     return at
 
@@ -241,7 +241,7 @@ def pitch_range_um(setup: Setup) -> tuple[float, float]:
     Modern processes reach 5 % at 0.4 µm, 46 million pixels on the paper's die: those are not tried.
     """
     usual, die_um = PitchRange(), 1e3 * setup.camera.die_mm
-    largest, smallest = min(usual.max_um, die_um / FEWEST_PIXELS), die_um / MOST_PIXELS
+    largest, smallest = min(usual.max_um, die_um / MIN_PIXELS), die_um / MAX_PIXELS
     if setup.pixel.fill_factor is not None:  # the law does not bind it
         return max(smallest, min(setup.pixel.pitch_um / 3, largest / 3)), largest
     process = with_fill_factor_law(setup.technology, setup.pixel.fill_factor_law)
@@ -255,8 +255,8 @@ def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) ->
         return ()
     with unheard():
         scanned = np.geomspace(low, high, SCAN_PITCHES)
-        bench_at = benches(image, setup, scanned.tolist())
-        errors = [score(bench_at(p), setup, p, 0) for p in scanned.tolist()]
+        chain_at = benches(image, setup, scanned.tolist())
+        errors = [score(chain_at(p), setup, p, 0) for p in scanned.tolist()]
     best = float(scanned[int(np.argmin(errors))])
     around = np.geomspace(max(low, best / AROUND), min(high, best * AROUND), count)
     return tuple(float(f"{p:.4g}") for p in around)
@@ -278,12 +278,12 @@ def spread(values: Array) -> float:
 
 SENSORS, PITCHES = 5, 5  # of the calibration: the scatter of five is known to 35 %, and the tolerance takes 95 %
 SCALED_BY = 1e-2
-LOWEST_ORDER, HIGHEST_ORDER = 1.0, 2.0  # of cell means as a picture: at edges, and where it is smooth
+MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of cell means as a picture: at edges, and where it is smooth
 SAFE, UNSURE = 1.25, 3.0  # factors of safety, where the order is within these bounds and where it is not
 NORMAL_95 = 1.96
 STUDENT_95 = float(student_t.ppf(0.975, SENSORS - 1))  # of a scatter that so few sensors tell: 2.8
-MOST_DOTS = 4096
-FEWEST_CELLS = 4
+MAX_DOTS = 4096
+MIN_CELLS = 4
 OF_DISPLAY = ("display raster", "display interpolation")
 SOURCES = ("render noise", "spectral quadrature", "oversampling", "seeds", *OF_DISPLAY)
 FINER_INTERPOLATION = {"nearest": "linear", "linear": "cubic", "cubic": "quintic"}
@@ -355,7 +355,7 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
         [scene.content_hash, scene.parameters, scene.sensor_id, scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
          setup.technology.content, setup.exposure.model_dump(),
          setup.display.model_dump(), setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
-         plan.passes, cache.made_by("mitsuba", "drjit")]
+         plan.passes, cache.version_fingerprint("mitsuba", "drjit")]
     )  # fmt: skip
     return cache.kept("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, setup), asdict)
 
@@ -380,7 +380,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     films, order = film_errors(own, coarse)
     optima = [minimum_um(sensors.pitch_um, each) for each in sensors.sweep_delta_e.T]
     finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
-    fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MOST_DOTS
+    fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MAX_DOTS
     scaled = difference_of(probe(brighter(image, 1 + SCALED_BY), setup), own)
     return Calibration(
         width=job.size[1],
@@ -411,13 +411,13 @@ def difference_of(one: Probe, other: Probe) -> Effect:
 def film_errors(own: Probe, coarse: list[Probe]) -> tuple[tuple[Effect, ...], float]:
     """Errors of the coarser films and of the film itself, and their order (Richardson), with a factor of safety."""
     if not coarse:
-        return (NOT_KNOWN,), LOWEST_ORDER
+        return (NOT_KNOWN,), MIN_ORDER
     near = difference_of(coarse[0], own)
-    order, safety = LOWEST_ORDER, UNSURE
+    order, safety = MIN_ORDER, UNSURE
     if len(coarse) > 1 and near.delta_e > 0:
         far = difference_of(coarse[1], coarse[0])
         seen = math.log2(far.delta_e / near.delta_e) if far.delta_e > 0 else -math.inf
-        order = min(max(seen, LOWEST_ORDER), HIGHEST_ORDER)
+        order = min(max(seen, MIN_ORDER), MAX_ORDER)
         safety = SAFE if order == seen else UNSURE
     last = near.times(safety / (2**order - 1))
     return (*(difference_of(each, own).plus(last) for each in reversed(coarse)), last), order
@@ -434,13 +434,13 @@ def interpolation_effect(image: SpectralImage, setup: Setup, own: Probe) -> Effe
 
 def merges(shape: tuple[int, int], factor: int) -> bool:
     """Whether cells of factor × factor fill a film, with some left to make a picture."""
-    return min(shape) >= FEWEST_CELLS * factor and not any(n % factor for n in shape)
+    return min(shape) >= MIN_CELLS * factor and not any(n % factor for n in shape)
 
 
 def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     """The same light in cells of `factor` × `factor` of the image's: the picture that a coarser film would hold."""
     if not merges(image.shape, factor):
-        raise refuse("film", f"{image.shape} samples in cells of {factor} × {factor}", "a film that they fill")
+        raise invalid("film", f"{image.shape} samples in cells of {factor} × {factor}", "a film that they fill")
 
     def merged(plane: Any) -> Any:  # (H, W)
         height, width = plane.shape
@@ -484,9 +484,9 @@ def total(budget: dict[str, Effect]) -> Effect:
     return reduce(Effect.plus, (each for name, each in budget.items() if name not in OF_DISPLAY), Effect(0.0, 0.0))
 
 
-MOST_WIDTH = 8192
-MOST_SENSORS = 1024  # a minute of them
-MOST_VALUES = 1 << 27  # of a film in all bands or pulses: 0.5 GB in the image, four times that while it is rendered
+MAX_WIDTH = 8192
+MAX_SENSORS = 1024  # a minute of them
+MAX_VALUES = 1 << 27  # of a film in all bands or pulses: 0.5 GB in the image, four times that while it is rendered
 # Work in film samples, as `pixsim accuracy csf` measures it (45 ns each): per film cell, of the lens and the ideal image;
 # per dot, of one sensor's frame and its ΔE.
 CELL_WORK, DOT_WORK = 6.0, 8.0
@@ -524,7 +524,7 @@ def choose(found: Calibration, tolerance_delta_e: float, *, film_is_free: bool) 
 def widths_of(found: Calibration) -> list[int]:
     """Films by powers of two, from the coarsest that was looked at to what fits into memory."""
     widths = [int(found.width * 2.0**k) for k in range(1 - len(found.films), 4)]
-    most = min(MOST_WIDTH, math.sqrt(MOST_VALUES / (found.planes * found.cells)) * found.width)
+    most = min(MAX_WIDTH, math.sqrt(MAX_VALUES / (found.planes * found.cells)) * found.width)
     return [each for each in widths if each <= max(most, found.width)]
 
 
@@ -545,7 +545,7 @@ def option(found: Calibration, width: int, noise_de: float, spectral_de: float, 
     noise = rounded_down(min(max(found.noise * part, FINEST_NOISE), COARSEST_NOISE)) if found.noise else COARSEST_NOISE
     wanted = spectral_de / found.per_e.delta_e if found.per_e.delta_e else math.inf
     tolerance_e = rounded_down(min(max(wanted, TIGHTEST_TOLERANCE_E), LOOSEST_TOLERANCE_E))
-    sensors = min(max(1, math.ceil((STUDENT_95 * found.sensor.delta_e / seeds_de) ** 2)), MOST_SENSORS)
+    sensors = min(max(1, math.ceil((STUDENT_95 * found.sensor.delta_e / seeds_de) ** 2)), MAX_SENSORS)
     budget = effects(found, width, noise, tolerance_e, sensors)
     others = total({name: each for name, each in budget.items() if name != "oversampling"}).delta_e
     larger = (width / found.width) ** 2
@@ -560,7 +560,7 @@ def rounded_down(value: float) -> float:
     return min(float(f"{math.floor(value / unit) * unit:.3g}"), value)
 
 
-FEWEST_REPEATS = 2  # of a study: fewer tell no interval
+MIN_REPEATS = 2  # of a study: fewer tell no interval
 
 
 @dataclass(frozen=True)
@@ -624,6 +624,6 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     choice, parameters = settled.choice, dict(study.scene.parameters)
     if "resolution" in settled.scene.parameters:
         parameters["resolution"] = int(settled.scene.parameters["resolution"])
-    repeats = min(max(FEWEST_REPEATS, choice.sensors), max(FEWEST_REPEATS, study.max_repeats))
+    repeats = min(max(MIN_REPEATS, choice.sensors), max(MIN_REPEATS, study.max_repeats))
     own = {"render_noise": choice.render_noise, "tolerance_e": choice.tolerance_e, "repeats": repeats}
     return study.model_copy(update=own | {"scene": study.scene.model_copy(update={"parameters": parameters})}), settled

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pixsim.base import cache
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import processors
 
 Task = TypeVar("Task")
@@ -58,20 +58,20 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
     """
     if jobs is not None and (jobs < 1 or scheduler is not None):
         got = f"{jobs} with a scheduler" if scheduler is not None else jobs
-        raise refuse("--jobs", got, "1 or more processes of this machine, or a --scheduler, which knows its workers")
+        raise invalid("--jobs", got, "1 or more processes of this machine, or a --scheduler, which knows its workers")
     if scheduler is None:
         yield workers_here(jobs)
     elif isinstance(scheduler, str):
         try:
             import distributed
         except ImportError:
-            raise refuse("--scheduler", f"'{scheduler}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
+            raise invalid("--scheduler", f"'{scheduler}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
         try:
             client = distributed.Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
             got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
-            raise refuse("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
+            raise invalid("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
         with closing(client):
             yield _checked(client)
     else:
@@ -82,17 +82,17 @@ def _checked(client: Any) -> Workers:
     """PixsimError where a worker would compute something else."""
     try:
         client.wait_for_workers(1, timeout=WORKER_SECONDS)
-        theirs = client.run(cache.made_by)
+        theirs = client.run(cache.version_fingerprint)
     except TimeoutError:
         mend = "Start some with `dask worker ADDRESS`."
-        raise refuse("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", mend) from None
+        raise invalid("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", mend) from None
     except Exception as error:  # whatever happens there: Dask tells it as a plain Exception
         got = f"a worker that cannot tell which pixsim it has ({error})"
-        raise refuse("--scheduler", got, f"{cache.made_by()} on all of them") from None
-    ours = cache.made_by()
+        raise invalid("--scheduler", got, f"{cache.version_fingerprint()} on all of them") from None
+    ours = cache.version_fingerprint()
     for address, other in theirs.items():
         if other != ours:
-            raise refuse("--scheduler", f"{other} at {address}", f"{ours}, as here, so that all rows are alike")
+            raise invalid("--scheduler", f"{other} at {address}", f"{ours}, as here, so that all rows are alike")
     return Workers(client=client)
 
 

@@ -25,29 +25,29 @@ import numpy as np
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError, refuse
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import read_bytes, replacing
 from pixsim.base.parameters import Camera, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
-from pixsim.sensor.readout import frame_of
+from pixsim.sensor.readout import make_frame
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
 from pixsim.studies.engine import Workers, results_of
-from pixsim.viewer.score import Bench, Light, Lights, Score, bench_of, project
+from pixsim.viewer.score import ImagingChain, Light, Lights, Score, chain_at_pitch, prepare_scene
 
 DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
 COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
 TEXTS = COLUMNS[:2]
 Row = dict[str, str]
-LARGEST_BYTES = 1 << 28  # a million rows
-LONGEST_LINE = 1 << 14
+MAX_BYTES = 1 << 28  # a million rows
+MAX_LINE = 1 << 14
 
 
-class Ledger:
+class ResultsFile:
     """A file of rows with `COLUMNS`; those in `TEXTS` are words, the rest are numbers."""
 
     def __init__(self, path: Path) -> None:
@@ -58,13 +58,13 @@ class Ledger:
         if not self.path.is_file():
             return {}
         allowed = "the rows of a study"
-        whole, newline, _ = read_bytes(self.path, "results", allowed, LARGEST_BYTES).rpartition(b"\n")
+        whole, newline, _ = read_bytes(self.path, "results", allowed, MAX_BYTES).rpartition(b"\n")
         lines = (whole + newline).decode(errors="replace").replace("\0", "").split("\n")
-        table = csv.DictReader(line for line in lines if len(line) <= LONGEST_LINE)
+        table = csv.DictReader(line for line in lines if len(line) <= MAX_LINE)
         try:
             return {row["key"]: {name: row[name] for name in COLUMNS} for row in table if self._is_whole(row)}
         except csv.Error as error:
-            raise refuse("results", f"'{self.path}' ({error})", allowed, "Move it away: its rows are made again.") from None
+            raise invalid("results", f"'{self.path}' ({error})", allowed, "Move it away: its rows are made again.") from None
 
     def _is_whole(self, row: Row) -> bool:
         """Whether a row has every column, and numbers where they belong; others are made again."""
@@ -128,7 +128,7 @@ class Ledger:
                 same = False  # another has it, or had it a moment ago and took it away
             if not same:
                 mend = "Wait for it, or take another --out."
-                raise refuse("study", f"'{self.path.parent}', where another process is at work", "one at a time", mend)
+                raise invalid("study", f"'{self.path.parent}', where another process is at work", "one at a time", mend)
             try:
                 yield
             finally:
@@ -158,7 +158,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
     if study.pitch.values_um is not None:
         pitches = np.unique(study.pitch.values_um)
         if pitches.size < 5:
-            raise refuse("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
+            raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
         return pitches
     low, told = study.pitch.min_um, "pitch.min_um"
     if low is None:
@@ -166,7 +166,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         told = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= study.pitch.max_um:
-        raise refuse("pitch.max_um", study.pitch.max_um, f"above {low:.4g} µm, {told}")
+        raise invalid("pitch.max_um", study.pitch.max_um, f"above {low:.4g} µm, {told}")
     return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
 
 
@@ -176,14 +176,14 @@ def light_of(study: Study, lights: Lights, technology: str) -> Light:
     return lights.of(technology, physics_of(study, technology, any_um), study.pitch.largest_um)
 
 
-def bench_at(
+def chain_at(
     study: Study, light: Light, camera: Camera, technology: str, pitch_um: float, process: Technology | None = None
-) -> Bench:
+) -> ImagingChain:
     """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
     physics = physics_of(study, technology, pitch_um, process)
     if isinstance(light, SpectralImage):
-        light = project(light, camera, physics, study.display, border_um=study.pitch.largest_um)
-    return bench_of(light, physics, study.exposure)
+        light = prepare_scene(light, camera, physics, study.display, border_um=study.pitch.largest_um)
+    return chain_at_pitch(light, physics, study.exposure)
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
@@ -219,7 +219,7 @@ def evaluate_task(task: Task, light: Light) -> list[Row]:
     """The rows of a task."""
     own = task.light_key, task.pitch_um
     if getattr(_recent, "key", None) != own:
-        _recent.bench = bench_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
+        _recent.bench = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
         _recent.key = own
     rows = []
     for repeat, score in scores_of(_recent.bench, task.study, list(task.keys), task.frames_key):
@@ -228,7 +228,7 @@ def evaluate_task(task: Task, light: Light) -> list[Row]:
     return rows
 
 
-def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
+def scores_of(bench: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
     """Each repeat with `bench.score` of its stream, its frame from the cache; those that are not there are kept."""
     technology, pitch_um = bench.physics.technology.name, bench.physics.pitch_um
     known = (cache.arrays("frames", frames_key) if frames_key else None) or {}
@@ -239,7 +239,7 @@ def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -
         name, saturated = str(repeat), f"{repeat}_saturated_fraction"
         if name in frames and saturated in frames:
             how = bench.signal_e_per_s, bench.physics, bench.exposure
-            yield repeat, bench.view(frame_of(frames[name].astype(np.int32), float(frames[saturated]), *how))
+            yield repeat, bench.view(make_frame(frames[name].astype(np.int32), float(frames[saturated]), *how))
         else:
             frame = bench.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
@@ -247,11 +247,11 @@ def scores_of(bench: Bench, study: Study, repeats: list[int], frames_key: str) -
                 frames[saturated] = np.array(frame.saturated_fraction)
             yield repeat, bench.view(frame)
     if len(frames) > before:
-        cache.keep_arrays("frames", frames_key, frames)
+        cache.store_arrays("frames", frames_key, frames)
 
 
 @dataclass(frozen=True)
-class Content:
+class Fingerprints:
     """What the evaluations of a study depend on, as hashes; each is made once."""
 
     study: Study
@@ -265,8 +265,8 @@ class Content:
         study = self.study
         light = [self.irradiance.header, self.camera.model_dump()]
         # With pixsim's sources and the packages that compute: a row is never one of another formula.
-        made_by = cache.made_by("mitsuba", "drjit", "colour-science")
-        return content_hash([*light, study.exposure.model_dump(), study.name, study.seed, made_by])
+        version_fingerprint = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
+        return content_hash([*light, study.exposure.model_dump(), study.name, study.seed, version_fingerprint])
 
     @cached_property
     def display(self) -> str:
@@ -332,7 +332,7 @@ def block_key(frames_key: str, block: int) -> str:
     return frames_key and f"{frames_key}-{block}"
 
 
-def tasks_of(content: Content, technology: str, sensors: Mapping[float, int], done: Container[str]) -> Iterator[Task]:
+def tasks_of(content: Fingerprints, technology: str, sensors: Mapping[float, int], done: Container[str]) -> Iterator[Task]:
     """What is missing of a technology, small pixels first, since they take longest.
 
     sensors : of each pitch in µm
@@ -353,8 +353,8 @@ class Evaluations:
 
     def __init__(self, study: Study, lights: Lights, results: Path, workers: Workers) -> None:
         self.study, self._lights, self._workers = study, lights, workers
-        self.content = Content(study, lights.camera, lights.irradiance)
-        self._ledger = Ledger(results)
+        self.content = Fingerprints(study, lights.camera, lights.irradiance)
+        self._ledger = ResultsFile(results)
         self._done: dict[str, Row] = {}
 
     @contextmanager

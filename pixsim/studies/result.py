@@ -18,7 +18,16 @@ from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate, _cell, rows_csv
-from pixsim.studies.evaluations import DELTA_E_STATISTICS, REPEATS_A_TASK, Content, Row, bench_at, block_key, light_of, scores_of
+from pixsim.studies.evaluations import (
+    DELTA_E_STATISTICS,
+    REPEATS_A_TASK,
+    Fingerprints,
+    Row,
+    block_key,
+    chain_at,
+    light_of,
+    scores_of,
+)
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.score import Lights, Score, dark_clip
@@ -131,9 +140,9 @@ class StudyResult:
         return Lights(self.irradiance, self.camera, self.study.display)
 
     @cached_property
-    def content(self) -> Content:
+    def content(self) -> Fingerprints:
         """What its frames and rows are known by."""
-        return Content(self.study, self.camera, self.irradiance)
+        return Fingerprints(self.study, self.camera, self.irradiance)
 
     def as_dict(self) -> dict[str, Any]:
         """As summary.json tells it."""
@@ -160,7 +169,7 @@ class StudyResult:
 
         Raises PixsimError for a pitch that the technology cannot have.
         """
-        bench = bench_at(self.study, light_of(self.study, self.lights, technology), self.camera, technology, pitch_um)
+        bench = chain_at(self.study, light_of(self.study, self.lights, technology), self.camera, technology, pitch_um)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
         frames = self.content.frames(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
@@ -291,7 +300,7 @@ def with_ends(range_um: tuple[float | None, float | None], curve: Curve) -> tupl
     return float(curve.pitch_um[0]) if low is None else low, float(curve.pitch_um[-1]) if high is None else high
 
 
-def tell_the_story(axes: Axes, curve: Curve) -> None:
+def annotate_curve(axes: Axes, curve: Curve) -> None:
     """What a stranger asks of a single curve: where the best is, and what is wrong on either side."""
     best = curve.optimum
     if best.inside:
@@ -331,7 +340,7 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
     if len(curves) == 1:
-        tell_the_story(axes, curves[0])
+        annotate_curve(axes, curves[0])
     counts = sorted({int(each) for curve in curves for each in curve.sensors})
     sensors = f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
     caption = (

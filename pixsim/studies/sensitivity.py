@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from pixsim.base.errors import did_you_mean, refuse
+from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder, versions, write_json
 from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_hash, merge
 from pixsim.base.progress import Progress, Stage
@@ -23,7 +23,7 @@ from pixsim.show.pages import Column, Plate, write_figures, write_page
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
-from pixsim.studies.study import load_study, refuse_bad_pitches, render_for, scene_for, sweep_pitches
+from pixsim.studies.study import check_pitches, load_study, render_for, scene_for, sweep_pitches
 
 
 class Setting(Record):
@@ -47,14 +47,18 @@ class Sensitivity(Record):
     title: str = ""
     base: str = Field("chen2000", description="a packaged study or a TOML file")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = ("0.35um",)
-    repeats: Annotated[int, Field(ge=2, le=10000)] | None = Field(None, description="sensors for each pitch; None: the base's")
-    pitch: PitchRange | None = Field(None, description="pixel sizes that are tried; None: the base's")
+    repeats: Annotated[int, Field(ge=2, le=10000)] | None = Field(
+        None, description="number of sensors for each pitch; None: as in the base"
+    )
+    pitch: PitchRange | None = Field(None, description="pixel sizes; None: as in the base")
     vary: Annotated[tuple[Variation, ...], Field(min_length=1)]
     ranges: dict[str, str] = Field(
         default_factory=dict,
-        description="name -> number of the technologies' files that goes to both ends of its range, in all and in one alone",
+        description=(
+            "name -> number in the technologies' files that is set to both ends of its range, in all technologies and in one alone"
+        ),
     )
-    quick: dict[str, Any] = Field(default_factory=dict, description="replaces the above under --quick")
+    quick: dict[str, Any] = Field(default_factory=dict, description="values that --quick uses instead")
 
     def base_study(self) -> Study:
         """The base with this record's technologies, sensors and pitches. All cases share its random streams, and its target."""
@@ -187,7 +191,7 @@ def moves_of(sensitivity: Sensitivity) -> list[Move]:
     for variation, number in sensitivity.ranges.items():
         known = dict.fromkeys(name for process in processes.values() for name in process.numbers)
         if number not in known:
-            raise refuse(f"ranges.{variation}", f"'{number}'", ", ".join(known), did_you_mean(number, known))
+            raise invalid(f"ranges.{variation}", f"'{number}'", ", ".join(known), did_you_mean(number, known))
         for end in (0, 1):
             for name, process in processes.items():
                 # An A-grade number has no range, and one at the end of its range stays.
@@ -218,7 +222,7 @@ def run_sensitivity(
     moved = [move.study(base) for move in moves]
     cases = list(cases_of(sensitivity))
     for each in (base, *(study for _, _, study in cases), *moved):
-        refuse_bad_pitches(each)
+        check_pitches(each)
     for each in (base, *(study for _, _, study in cases)):
         scene_for(each, variant)
     stage = progress or (lambda _: lambda *_: None)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.config import beside, checked, packaged, read_toml, study_layers
-from pixsim.base.errors import did_you_mean, refuse
+from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
 from pixsim.base.progress import Progress, Stage
@@ -35,11 +35,11 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
     known = packaged("data/studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
-        raise refuse("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
+        raise invalid("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
     table = read_toml(path)
     if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
         mend = f"Give it to a study: pixsim study pixel-size --config {path}"
-        raise refuse("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", mend)
+        raise invalid("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", mend)
     for own in (table, table.get("quick", {})):
         if isinstance(own, dict):
             _name_files(own, path)
@@ -106,16 +106,16 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sam
     return chosen
 
 
-def refuse_bad_pitches(study: Study) -> None:
+def check_pitches(study: Study) -> None:
     """PixsimError for a pitch that a technology cannot have, before any work is done."""
     processes: dict[str, str] = {}
     for name in study.process:
         if name not in study.technologies:
-            raise refuse("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
+            raise invalid("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
     for name in study.technologies:
         content = content_hash(technology_of(study, name).content)
         if content in processes:
-            raise refuse("technologies", f"{name} beside {processes[content]}, the same process", "each process once")
+            raise invalid("technologies", f"{name} beside {processes[content]}, the same process", "each process once")
         processes[content] = name
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
@@ -123,7 +123,7 @@ def refuse_bad_pitches(study: Study) -> None:
     begins = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < begins:
         allowed = f"at least {begins}, which the study begins with"
-        raise refuse("max_evaluations", study.max_evaluations, allowed, "Raise it, or lower repeats or pitch.count.")
+        raise invalid("max_evaluations", study.max_evaluations, allowed, "Raise it, or lower repeats or pitch.count.")
 
 
 def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
@@ -229,12 +229,12 @@ def study(
     ((5, 2), True)
     """
     if isinstance(plan, Study) and (config or parameters or pixel):
-        raise refuse("config, parameters, pixel", "with a Study", "the name or the file of one", "Put them into the Study.")
+        raise invalid("config, parameters, pixel", "with a Study", "the name or the file of one", "Put them into the Study.")
     chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
     if quick and not chosen.quick:
         warnings.warn(f"the study {chosen.name} has no [quick] table: it is done in full", stacklevel=2)
     chosen = chosen.quickened if quick else chosen
-    refuse_bad_pitches(chosen)
+    check_pitches(chosen)
     stage = progress or (lambda _: lambda *_: None)
     from pixsim.scene.convergence import RenderNoise
 

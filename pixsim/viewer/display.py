@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.sensor.integration import (
     M2_PER_UM2,
-    MOST_PIXELS,
+    MAX_PIXELS,
     electrons_per_joule,
     ideal_rate,
     integrate_axis,
@@ -46,7 +46,7 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     """
     white = display.white_cd_per_m2 or irradiance.header.get("luminance_cd_per_m2")
     if not white:
-        raise refuse(
+        raise invalid(
             "display.white_cd_per_m2",
             "nothing, and the scene has no emissive chart that tells it",
             "the luminance in cd/m² that the display shows as white",
@@ -66,7 +66,7 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
     luminance /= camera.transmittance
     white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")
     if not white > 0:
-        raise refuse("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
+        raise invalid("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
     warnings.warn(
         f"the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
         f"set --display.white-cd-per-m2 {white:g} to keep it",
@@ -110,7 +110,7 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     rate = electrons / lux * white_lx * M2_PER_UM2 if lux > 0 else 0.0
     low, high = WHITE_E_PER_S_UM2
     if not low < rate < high:
-        raise refuse(
+        raise invalid(
             "the scene's white",
             f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx of its light in all bands)",
             f"light that both the sensor and the eye see, {low:g} to {high:g}",
@@ -138,14 +138,14 @@ def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display
         rows, columns = (pixel_edges_um(um, count, pitch_um) for um, count in zip(size_um, pixels, strict=True))
         return rows, columns
     counts = [max(1, round(display.dots * length_um / size_um[1])) for length_um in size_um]
-    if math.prod(counts) > MOST_PIXELS:
+    if math.prod(counts) > MAX_PIXELS:
         found = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {math.prod(counts):.3g} dots"
-        raise refuse("display.dots", found, f"at most {MOST_PIXELS:.3g} dots in all")
+        raise invalid("display.dots", found, f"at most {MAX_PIXELS:.3g} dots in all")
     edges = []
     for length_um, count in zip(size_um, counts, strict=True):
         cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
         if 2 * cut >= count:
-            raise refuse(
+            raise invalid(
                 "pixel.pitch_um",
                 f"{border_um:g} µm: its border on either side leaves none of the {count} dots of {length_um / count:.3g} µm",
                 f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die",
@@ -234,7 +234,7 @@ def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpola
     0.405285
     """
     if interpolation not in SPLINE_DEGREE:
-        raise refuse("interpolation", f"'{interpolation}'", ", ".join(SPLINE_DEGREE))
+        raise invalid("interpolation", f"'{interpolation}'", ", ".join(SPLINE_DEGREE))
     degree = SPLINE_DEGREE[interpolation]
     x = np.asarray(frequency_cy_per_mm, float) * pitch_um * 1e-3
     middle, *others = B_SPLINE_SAMPLES[degree]

@@ -24,7 +24,7 @@ import numpy.typing as npt
 import scipy.fft
 
 from pixsim.base.arrays import dct, empty_planes, inverse_dct, strips_of
-from pixsim.base.errors import refuse
+from pixsim.base.errors import invalid
 
 # What the reference shows; the rest is for pixsim itself.
 __all__ = ["delta_e", "delta_e_map", "filtered_grey_lab", "filtered_lab", "grey_delta_e_map", "xyz_to_lab"]
@@ -36,12 +36,12 @@ def checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = N
     array = np.asarray(values, np.float64)
     if array.ndim != (dimensions or max(array.ndim, 1)) or array.shape[-1] != 3 or array.size == 0:
         allowed = "(H, W, 3), not empty" if dimensions else "(..., 3), not empty"
-        raise refuse(f"{name}, shape", array.shape, allowed, "Move the three values last, y and x before them.")
+        raise invalid(f"{name}, shape", array.shape, allowed, "Move the three values last, y and x before them.")
     if not is_finite(array):
         finite = np.isfinite(array)
         first = np.argwhere(~finite)[0]
         got = f"{array[tuple(first)]} at {first.tolist()} ({np.count_nonzero(~finite)} such of {array.size})"
-        raise refuse(name, got, "finite numbers", "Mend them where they arise: a filter would spread them.")
+        raise invalid(name, got, "finite numbers", "Mend them where they arise: a filter would spread them.")
     return array
 
 
@@ -54,7 +54,7 @@ def checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tupl
     first, second = (checked_triples(name, values, dimensions) for name, values in arrays.items())
     if first.shape != second.shape:
         shapes = f"shapes {first.shape} and {second.shape}"
-        raise refuse(" and ".join(arrays), shapes, "equal ones", "Resample one image to the raster of the other.")
+        raise invalid(" and ".join(arrays), shapes, "equal ones", "Resample one image to the raster of the other.")
     return first, second
 
 
@@ -62,13 +62,13 @@ def checked_white(white_xyz: npt.ArrayLike) -> Floats:
     white = np.asarray(white_xyz, np.float64)
     if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
         mend = "Give X, Y, Z in the image's unit; D65 is (95.047, 100, 108.883) times its luminance over 100."
-        raise refuse("white_xyz", white.tolist(), "three finite numbers above 0", mend)
+        raise invalid("white_xyz", white.tolist(), "three finite numbers above 0", mend)
     return white
 
 
 def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
-        raise refuse(name, repr(value), ", ".join(map(repr, allowed)))
+        raise invalid(name, repr(value), ", ".join(map(repr, allowed)))
 
 
 Filters = Literal["published", "zhang1996"]
@@ -107,10 +107,10 @@ class ViewingConditions:
         white = checked_white(white_xyz)
         if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
             mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
-            raise refuse("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
+            raise invalid("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
         low, high = ZHANG1996_SAMPLES_PER_DEG
         if filters == "zhang1996" and not low <= samples_per_deg <= high:
-            raise refuse("samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or take 'published'.")
+            raise invalid("samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or take 'published'.")
         exponent = math.frexp(white[1])[1]
         x, y, z = np.ldexp(white, -exponent).tolist()
         return cls((x, y, z), exponent, float(samples_per_deg), filters)
@@ -122,7 +122,7 @@ class ViewingConditions:
 
 
 @lru_cache(maxsize=1)  # as large as a picture
-def transfer(view: ViewingConditions, height: int, width: int, grey: bool = False) -> Floats:
+def filter_transfer(view: ViewingConditions, height: int, width: int, grey: bool = False) -> Floats:
     """Factor of each opponent channel for each DCT-II coefficient, (3, height, width); all calls share it.
 
     grey : from a picture of relative luminance to X/Xn, Y/Yn and Z/Zn as they are seen instead
@@ -137,7 +137,7 @@ def transfer(view: ViewingConditions, height: int, width: int, grey: bool = Fals
         opponent = (OPPONENT_FROM_XYZ * view.white).sum(axis=1)
         for rows, strip in strips_of(factors.shape):
             np.copyto(strip, factors[:, rows])
-            _combine(view.relative_from_opponent * opponent, strip, factors[:, rows])
+            _apply_matrix(view.relative_from_opponent * opponent, strip, factors[:, rows])
     factors.flags.writeable = False
     return factors
 
@@ -251,10 +251,10 @@ def filtered_lab(
     opponent = empty_planes(*planes.shape)
     for rows, strip in strips_of(planes.shape):
         np.ldexp(planes[:, rows], -view.exponent, out=strip)
-        _combine(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
+        _apply_matrix(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
     spectrum = dct(opponent, workers)
-    spectrum *= transfer(view, *spectrum.shape[1:])
-    return _whole(_seen(spectrum, view, workers), spectrum.shape)
+    spectrum *= filter_transfer(view, *spectrum.shape[1:])
+    return _assemble_strips(_iter_lab_strips(spectrum, view, workers), spectrum.shape)
 
 
 def filtered_grey_lab(
@@ -275,7 +275,7 @@ def filtered_grey_lab(
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
     spectrum = _grey_spectrum(luminance, view, workers)
-    return _whole(_seen(spectrum, view, workers, grey=True), spectrum.shape)
+    return _assemble_strips(_iter_lab_strips(spectrum, view, workers, grey=True), spectrum.shape)
 
 
 def grey_delta_e_map(
@@ -299,10 +299,10 @@ def grey_delta_e_map(
     spectrum = _grey_spectrum(luminance, view, workers)
     reference, shape = np.asarray(reference_lab, np.float64), (*spectrum.shape[1:], 3)
     if reference.shape != shape:
-        raise refuse("reference_lab, shape", reference.shape, str(shape), "Resample one image to the raster of the other.")
+        raise invalid("reference_lab, shape", reference.shape, str(shape), "Resample one image to the raster of the other.")
     reference = np.moveaxis(reference, -1, 0)
     difference = np.empty(spectrum.shape[1:])
-    for rows, lab in _seen(spectrum, view, workers, grey=True):
+    for rows, lab in _iter_lab_strips(spectrum, view, workers, grey=True):
         _distance(reference[:, rows], lab, difference[rows])
     if not is_finite(difference):
         checked_triples("reference_lab", reference_lab)
@@ -313,13 +313,13 @@ def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, workers: i
     """DCT-II of X/Xn, Y/Yn and Z/Zn of a grey picture as they are seen, (3, H, W)."""
     grey = np.asarray(luminance, np.float64)
     if grey.ndim != 2 or grey.size == 0 or not is_finite(grey):
-        raise refuse("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
+        raise invalid("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
     picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
     picture[...] = grey
-    return np.multiply(transfer(view, *grey.shape, grey=True), dct(picture, workers), out=spectrum)
+    return np.multiply(filter_transfer(view, *grey.shape, grey=True), dct(picture, workers), out=spectrum)
 
 
-def _seen(spectrum: Floats, view: ViewingConditions, workers: int, grey: bool = False) -> Strips:
+def _iter_lab_strips(spectrum: Floats, view: ViewingConditions, workers: int, grey: bool = False) -> Strips:
     """Planes of CIELAB, in one memory, from the filtered DCT-II (3, H, W) of the opponent channels; `grey`: of X/Xn, Y/Yn, Z/Zn."""
     planes = inverse_dct(spectrum, workers)
     constants = CIE_LAB if view.filters == "published" else ZHANG1996_LAB
@@ -327,12 +327,12 @@ def _seen(spectrum: Floats, view: ViewingConditions, workers: int, grey: bool = 
         if grey:
             np.copyto(strip, planes[:, rows])
         else:
-            _combine(view.relative_from_opponent, planes[:, rows], strip)
+            _apply_matrix(view.relative_from_opponent, planes[:, rows], strip)
         _lab_planes(strip, *constants, out=lab)
         yield rows, lab
 
 
-def _whole(strips: Strips, shape: tuple[int, ...]) -> Floats:
+def _assemble_strips(strips: Strips, shape: tuple[int, ...]) -> Floats:
     """(H, W, 3) from strips of planes (3, H, W)."""
     planes = np.empty(shape)
     for rows, strip in strips:
@@ -406,6 +406,6 @@ def _lab_planes(relative: Floats, threshold: float, slope: float, dark_slope: fl
         np.copyto(out[0], dark_slope * linear[1], where=linear[1] <= threshold)
 
 
-def _combine(matrix: Floats, planes: Floats, out: Floats) -> None:
+def _apply_matrix(matrix: Floats, planes: Floats, out: Floats) -> None:
     """3x3 matrix times planes (3, H, W), by einsum's own loop: a BLAS product rounds differently with more threads."""
     np.einsum("ij,jyx->iyx", matrix, planes, out=out, optimize=False)

@@ -17,7 +17,7 @@ from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import Frame, capture_rate, dark_spread_e, draw_sensor, least_black_level_dn
+from pixsim.sensor.readout import Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import _cell, rows_csv
 from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
@@ -32,7 +32,7 @@ CLIPPED_WARNING = 0.01
 HISTOGRAM_BINS = 1 << 14
 PANEL_IN = 3.1  # width of each picture of a figure
 LIGHTS_BYTES = 1 << 28  # of lights that are made at once
-MOST_KEPT_SAMPLES = 1 << 22  # of a running integral, 32 MiB: a film of 2048²
+MAX_KEPT_SAMPLES = 1 << 22  # of a running integral, 32 MiB: a film of 2048²
 
 
 @dataclass(frozen=True)
@@ -127,13 +127,13 @@ def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
     return found
 
 
-def seen_lab(shown: Array, display: Display, full: bool = False) -> Array:
+def perceived_lab(shown: Array, display: Display, full: bool = False) -> Array:
     """CIELAB of a shown grey image as the viewer's eye blurs it, (H, W, 3). `full` takes it for a coloured one."""
-    view = view_of(display)
+    view = viewing_conditions(display)
     return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
 
 
-def view_of(display: Display) -> dict[str, Any]:
+def viewing_conditions(display: Display) -> dict[str, Any]:
     """What S-CIELAB has to know of a display."""
     return {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg, "filters": display.filters}
 
@@ -162,12 +162,12 @@ class Screen:
     def delta_e_of(self, image: Array) -> Array:
         """S-CIELAB difference of a shown picture from the ideal one, (H, W)."""
         if self.display.delta_e == "1976" and not self.full:
-            return grey_delta_e_map(self.ideal_lab, image, **view_of(self.display))
-        return delta_e(self.ideal_lab, seen_lab(image, self.display, self.full), self.display.delta_e)
+            return grey_delta_e_map(self.ideal_lab, image, **viewing_conditions(self.display))
+        return delta_e(self.ideal_lab, perceived_lab(image, self.display, self.full), self.display.delta_e)
 
 
 @dataclass(frozen=True)
-class Bench:
+class ImagingChain:
     """What all pictures of one pixel type share: its mean signal, and what the viewer looks at."""
 
     signal_e_per_s: Array
@@ -186,8 +186,8 @@ class Bench:
 
     def capture_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Frame:
         """The frame of the sensor that one generator draws, with the temporal noise of the other."""
-        sensor = draw_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
-        return capture_rate(self.signal_e_per_s, sensor, self.exposure, frame_rng)
+        sensor = sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
+        return capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
 
     def view(self, frame: Frame) -> Score:
         """What a viewer sees of a frame."""
@@ -198,7 +198,7 @@ class Bench:
 
 
 @dataclass(frozen=True)
-class Projection:
+class PreparedScene:
     """What pixels of one response share, whatever their pitch: the light behind the lens, and what the viewer looks at.
 
     rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
@@ -213,10 +213,10 @@ class Projection:
     @cached_property
     def running_integral(self) -> Array | None:
         """Down the picture: it takes longer than all that a pitch adds. None where it is too large to be kept."""
-        return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MOST_KEPT_SAMPLES else None
+        return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_KEPT_SAMPLES else None
 
 
-def project(
+def prepare_scene(
     irradiance: SpectralImage,
     camera: Camera,
     physics: PixelPhysics,
@@ -224,7 +224,7 @@ def project(
     full: bool = False,
     *,
     border_um: float | None = None,
-) -> Projection:
+) -> PreparedScene:
     """Everything up to the pixels. Only the one_to_one raster, whose dots are pixels, makes it depend on the pitch.
 
     border_um : the largest pitch that shares the frame, as `displays.dot_edges_um` takes it; None takes the pixel's own
@@ -243,12 +243,12 @@ def project(
     ideal = displays.shown_luminance(luminance, display)
     rate = diffracted_rate(irradiance, camera, physics)
     white = displays.white_rate(irradiance, camera, physics, display)
-    screen = Screen(display, size_um, edges_um, ideal, seen_lab(ideal, display, full), full)
-    return Projection(rate, irradiance.pitch_um, white, screen)
+    screen = Screen(display, size_um, edges_um, ideal, perceived_lab(ideal, display, full), full)
+    return PreparedScene(rate, irradiance.pitch_um, white, screen)
 
 
 # What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
-Light = Projection | SpectralImage
+Light = PreparedScene | SpectralImage
 
 
 class Lights:
@@ -256,16 +256,16 @@ class Lights:
 
     def __init__(self, irradiance: SpectralImage, camera: Camera, display: Display) -> None:
         self.irradiance, self.camera, self.display = irradiance, camera, display
-        self._kept: dict[object, Projection] = {}
+        self._kept: dict[object, PreparedScene] = {}
 
     def of(self, key: object, physics: PixelPhysics, border_um: float) -> Light:
-        """For pixels of one response that share a frame, known by any key; `border_um` as `project` takes it."""
+        """For pixels of one response that share a frame, known by any key; `border_um` as `prepare_scene` takes it."""
         if self.display.raster == "one_to_one":
             return self.irradiance
         if key not in self._kept:
             if len(self._kept) >= self.room:
                 self._kept.clear()
-            self._kept[key] = project(self.irradiance, self.camera, physics, self.display, border_um=border_um)
+            self._kept[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, border_um=border_um)
         return self._kept[key]
 
     @property
@@ -275,23 +275,23 @@ class Lights:
         return max(1, LIGHTS_BYTES // (8 * planes))
 
 
-def bench_of(light: Projection, physics: PixelPhysics, exposure: Exposure) -> Bench:
+def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposure) -> ImagingChain:
     """A pixel of any pitch under a projection for its response."""
     grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
     signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral)
     np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s)
-    return Bench(signal_e_per_s, physics, exposure, light.white_e_per_s_um2 * physics.photodiode_area_um2, light.screen)
+    return ImagingChain(signal_e_per_s, physics, exposure, light.white_e_per_s_um2 * physics.photodiode_area_um2, light.screen)
 
 
-def make_bench(
+def make_imaging_chain(
     irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display, full: bool = False
-) -> Bench:
+) -> ImagingChain:
     """Everything up to the noise. Warns where the camera is not the render's, or the display cannot show the scene."""
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
         warnings.warn("the irradiance was rendered with another camera than the one it is sensed with", stacklevel=3)
     physics = derive(pixel)
-    return bench_of(project(irradiance, camera, physics, display, full), physics, exposure)
+    return chain_at_pitch(prepare_scene(irradiance, camera, physics, display, full), physics, exposure)
 
 
 def evaluate(
@@ -319,7 +319,7 @@ def evaluate(
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
     ((30, 30), 1.0)
     """
-    bench = make_bench(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
+    bench = make_imaging_chain(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
     return bench.score("evaluate", seed)
 
 
@@ -356,7 +356,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     p, gain = physics, physics.dn_per_e
     noise_dn = gain * math.sqrt(p.reset_noise_e**2 + p.read_noise_e**2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
     dark_e = np.array([p.dark_current_e_per_s * integration_s])
-    if p.dsnu > np.finfo(float).eps:  # as `draw_sensor` takes it
+    if p.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
         shape = p.dsnu**-2
         dark_e = dark_e * gammaincinv(shape, (np.arange(DSNU_NODES) + 0.5) / DSNU_NODES) / shape
     many, few = dark_e[dark_e > FEW_E], np.maximum(dark_e[dark_e <= FEW_E, None], np.finfo(float).tiny)

@@ -35,7 +35,7 @@ from pixsim.base.parameters import Run
 from pixsim.scene.renderer import render
 from pixsim.studies import budget as probes
 from pixsim.studies.budget import SOURCES, Setup, brighter, pitch_range_um, pitches_around_optimum_um, probe
-from pixsim.viewer.score import bench_of
+from pixsim.viewer.score import chain_at_pitch
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # what a command warns of is in its stderr
@@ -236,8 +236,8 @@ def test_errors_of_seeds_are_those_of_independent_sensors():
 def test_what_sensors_share_is_made_once(monkeypatch):
     setup, image = csf()
     made = []
-    plain = bench_of
-    monkeypatch.setattr(probes, "bench_of", lambda *given: made.append(1) or plain(*given))
+    plain = chain_at_pitch
+    monkeypatch.setattr(probes, "chain_at_pitch", lambda *given: made.append(1) or plain(*given))
     probe(image, replace(setup, sensors=3, pitches_um=(6.0, 7.0)))
     assert len(made) == 3
 

@@ -153,7 +153,7 @@ def assert_same(found: cache.Arrays | None) -> None:
 
 def test_arrays_come_back_bit_for_bit(folder):
     assert cache.arrays("kind", "key") is None
-    cache.keep_arrays("kind", "key", CONTENT)
+    cache.store_arrays("kind", "key", CONTENT)
     assert_same(cache.arrays("kind", "key"))
     assert cache.arrays("kind", "other") is None
     assert [path.name for path in folder.rglob("*.npz")] == ["key.npz"]
@@ -162,7 +162,7 @@ def test_arrays_come_back_bit_for_bit(folder):
 
 def test_every_damage_is_noticed(folder):
     """Every third byte with a bit flipped, and files cut off: another answer is never given (dates in the table are no content)."""
-    cache.keep_arrays("kind", "key", CONTENT)
+    cache.store_arrays("kind", "key", CONTENT)
     path = folder / "kind/key.npz"
     whole = path.read_bytes()
     damaged = [whole[:length] for length in range(0, len(whole), 37)]
@@ -179,13 +179,13 @@ def test_every_damage_is_noticed(folder):
         else:
             assert_same(found)
     assert noticed > len(damaged) / 2
-    cache.keep_arrays("kind", "key", CONTENT)
+    cache.store_arrays("kind", "key", CONTENT)
     assert_same(cache.arrays("kind", "key"))
 
 
 def test_what_belongs_to_others_stays_and_ends_nothing(small, monkeypatch):
     for number in range(12):
-        cache.keep_arrays("kind", f"{number:02d}", big(1))
+        cache.store_arrays("kind", f"{number:02d}", big(1))
     unlink = Path.unlink
 
     def refused(self: Path, missing_ok: bool = False) -> None:
@@ -200,7 +200,7 @@ def test_what_belongs_to_others_stays_and_ends_nothing(small, monkeypatch):
 
 
 def test_files_of_mitsuba_and_matplotlib_are_theirs(folder):
-    cache.keep_arrays("kind", "key", CONTENT)
+    cache.store_arrays("kind", "key", CONTENT)
     (folder / "kernels").mkdir()
     (folder / "kernels/a.bin").write_bytes(b"kernel")
     assert [entry.kind for entry in cache.entries()] == ["kind"]
@@ -215,7 +215,7 @@ def big(mib: float) -> cache.Arrays:
 
 def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(small):
     for number in range(12):
-        cache.keep_arrays("kind", f"{number:02d}", big(1))
+        cache.store_arrays("kind", f"{number:02d}", big(1))
         os.utime(small / f"kind/{number:02d}.npz", (number, number))
         if number > 0:
             assert cache.arrays("kind", "00") is not None, "used each time, but gone"
@@ -227,21 +227,21 @@ def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(small):
 
 def test_a_process_that_writes_much_trims_by_itself(small):
     for number in range(40):
-        cache.keep_arrays("kind", f"{number}", big(1))
+        cache.store_arrays("kind", f"{number}", big(1))
         assert sum(entry.size_bytes for entry in cache.entries()) <= 9.5 * 2**20
 
 
 def test_an_entry_that_would_drive_out_the_rest_is_not_kept(small):
-    cache.keep_arrays("kind", "small", big(1.9))
-    cache.keep_arrays("kind", "large", big(2.1))
+    cache.store_arrays("kind", "small", big(1.9))
+    cache.store_arrays("kind", "large", big(2.1))
     assert [entry.path.stem for entry in cache.entries()] == ["small"]
 
 
 def test_a_limit_of_nothing_keeps_nothing_and_reads_nothing(folder, monkeypatch):
-    cache.keep_arrays("kind", "key", CONTENT)
+    cache.store_arrays("kind", "key", CONTENT)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     assert cache.arrays("kind", "key") is None
-    cache.keep_arrays("kind", "other", CONTENT)
+    cache.store_arrays("kind", "other", CONTENT)
     assert kept(1.5) == ({"number": 1.5}, 1)
     assert kept(2.5) == ({"number": 2.5}, 1)
     assert [entry.path.stem for entry in cache.entries()] == ["key"]
@@ -255,7 +255,7 @@ def test_a_limit_that_is_none_is_refused(monkeypatch, text):
 
 
 def test_what_a_killed_process_left_goes_after_an_hour(folder):
-    cache.keep_arrays("kind", "key", CONTENT)
+    cache.store_arrays("kind", "key", CONTENT)
     for name, age_s in ((".old", 7200), (".new", 60)):
         (folder / "kind" / name).write_bytes(b"half")
         then = time.time() - age_s
@@ -266,8 +266,8 @@ def test_what_a_killed_process_left_goes_after_an_hour(folder):
 
 
 def test_clear_removes_one_kind_or_all(folder):
-    cache.keep_arrays("render", "a", CONTENT)
-    cache.keep_arrays("frame", "b", CONTENT)
+    cache.store_arrays("render", "a", CONTENT)
+    cache.store_arrays("frame", "b", CONTENT)
     kept(1.0)
     size = (folder / "frame/b.npz").stat().st_size
     assert cache.clear("frame") == size
@@ -283,11 +283,11 @@ def test_a_change_of_any_source_makes_other_keys(monkeypatch, tmp_path):
     found = []
     for name, text in (("__init__.py", "a"), ("__init__.py", "b"), ("data/t.toml", "a"), ("data/q.csv", "1"), ("notes.txt", "")):
         (package / name).write_text(text, encoding="utf-8")
-        cache.made_by.cache_clear()
-        found.append(cache.made_by())
+        cache.version_fingerprint.cache_clear()
+        found.append(cache.version_fingerprint())
     assert len(set(found[:4])) == 4
     assert found[4] == found[3], "a note changes nothing"
     monkeypatch.setattr(cache, "VERSION", "99")
-    cache.made_by.cache_clear()
-    assert cache.made_by() not in found
-    cache.made_by.cache_clear()
+    cache.version_fingerprint.cache_clear()
+    assert cache.version_fingerprint() not in found
+    cache.version_fingerprint.cache_clear()

@@ -33,7 +33,7 @@ def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
     """The stages of `pixsim run csf` on a film of so many samples a side."""
     from pixsim.scene.convergence import render_until
     from pixsim.scene.plan import make_plan
-    from pixsim.viewer.score import make_bench
+    from pixsim.viewer.score import make_imaging_chain
 
     seconds: dict[str, float] = {}
     for size in (64, resolution):
@@ -45,7 +45,7 @@ def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
         planned = time.perf_counter()
         image, _ = render_until(scene, camera, plan, [pixel], exposure)
         rendered = time.perf_counter()
-        bench = make_bench(image, camera, pixel, exposure, pixsim.Display())
+        bench = make_imaging_chain(image, camera, pixel, exposure, pixsim.Display())
         projected = time.perf_counter()
         bench.score("growth")
         seconds = {

@@ -27,7 +27,7 @@ CURVE = "chen2000_0.35um"
 GRID_PITCHES, GRID_SENSORS = 16, (2, 3, 4, 6, 8, 12, 16, 24, 32)
 AT = 8  # sensors of the grid, whose half width the rounds have to reach: chen2000 before rounds
 STARTS = ((7, 2), (9, 2), (10, 2), (12, 2), (14, 2), (16, 2), (8, 3), (10, 3), (12, 3))
-MOST = 192  # evaluations of a study with rounds
+MAX_COUNT = 192  # evaluations of a study with rounds
 
 
 def even(study: Study, count: int) -> list[float]:
@@ -49,7 +49,7 @@ def round_half_widths(number: int, pitches_um: list[float], sensors: int, max_se
     points = []
     for now, fit in study.rounds(dict.fromkeys(pitches_um, sensors), max_sensors):
         evaluations = sum(now.values())
-        if evaluations > MOST:
+        if evaluations > MAX_COUNT:
             break
         points.append((evaluations, fit.optimum.half_width_um, covers(fit.optimum, study.truth, np.array(list(now)))))
     return points

@@ -29,18 +29,18 @@ from pixsim.light.spectral import SpectralImage, d65
 from pixsim.scene.charts import csf_value
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import capture_rate, draw_sensor
+from pixsim.sensor.readout import capture_from_rates, sample_sensor
 from pixsim.viewer import scielab
 from pixsim.viewer.display import WHITE_XYZ, frame_luminance
 from pixsim.viewer.scielab import PUBLISHED_GAUSSIANS
-from pixsim.viewer.score import Bench, bench_of, project
+from pixsim.viewer.score import ImagingChain, chain_at_pitch, prepare_scene
 
 Work = Callable[[], object]
 NM = np.arange(400.0, 701.0, 10.0)
 DIE_MM = 2.7136
 CAMERA, DISPLAY, EXPOSURE = Camera(die_mm=DIE_MM), Display(), Exposure()
 PITCHES_UM = (5.3, 6.5, 15.0)
-MOST_TIMES_PARTS = 2.0
+MAX_TIMES_PARTS = 2.0
 SPREADS = 3  # of the widest Gaussian that a sampled kernel reaches
 
 
@@ -120,7 +120,7 @@ def plain_display(picture: np.ndarray, dots: int) -> np.ndarray:
     return lines(points).reshape(dots, 2, dots, 2).mean(axis=(1, 3))
 
 
-def plain_evaluation(bench: Bench, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
+def plain_evaluation(bench: ImagingChain, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
     """Sensor, display and S-CIELAB of one frame; the ideal picture filtered anew."""
     dn = plain_frame(mean_e, bench.physics, seconds, np.random.default_rng(1))
     rows, columns = bench.ideal.shape  # the edge above and to the left is not scored
@@ -156,14 +156,14 @@ def targets() -> None:
         partial(plain_optics, small),
         3,
     )
-    light = project(film, CAMERA, physics, DISPLAY)
-    bench = bench_of(light, physics, EXPOSURE)
+    light = prepare_scene(film, CAMERA, physics, DISPLAY)
+    bench = chain_at_pitch(light, physics, EXPOSURE)
     shape, signal = bench.signal_e_per_s.shape, bench.signal_e_per_s
     frame = bench.score(0).frame
     white_e = bench.white_e_per_s * frame.integration_s
 
     def noise() -> None:
-        capture_rate(signal, draw_sensor(physics, shape, stream(1)), EXPOSURE, stream(2))
+        capture_from_rates(signal, sample_sensor(physics, shape, stream(1)), EXPOSURE, stream(2))
 
     chain = partial(plain_frame, frame.mean_e, physics, frame.integration_s, np.random.default_rng(1))
     row("noise of a sensor and a frame, 512²", 0.03, noise, chain)
@@ -171,13 +171,13 @@ def targets() -> None:
     row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
 
     def evaluation() -> None:
-        bench_of(light, physics, EXPOSURE).score(1).statistics()
+        chain_at_pitch(light, physics, EXPOSURE).score(1).statistics()
 
     plain = partial(plain_evaluation, bench, frame.mean_e, white_e, frame.integration_s)
     row("sense, display, score of a 512² frame", 0.08, evaluation, plain)
 
 
-def unavoidable(bench: Bench) -> dict[str, float]:
+def unavoidable(bench: ImagingChain) -> dict[str, float]:
     """Seconds of the draws, the transforms and the cube roots of one evaluation."""
     p, rng = bench.physics, np.random.default_rng(0)
     mean_e = bench.score(0).frame.mean_e
@@ -196,10 +196,10 @@ def unavoidable(bench: Bench) -> dict[str, float]:
 
 
 def parts() -> None:
-    print(f"\nan evaluation, ms: {'whole':>8} {'parts':>8} {'ratio':>6}  at most {MOST_TIMES_PARTS:g}")
-    light = project(chart(1024), CAMERA, derive(Pixel()), DISPLAY)
+    print(f"\nan evaluation, ms: {'whole':>8} {'parts':>8} {'ratio':>6}  at most {MAX_TIMES_PARTS:g}")
+    light = prepare_scene(chart(1024), CAMERA, derive(Pixel()), DISPLAY)
     for pitch_um in PITCHES_UM:
-        bench = bench_of(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
+        bench = chain_at_pitch(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
         found = unavoidable(bench)
         whole, sum_ = median_s(lambda bench=bench: bench.score(1).statistics(), 21), sum(found.values())
         told = ", ".join(f"{name} {1e3 * each:.1f}" for name, each in found.items())

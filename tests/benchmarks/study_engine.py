@@ -2,7 +2,7 @@
 
     python tests/benchmarks/study_engine.py [--repeats 2000] [--scheduler tcp://host:8786]
 
-The work is `Bench.score(...).statistics()` in a loop in this process, in the same run; what a study takes beyond it, over
+The work is `ImagingChain.score(...).statistics()` in a loop in this process, in the same run; what a study takes beyond it, over
 the number of evaluations, is its overhead: keys, tasks, workers, frames and rows. On several processes the work is shared
 out, so that their own start counts too.
 """
@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.timing import seconds_of
 
 import pixsim
-from pixsim.studies.evaluations import bench_at, light_of, stream_key
+from pixsim.studies.evaluations import chain_at, light_of, stream_key
 from pixsim.studies.study import render_for
 from pixsim.viewer.score import Lights
 
@@ -48,7 +48,7 @@ def work_s(study: pixsim.Study) -> float:
 
     def evaluations() -> None:
         for pitch_um in PITCHES_UM:
-            bench = bench_at(study, light, camera, "0.35um", pitch_um)
+            bench = chain_at(study, light, camera, "0.35um", pitch_um)
             for repeat in range(TIMED):
                 bench.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
 

@@ -59,9 +59,12 @@ def test_every_field_is_explained_before_it_stands(kind: str) -> None:
         if re.match(r"(# )?\w+ = ", line):
             assert lines[number - 1].startswith("##"), line
     told = template(kind)
-    assert "## standard deviation of the gain over its mean; 0 to 0.3; open\n" in told
+    assert "## standard deviation of the gain over its mean (PRNU); 0 to 0.3; open\n" in told
     assert "in electrons per second; 0 to 1e+18; open\n" in told
-    assert '## junction capacitance of the process, or 2.6 fF + 0.22 fF/µm² and a swing of 1 V; "mosis", "paper";' in told
+    assert (
+        "## 'mosis': junction capacitance of the process; 'paper': 2.6 fF + 0.22 fF/µm² and a voltage swing of 1 V; \"mosis\", "
+        in told
+    )
 
 
 def test_defaults_in_a_template_are_the_records_own() -> None:

@@ -75,7 +75,7 @@ def raising(module: str) -> frozenset[str]:
 
 def raises(node: ast.AST) -> bool:
     made = [each.exc.func for each in ast.walk(node) if isinstance(each, ast.Raise) and isinstance(each.exc, ast.Call)]
-    return any(isinstance(each, ast.Name) and each.id in ("refuse", "PixsimError") for each in made)
+    return any(isinstance(each, ast.Name) and each.id in ("invalid", "PixsimError") for each in made)
 
 
 def called(node: ast.AST) -> set[str]:
@@ -95,7 +95,7 @@ def has_unit(name: str) -> bool:
     return name in DIMENSIONLESS or any(name == unit or name.endswith(f"_{unit}") for unit in UNITS)
 
 
-def told_of(name: str, text: str) -> str:
+def description_of(name: str, text: str) -> str:
     """The line of an entry `name : …` with those that go on with it, or all the text where the name stands in prose."""
     entry = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* : (.*(?:\n +.*)*)", text, re.MULTILINE)
     if entry:
@@ -112,7 +112,7 @@ def complaints(name: str, function: Callable[..., Any], tree: ast.FunctionDef | 
     hints = {each: str(hint) for each, hint in function.__annotations__.items()}
     result, own = hints.pop("return", "None"), name.rpartition(".")[2]
     for each, hint in hints.items():
-        told = told_of(each, text)
+        told = description_of(each, text)
         if not (told or has_unit(each) or RECORD.search(hint)):
             yield "parameter", f"{each} is not told"
         if re.search(r"\bfloat\b", hint) and not has_unit(each) and not UNIT_WORDS.search(told):
@@ -157,7 +157,7 @@ def test_a_class_tells_its_fields(name: str) -> None:
     assert text
     assert not text.startswith(f"{kind.__name__}("), "the one that @dataclass writes"
     for field, about in fields(kind).items():
-        told = about.description if issubclass(kind, Record) else told_of(field, text)
+        told = about.description if issubclass(kind, Record) else description_of(field, text)
         assert told, f"{field} is not told"
         if "Array" in str(getattr(about, "type", "")):
             assert SHAPE.search(told), f"{field} has no shape"
@@ -184,9 +184,9 @@ def test_the_rules_can_fail() -> None:
     assert bad('def f(x: Array) -> Array:\n    """Of x, (H, W) sr. Foote 1915."""') == set()
     assert bad('def f(speed: float) -> int:\n    """At a speed."""') == {"unit"}
     assert bad('def f(x_nm: float) -> int:\n    """More."""') == set()
-    assert bad('def f(x_nm: float) -> int:\n    """More."""\n    raise refuse(1, 2, "3")') == {"errors"}
+    assert bad('def f(x_nm: float) -> int:\n    """More."""\n    raise invalid(1, 2, "3")') == {"errors"}
     assert bad('def f(x_nm: float) -> int:\n    """More."""\n    return irradiance_factor(x_nm, 0)') == {"errors"}
-    assert bad('def f(x_nm: float) -> int:\n    """Raises PixsimError for 3."""\n    raise refuse(1, 2, "3")') == set()
+    assert bad('def f(x_nm: float) -> int:\n    """Raises PixsimError for 3."""\n    raise invalid(1, 2, "3")') == set()
 
 
 # Those that people begin with, and the kernels that have a published number.

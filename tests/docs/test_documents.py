@@ -16,7 +16,7 @@ from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import Curve
-from pixsim.viewer.score import Bench, Score
+from pixsim.viewer.score import ImagingChain, Score
 
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
@@ -71,7 +71,7 @@ def test_readme_begins_with_the_commands_that_ci_runs(tmp_path: Path, monkeypatc
 # --- The paper's words and ours ---------------------------------------------------------------------------------------
 
 HOMES: dict[str, object] = {
-    each.__name__: each for each in (Pixel, PixelPhysics, Bench, Frame, Exposure, Technology, Junction, Camera, Display)
+    each.__name__: each for each in (Pixel, PixelPhysics, ImagingChain, Frame, Exposure, Technology, Junction, Camera, Display)
 }
 HOMES |= {each.__name__: each for each in (Score, Study, Curve)} | {"optics": pixsim.optics}
 OWN = {"optimum": Optimum}

@@ -18,7 +18,7 @@ from helpers.processes import HANG_S
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="neither chromium nor google-chrome is on PATH")
 WIDTHS = (400, 1280)  # a telephone and a desk
-SMALLEST_TEXT_PX = 12
+MIN_TEXT_PX = 12
 QUIET = ("background-networking", "component-update", "sync", "extensions", "default-apps", "quic", "gpu")
 
 # The page at every width in a browser that is started once; what it finds comes back as the title.
@@ -124,7 +124,7 @@ def assert_fits(page: Path, folder: Path) -> list[Seen]:
         assert seen.pictures
         assert min(seen.pictures) > 0, "a picture that did not load"
         assert seen.outside == 0
-        assert seen.smallest >= SMALLEST_TEXT_PX
+        assert seen.smallest >= MIN_TEXT_PX
         assert all(natural == shown for tile in seen.tiles for natural, shown in (tile[:2], tile[2:]))
         assert seen.unnamed == 0
         levels = [level for level, _ in seen.headings]

@@ -21,7 +21,7 @@ from pixsim.report.pictures import picture_axes
 from pixsim.scene.charts import write_chart
 from pixsim.scene.scene import load_scene, packaged_scenes
 from pixsim.sensor.technology import load_technology
-from pixsim.studies.evaluations import COLUMNS, Ledger
+from pixsim.studies.evaluations import COLUMNS, ResultsFile
 from pixsim.studies.study import load_study
 
 Reader = Callable[[Path], object]
@@ -76,7 +76,7 @@ def rows(path: Path) -> None:
 
 
 def read_rows(path: Path) -> object:
-    ledger = Ledger(path)
+    ledger = ResultsFile(path)
     ledger.read()
     return ledger.begin(lambda row: row["key"] == "key1" and float(row["pitch_um"]) == 1.5)
 

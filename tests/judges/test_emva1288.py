@@ -33,7 +33,7 @@ from pixsim.base.parameters import Pixel
 from pixsim.measure.datasheet import dark_map_e, measure, variance_peak_e
 from pixsim.measure.estimators import Frames, saturation_index
 from pixsim.measure.experiment import Experiment, make_experiment
-from pixsim.sensor.readout import draw_sensor
+from pixsim.sensor.readout import sample_sensor
 
 process = pytest.importorskip("emva1288.process")
 from emva1288.process import routines  # noqa: E402
@@ -186,7 +186,7 @@ class Redrawn(Experiment):
     """Another individual in each frame."""
 
     def frame(self, photons: float, integration_s: float, *key: object, sensor: Any = None) -> Frames:
-        other = draw_sensor(self.physics, self.sensor.shape, stream("another", *key))
+        other = sample_sensor(self.physics, self.sensor.shape, stream("another", *key))
         return super().frame(photons, integration_s, *key, sensor=other)
 
 

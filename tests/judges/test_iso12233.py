@@ -42,7 +42,7 @@ from pixsim.measure.sfr import BINS_A_PIXEL, NYQUIST_CY_PER_PX, TAPER, EdgeRespo
 from pixsim.scene import charts
 from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.readout import capture, capture_rate, draw_sensor
+from pixsim.sensor.readout import capture, capture_from_rates, sample_sensor
 
 STANDARD = "ISO 12233:2023 e-SFR"
 PITCHES_UM = (5.3, 6.5, 15.0)
@@ -50,7 +50,7 @@ F_NUMBERS = (2.8, 8.0)
 ANGLES_DEG = (5.0, 95.0)
 GATE = 0.01  # of the issue: what separates two lenses in practice, and three times what each step above costs
 APART = 0.005  # two estimators of one picture, which share the steps above: half the gate
-LEAST_HALF_WINDOW_PX = 48.0  # of the issue: the skirts beyond ±20 px cost 0.014
+MIN_HALF_WINDOW_PX = 48.0  # of the issue: the skirts beyond ±20 px cost 0.014
 ANGLE_GATE_DEG = 0.01  # 100 rows of 1/6 px each tell an angle to it; 0.01° smears a 5.3 µm edge by 0.09 px over the die
 FRAMES = 16
 EXPOSURE = Exposure(well_target=0.85)  # at the default's 95 %, PRNU and shot noise take 0.2 % of the pixels to the well
@@ -164,7 +164,7 @@ def sfr_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     for setting in SETTINGS:
         edge = estimate(setting, work, folder)
         off = worst(curve_of(edge), setting, work, folder)
-        wide = edge.half_window_px >= LEAST_HALF_WINDOW_PX
+        wide = edge.half_window_px >= MIN_HALF_WINDOW_PX
         found.append(row(f"SFR - MTF, {setting.name}", f"±{GATE} to Nyquist, ±48 px and more", off, abs(off) <= GATE and wide))
         turned = edge.angle_deg - setting.angle_deg
         found.append(row(f"angle, {setting.name}", f"±{ANGLE_GATE_DEG}°", turned, abs(turned) <= ANGLE_GATE_DEG))
@@ -218,8 +218,8 @@ def noise_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     rate, image, camera = sensed(work, setting, folder), irradiance_of(work, setting, folder), camera_of(setting.f_number)
     curves = []
     for seed in range(FRAMES):
-        sensor = draw_sensor(physics, rate.shape, np.random.default_rng([1, seed]))
-        frame = capture_rate(rate, sensor, EXPOSURE, np.random.default_rng([2, seed]))
+        sensor = sample_sensor(physics, rate.shape, np.random.default_rng([1, seed]))
+        frame = capture_from_rates(rate, sensor, EXPOSURE, np.random.default_rng([2, seed]))
         if seed == 0:
             whole = capture(image, camera, sensor, EXPOSURE, rng=np.random.default_rng([2, seed]))
             same = row("capture = its steps", "bit for bit", float(np.abs(whole.dn - frame.dn).max()), (whole.dn == frame.dn).all())

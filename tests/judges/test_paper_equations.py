@@ -28,7 +28,7 @@ from pixsim.base.parameters import Pixel
 from pixsim.measure.estimators import pair
 from pixsim.measure.experiment import with_black_level
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import draw_sensor, expose, frame_mean_dn
+from pixsim.sensor.readout import frame_mean_dn, read_out, sample_sensor
 
 STANDARD = "Chen et al. (2000), eqs. (1) and (2)"
 SECONDS = 0.030
@@ -55,10 +55,10 @@ def physics_of(technology: str, pitch_um: float, bits: int = 24) -> PixelPhysics
 def measured_db(physics: PixelPhysics, side: int, *key: object) -> dict[str, float]:
     """DR and SNR of a pixel from its frames alone, dB."""
     shape = side, side
-    sensor = draw_sensor(physics, shape, stream("no pattern"))
+    sensor = sample_sensor(physics, shape, stream("no pattern"))
 
     def frames(signal_e: float, name: str) -> tuple[np.ndarray, np.ndarray]:
-        first, second = (expose(np.full(shape, signal_e), SECONDS, sensor, stream(*key, name, index)) for index in range(2))
+        first, second = (read_out(np.full(shape, signal_e), SECONDS, sensor, stream(*key, name, index)) for index in range(2))
         return first, second
 
     dark = pair(*frames(0.0, "dark"))
@@ -103,9 +103,9 @@ def quantiser_cost_db(bits: int = 10) -> tuple[float, float]:
     """(measured, by LSB²/12) loss of DR at 15 µm, 0.35 µm technology: the dark at every phase of the quantiser."""
     physics = physics_of("0.35um", 15.0, bits)
     shape, phases = (600, 600), 8
-    sensor = draw_sensor(physics, shape, stream("no pattern"))
+    sensor = sample_sensor(physics, shape, stream("no pattern"))
     ramp_e = np.linspace(0.0, phases / physics.dn_per_e, math.prod(shape), endpoint=False).reshape(shape)
-    frame = expose(ramp_e, SECONDS, sensor, stream("paper", "quantiser", bits))
+    frame = read_out(ramp_e, SECONDS, sensor, stream("paper", "quantiser", bits))
     seen_dn2 = float(np.mean((frame - frame_mean_dn(ramp_e, SECONDS, physics)) ** 2))
     dark_e = physics.dark_current_e_per_s * SECONDS
     added_e2 = float(ramp_e.mean())  # the ramp's own shot noise, which the dark has not

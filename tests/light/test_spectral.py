@@ -161,10 +161,10 @@ def test_a_weighted_sum_needs_no_second_picture(make, monkeypatch):
 
 def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, monkeypatch):
     image = factored()
-    monkeypatch.setattr(exr, "MOST_BAND_BYTES", 4 * 46 * 5 * 7)
+    monkeypatch.setattr(exr, "MAX_BAND_BYTES", 4 * 46 * 5 * 7)
     pixsim.write_exr(tmp_path / "bands.exr", image)
     assert len(read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
-    monkeypatch.setattr(exr, "MOST_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
+    monkeypatch.setattr(exr, "MAX_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
     assert_comes_back(image, tmp_path / "image.exr")
     channels, header = read_channels(tmp_path / "image.exr")
     assert sorted(channels) == ["Y", "factor.0", "factor.1"]

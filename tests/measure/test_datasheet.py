@@ -13,7 +13,7 @@ from helpers.looks import grey_look
 
 from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import SMALLEST_FRACTION, Exposure, Pixel
+from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet
 from pixsim.measure.datasheet import DataSheet, Entry, clipped_moments, entries, expected_moments, make_datasheet, variance_peak_e
 from pixsim.measure.datasheet_report import datasheet_plates, sheet_name, spectrogram, write_datasheet
@@ -38,7 +38,7 @@ from pixsim.measure.estimators import (
 )
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.readout import dark_spread_e, draw_sensor, expose, frame_mean_dn, frame_variance_dn2, least_black_level_dn
+from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_dn2, least_black_level_dn, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
 FILES = {"datasheet.csv", "summary.json", "report.html", "figures"}
@@ -220,8 +220,8 @@ def test_expected_moments_are_those_of_frames_at_the_well(share: float, options:
     pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 14, "black_level_dn": 400} | options)
     physics = derive(pixel)
     mean_e = share * physics.full_well_e
-    sensor = draw_sensor(physics, (400, 400), stream("test moments"))
-    frames = [expose(np.full(sensor.shape, mean_e), 0.03, sensor, stream("test moments", share, index)) for index in range(2)]
+    sensor = sample_sensor(physics, (400, 400), stream("test moments"))
+    frames = [read_out(np.full(sensor.shape, mean_e), 0.03, sensor, stream("test moments", share, index)) for index in range(2)]
     mean, variance = expected_moments(mean_e, 0.03, physics)
     found = pair(*frames)
     assert found.mean_dn == pytest.approx(mean, rel=3e-4)
@@ -286,7 +286,7 @@ def test_a_quiet_pixel_in_the_cold_can_be_measured() -> None:
     assert sheet.transfer.limited
     assert found["K"].measured == pytest.approx(found["K"].true, rel=0.02)
     assert "ϑ_d" not in found
-    assert found["η"].measured > SMALLEST_FRACTION
+    assert found["η"].measured > MIN_FRACTION
 
 
 # --- the sheet ---

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BUILD = "import sys; from hatchling import build; getattr(build, sys.argv[1])(sys.argv[2])"
 UNREACHABLE = ("Could not find a version", "No matching distribution", "connection", "Failed to establish", "Read timed out")
-LONGEST_S = 6 * HANG_S  # packages are fetched, and half of the tests run
+MAX_S = 6 * HANG_S  # packages are fetched, and half of the tests run
 LANGUAGE_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
 STUDY = """
 name = "tiny"
@@ -35,7 +35,7 @@ def run(*command: str | Path, folder: Path, **environment: str) -> subprocess.Co
     """A command that knows nothing of the checkout."""
     kept = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "DRJIT_LIBLLVM_PATH")}
     command = tuple(map(str, command))
-    return subprocess.run(command, cwd=folder, env=kept | environment, capture_output=True, text=True, timeout=LONGEST_S)
+    return subprocess.run(command, cwd=folder, env=kept | environment, capture_output=True, text=True, timeout=MAX_S)
 
 
 def pip_install(python: Path | str, *what: str | Path, folder: Path) -> None:

@@ -22,7 +22,7 @@ from pixsim.base.parameters import pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
-from pixsim.report.pictures import MOST_TICKS, picture_axes
+from pixsim.report.pictures import MAX_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
 from pixsim.report.views import study_pictures
 from pixsim.scene.charts import DIE_MM
@@ -402,7 +402,7 @@ def test_other_marks_are_round_numbers(die_mm, texts):
     across, down = axes.across, axes.down
     assert " ".join(text for _, text in across.ticks).startswith(texts)
     assert all(at == pytest.approx(float(text)) for at, text in across.ticks)
-    assert 3 <= len(across.ticks) <= MOST_TICKS
+    assert 3 <= len(across.ticks) <= MAX_TICKS
     assert across.ticks[-1][0] <= die_mm * (1 + 1e-6)
     assert down.ticks[-1][0] <= die_mm / 2 * (1 + 1e-6)
 

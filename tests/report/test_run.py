@@ -19,7 +19,7 @@ from pixsim.base.parameters import CameraOptions
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.run import FILES, shown_picture
-from pixsim.show.pictures import MOST_PICTURE_DOTS as MOST_DOTS
+from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS
 from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
@@ -334,7 +334,7 @@ def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], facto
     else:
         assert shown == Picture(grey_codes(small), "a name")
     assert (shown.height, shown.width) == small.shape
-    assert max(small.shape) <= MOST_DOTS
+    assert max(small.shape) <= MAX_DOTS
 
 
 @needs_browser

@@ -120,7 +120,7 @@ def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how:
     elif how == "of another shape":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
     else:
-        monkeypatch.setattr(views, "bench_at", None)  # the dear way is not taken
+        monkeypatch.setattr(views, "chain_at", None)  # the dear way is not taken
     for place in (0, 3):
         picture = detail_at(result, curve, place, WHOLE)
         expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
@@ -139,7 +139,7 @@ def test_a_study_with_a_dot_a_pixel_has_views_of_pixels_as_large_as_a_detail(tmp
 
 
 def test_whole_pictures_of_a_study_are_bounded_and_details_are_not(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(details, "MOST_PICTURE_DOTS", 60)
+    monkeypatch.setattr(details, "MAX_PICTURE_DOTS", 60)
     curve = result.curves[0]
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)

@@ -16,7 +16,7 @@ from helpers.edits import load
 
 import pixsim
 from pixsim.scene import convergence
-from pixsim.scene.convergence import MOST_SPP, RENDER_NOISE, RenderNoise, render_until
+from pixsim.scene.convergence import MAX_SPP, RENDER_NOISE, RenderNoise, render_until
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
@@ -147,7 +147,7 @@ def test_pairs_grow_only_where_much_is_missing(monkeypatch):
     until(first / 400)
     assert renders.levels[::2] == renders.levels[1::2]  # in pairs
     assert all(later - earlier in (0, 1) for earlier, later in pairwise(renders.levels))
-    assert 4 * LEVEL_FACTOR ** max(renders.levels) == MOST_SPP
+    assert 4 * LEVEL_FACTOR ** max(renders.levels) == MAX_SPP
 
 
 def test_memory_does_not_grow_with_the_samples(monkeypatch):
@@ -190,7 +190,7 @@ def test_what_is_no_light_is_refused_at_once(monkeypatch, wrong):
 
 def test_runs_end_it(monkeypatch):
     Noisy(monkeypatch, 0.1)
-    monkeypatch.setattr(convergence, "MOST_RUNS", 6)
+    monkeypatch.setattr(convergence, "MAX_RUNS", 6)
     with pytest.warns(UserWarning, match=r"limit of 6 renders.*Raise --max-seconds"):
         noise = until(1e-9)[1]
     assert (noise.runs, noise.ended_by) == (6, "runs")

@@ -19,7 +19,7 @@ from pixsim.scene import convergence
 from pixsim.scene import renderer as kept_renders
 from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_render_plan
-from pixsim.scene.renderer import KeptRenders, Renderer
+from pixsim.scene.renderer import CachedRenders, Renderer
 
 RUN = "run {scene} --variant scalar_spectral -D resolution=32 --display.dots 32 --config {out}.toml --out {out}"
 
@@ -140,8 +140,8 @@ def test_an_edited_scene_is_rendered_again(tmp_path, rendered):
 @pytest.mark.parametrize("package", ["pixsim", "mitsuba", "drjit"])
 def test_another_version_renders_again(package, tmp_path, rendered, monkeypatch):
     run(tmp_path / "out")
-    real = cache.made_by
-    monkeypatch.setattr(cache, "made_by", lambda *names: real(*names).replace(f"{package} ", f"{package} 99."))
+    real = cache.version_fingerprint
+    monkeypatch.setattr(cache, "version_fingerprint", lambda *names: real(*names).replace(f"{package} ", f"{package} 99."))
     run(tmp_path / "out")
     assert rendered == [0, 1, 0, 1]
 
@@ -174,7 +174,7 @@ def test_one_job_keeps_a_share_of_the_cache_only(monkeypatch):
     monkeypatch.setenv(LIMIT_VARIABLE, str(16 / 1024))  # 16 MiB: 4 for one job
     picture = np.zeros((512, 512, 1), np.float32)  # 1 MiB
     for _ in range(2):
-        job = KeptRenders("job")
+        job = CachedRenders("job")
         for index in range(6):
             if job.find(index, 0) is None:
                 job.keep(index, 0, [picture], 16)

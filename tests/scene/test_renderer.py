@@ -149,7 +149,7 @@ def mean_electrons(image, camera, pixel) -> np.ndarray:
     physics = derive(pixel)
     count = tuple(pixel_count(n * image.pitch_um, pixel.pitch_um) for n in image.shape)
     rng = np.random.default_rng(0)
-    frame = pixsim.capture(image, camera, sensor.draw_sensor(physics, count, rng), rng=rng)
+    frame = pixsim.capture(image, camera, sensor.sample_sensor(physics, count, rng), rng=rng)
     return frame.mean_e.mean(axis=0) / frame.integration_s
 
 

@@ -194,7 +194,7 @@ def test_a_diode_without_current_is_full_where_the_tangent_begins():
     assert saturation.linear_limit_e(diode_of(physics), physics.full_well_e, 0.1) == math.inf
     for conversion in ("linear", "junction"):
         physics = derive(pixel(well_limit="diode", dark_current_e_per_s=0, conversion=conversion))
-        level = saturation.kept_level_e(np.array([0.0, 1.0, 2.0, 1e6]) * physics.full_well_e, 0.1, physics)
+        level = saturation.stored_signal_e(np.array([0.0, 1.0, 2.0, 1e6]) * physics.full_well_e, 0.1, physics)
         assert np.all(np.diff(level) > 0)
         assert level[1] == pytest.approx(physics.full_well_e, rel=1e-6)
 
@@ -212,8 +212,8 @@ def test_a_pinned_photodiode_has_neither(options):
 
 
 def frame(physics, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3) -> np.ndarray:
-    sensor = sensors.draw_sensor(physics, shape, np.random.default_rng(1))
-    return sensors.expose(np.full(shape, mean_e), integration_s, sensor, np.random.default_rng(seed))
+    sensor = sensors.sample_sensor(physics, shape, np.random.default_rng(1))
+    return sensors.read_out(np.full(shape, mean_e), integration_s, sensor, np.random.default_rng(seed))
 
 
 def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.ndarray:
@@ -267,7 +267,7 @@ def test_before_saturation_both_limits_give_the_same_bits():
 def test_the_junction_bends_the_response_by_about_two_percent(technology):
     physics = derive(pixel(technology, conversion="junction"))
     charge = np.linspace(0, 1, 201) * physics.full_well_e
-    bend = saturation.kept_level_e(charge, 0.03, physics) / physics.full_well_e - charge / physics.full_well_e
+    bend = saturation.stored_signal_e(charge, 0.03, physics) / physics.full_well_e - charge / physics.full_well_e
     # 1.61, 1.75, 1.93 and 0.99 %, half way up; both ends stay.
     stated = {"0.5um": 0.0161, "0.35um": 0.0175, "0.25um": 0.0193, "0.18um": 0.0099}[technology]
     assert bend.max() == pytest.approx(stated, abs=1e-4)
@@ -279,7 +279,7 @@ def test_the_junction_bends_the_response_by_about_two_percent(technology):
 def test_a_constant_capacitance_converts_linearly():
     physics = derive(pixel(capacitance="paper", conversion="junction"))
     charge = np.linspace(0, 1.3, 50) * physics.full_well_e
-    np.testing.assert_array_equal(saturation.kept_level_e(charge, 0.03, physics), np.minimum(charge, physics.full_well_e))
+    np.testing.assert_array_equal(saturation.stored_signal_e(charge, 0.03, physics), np.minimum(charge, physics.full_well_e))
 
 
 @pytest.mark.parametrize("integration_s", [1e-3, 0.1, 3600.0])
@@ -289,14 +289,14 @@ def test_the_linear_limit_is_where_the_diode_takes_a_millionth(integration_s):
     limit_e = saturation.linear_limit_e(diode, well_e, integration_s)
     for share, beyond in ((1 - 1e-6, False), (1 + 1e-4, True)):
         generated = np.array([share * limit_e])
-        assert (generated - saturation.kept_charge_e(generated, integration_s, diode) > 1e-6 * well_e).item() is beyond
+        assert (generated - saturation.stored_charge_e(generated, integration_s, diode) > 1e-6 * well_e).item() is beyond
     # Below it no table is made.
     saturation.level_table.cache_clear()
     dim = np.array([0.0, 0.999 * limit_e])
-    assert saturation.kept_level_e(dim, integration_s, physics) is dim
+    assert saturation.stored_signal_e(dim, integration_s, physics) is dim
     assert saturation.level_table.cache_info().currsize == 0
-    saturation.kept_level_e(1.01 * dim, integration_s, physics)
-    saturation.kept_level_e(1.02 * dim, integration_s, physics)
+    saturation.stored_signal_e(1.01 * dim, integration_s, physics)
+    saturation.stored_signal_e(1.02 * dim, integration_s, physics)
     assert saturation.level_table.cache_info() == (1, 1, 64, 1)
 
 

@@ -80,8 +80,8 @@ def standard_scores(found: np.ndarray, mean: float, variance: float) -> tuple[fl
 
 def frames(physics: PixelPhysics, mean_e: float, integration_s: float, count: int = 1) -> list[np.ndarray]:
     """Frames of one sensor of a million pixels under even light."""
-    sensor = sensors.draw_sensor(physics, SHAPE, seeded(11))
-    return [sensors.expose(np.full(SHAPE, mean_e), integration_s, sensor, seeded(21 + i)) for i in range(count)]
+    sensor = sensors.sample_sensor(physics, SHAPE, seeded(11))
+    return [sensors.read_out(np.full(SHAPE, mean_e), integration_s, sensor, seeded(21 + i)) for i in range(count)]
 
 
 ALL = {
@@ -157,14 +157,14 @@ def test_column_offsets_are_shared_within_a_column_only():
 
 def test_fixed_pattern_maps():
     physics = derive(Pixel(**CLEAN | ALL))
-    sensor = sensors.draw_sensor(physics, SHAPE, seeded(3))
+    sensor = sensors.sample_sensor(physics, SHAPE, seeded(3))
     # Mean 1 and spread as asked, at 5σ of a million (gamma: fourth moment 3.54 σ⁴ for a spread of 0.3).
     for values, spread, kurtosis in ((sensor.gain, 0.02, 3.0), (sensor.dark_gain, 0.3, 3 + 6 * 0.09)):
         assert values.mean() == pytest.approx(1.0, abs=SIGMAS * spread / 1e3)
         assert values.var() == pytest.approx(spread**2, rel=SIGMAS * np.sqrt((kurtosis - 1) / 1e6))
         assert values.min() > 0
     assert sensor.column_offset_e.shape == (1, SHAPE[1])
-    clean = sensors.draw_sensor(derive(Pixel(**CLEAN)), (4, 4), seeded(3))
+    clean = sensors.sample_sensor(derive(Pixel(**CLEAN)), (4, 4), seeded(3))
     assert (clean.gain, clean.dark_gain, clean.offset_e, clean.column_offset_e) == (None, None, None, None)
 
 
@@ -193,11 +193,11 @@ def test_the_well_clips_before_read_noise_and_offsets():
 def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, size: int = 250_000) -> float:
     """Of pixels under even light in 10 ms; `offset` of all of them, as a fraction of the well, in the place of their own."""
     physics = derive(pixel)
-    sensor = sensors.draw_sensor(physics, (4, size // 4), seeded(31))
+    sensor = sensors.sample_sensor(physics, (4, size // 4), seeded(31))
     if offset is not None:
         sensor = replace(sensor, offset_e=np.full(sensor.shape, offset * physics.full_well_e))
     rate = np.full(sensor.shape, wells * physics.full_well_e / 0.01)
-    frame = sensors.capture_rate(rate, sensor, Exposure(integration_s=0.01), seeded(32))
+    frame = sensors.capture_from_rates(rate, sensor, Exposure(integration_s=0.01), seeded(32))
     assert frame.saturated_fraction >= np.mean(frame.dn == 2**pixel.bits - 1)
     return frame.saturated_fraction
 
@@ -306,8 +306,8 @@ def test_a_frame_is_the_chain_stage_by_stage(options):
     assert p.pixel.well_limit == "swing"
     mean_e = np.random.default_rng(1).uniform(0, 1.4 * p.full_well_e, (40, 30))
     kept = mean_e.copy()
-    sensor = sensors.draw_sensor(p, mean_e.shape, np.random.default_rng(2))
-    found = sensors.expose(mean_e, 0.05, sensor, np.random.default_rng(3))
+    sensor = sensors.sample_sensor(p, mean_e.shape, np.random.default_rng(2))
+    found = sensors.read_out(mean_e, 0.05, sensor, np.random.default_rng(3))
     np.testing.assert_array_equal(mean_e, kept)
 
     rng = np.random.default_rng(2)
@@ -359,18 +359,18 @@ def test_no_light_and_no_dark_current_takes_the_longest_exposure():
 def test_the_most_uneven_dark_charge_is_still_a_count():
     """A DSNU of 100: one pixel in ten thousand has all of the dark charge."""
     physics = derive(Pixel(dsnu=100, dark_current_e_per_s=1e6, bits=24))
-    sensor = sensors.draw_sensor(physics, (300, 300), seeded(0))
+    sensor = sensors.sample_sensor(physics, (300, 300), seeded(0))
     assert sensor.dark_gain.min() >= 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        dn = sensors.expose(np.zeros((300, 300)), 1e9, sensor, seeded(1))
+        dn = sensors.read_out(np.zeros((300, 300)), 1e9, sensor, seeded(1))
     assert 0 <= dn.min() <= dn.max() <= 2**24 - 1
 
 
 def test_a_gain_that_would_lose_its_mean_is_refused():
     with pytest.raises(ValidationError, match="prnu"):
         Pixel(prnu=0.31)
-    gain = sensors.draw_sensor(derive(Pixel(prnu=0.3)), (1000, 1000), seeded(0)).gain
+    gain = sensors.sample_sensor(derive(Pixel(prnu=0.3)), (1000, 1000), seeded(0)).gain
     # Cut at zero: E max(1 + sN, 0) - 1 = s φ(1/s) - Φ(-1/s) = 3.4e-5; 5σ of a million.
     assert gain.mean() == pytest.approx(1 + 3.4e-5, abs=5 * 0.3 / 1e3)
 

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from pixsim.base.config import packaged, read_toml
-from pixsim.base.errors import LONGEST_LABEL as LONGEST
+from pixsim.base.errors import MAX_LABEL as MAX_LENGTH
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Pixel
 from pixsim.sensor.pixel import derive
@@ -180,7 +180,7 @@ STUDIES = [
     (["a/Mine.toml", "b/mine.toml"], ["Mine", "mine-2"]),
     (["none", "data sheet.toml"], ["data sheet", "data sheet-2"]),
     (["0.35um", "mine/0.35um.toml"], ["0.35um", "0.35um-2"]),
-    ([f"a/{'n' * 100}1.toml", f"a/{'n' * 100}2.toml"], [f"{'n' * (LONGEST - 1)}…", f"{'n' * (LONGEST - 1)}…-2"]),
+    ([f"a/{'n' * 100}1.toml", f"a/{'n' * 100}2.toml"], [f"{'n' * (MAX_LENGTH - 1)}…", f"{'n' * (MAX_LENGTH - 1)}…-2"]),
 ]
 
 

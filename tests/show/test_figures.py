@@ -16,7 +16,7 @@ TOGETHER = 4  # most lines that only colour and dashes tell apart
 EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
 
 
-def seen_lab(colours: tuple[str, ...], eye: str | None) -> np.ndarray:
+def perceived_lab(colours: tuple[str, ...], eye: str | None) -> np.ndarray:
     """CIELAB of sRGB colours as a dichromat sees them (Machado, Oliveira and Fernandes 2009, severity 1), (n, 3)."""
     import colour
     from colour.blindness import matrix_cvd_Machado2009
@@ -38,16 +38,20 @@ def least_distance(lab: np.ndarray) -> float:
 @pytest.mark.parametrize("eye", EYES)
 def test_lines_that_stand_together_differ_for_every_eye(eye: str | None) -> None:
     """19 is ten times what two patches side by side need to be told apart; lines are thin."""
-    assert least_distance(seen_lab(COLOURS[:TOGETHER], eye)) > 19
+    assert least_distance(perceived_lab(COLOURS[:TOGETHER], eye)) > 19
     # The judge can tell: red and green of one lightness merge for a deuteranope.
     if eye == "Deuteranomaly":
-        assert least_distance(seen_lab(("#B05A00", "#6C7A00"), eye)) < 10 < least_distance(seen_lab(("#B05A00", "#6C7A00"), None))
+        assert (
+            least_distance(perceived_lab(("#B05A00", "#6C7A00"), eye))
+            < 10
+            < least_distance(perceived_lab(("#B05A00", "#6C7A00"), None))
+        )
 
 
 def test_two_looks_are_never_alike_in_grey() -> None:
     assert len({look.dashes for look in LOOKS}) == len(LOOKS)
     assert len({look.marker for look in LOOKS}) == len(LOOKS)
-    lightness = np.sort(seen_lab(COLOURS[:TOGETHER], None)[:, 0])
+    lightness = np.sort(perceived_lab(COLOURS[:TOGETHER], None)[:, 0])
     assert np.diff(lightness).min() > 7
 
 

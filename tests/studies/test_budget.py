@@ -14,9 +14,9 @@ import pixsim
 from pixsim.report.wording import budget_lines
 from pixsim.studies.budget import (
     FINEST_NOISE,
-    HIGHEST_ORDER,
-    LOWEST_ORDER,
-    MOST_SENSORS,
+    MAX_ORDER,
+    MAX_SENSORS,
+    MIN_ORDER,
     SOURCES,
     Calibration,
     Effect,
@@ -103,7 +103,7 @@ def test_richardson_finds_the_order_and_the_error_of_a_power_law(order):
 @pytest.mark.parametrize("order", [0.5, 3.0, 6.0])
 def test_an_order_that_cannot_be_believed_is_taken_safely(order):
     films, found = films_of(order)
-    assert LOWEST_ORDER <= found <= HIGHEST_ORDER
+    assert MIN_ORDER <= found <= MAX_ORDER
     assert films[-1].delta_e >= 0.01
     assert films[0].delta_e > films[1].delta_e > films[2].delta_e
 
@@ -115,11 +115,11 @@ def test_films_that_differ_by_nothing_or_change_sign():
     assert math.isfinite(order)
     back, order = film_errors(made(1.0), [made(1.1), made(1.1)])  # the coarsest film is as good: nothing is known
     assert back[-1].delta_e == pytest.approx(0.3)
-    assert order == LOWEST_ORDER
+    assert order == MIN_ORDER
     none, _ = film_errors(same, [])
     assert math.isnan(none[0].delta_e)
     one, order = film_errors(made(1.0), [made(1.1)])
-    assert (len(one), order) == (2, LOWEST_ORDER)
+    assert (len(one), order) == (2, MIN_ORDER)
 
 
 def test_a_difference_counts_every_pitch():
@@ -229,7 +229,7 @@ def test_a_choice_keeps_to_its_tolerance_or_says_that_it_does_not(name, free):
         assert choice.width in widths_of(found)
         assert free or choice.width == found.width
         assert FINEST_NOISE <= choice.render_noise <= 1
-        assert 1 <= choice.sensors <= MOST_SENSORS
+        assert 1 <= choice.sensors <= MAX_SENSORS
     assert choose(found, 10.0, film_is_free=free).met
 
 
@@ -258,7 +258,7 @@ def test_what_the_film_leaves_is_not_chased_with_noise_and_sensors():
 
 def test_sensors_without_end_are_not_promised():
     choice = choose(calibration(sensor=Effect(1.0, 1.0)), 1e-3, film_is_free=True)
-    assert (choice.sensors, choice.met) == (MOST_SENSORS, False)
+    assert (choice.sensors, choice.met) == (MAX_SENSORS, False)
 
 
 def test_films_stay_within_memory():

@@ -31,12 +31,12 @@ from pixsim.studies.optimum import (
 
 PITCH = np.geomspace(5.3, 15, 16)
 BEST_UM = 8.3
-LEAST = 0.5
+MIN_VERSIONS = 0.5
 
 
 def parabola(pitch_um: np.ndarray, bend: float = 1.0, best_um: float = BEST_UM) -> np.ndarray:
     """Mean ΔE, a parabola in log pitch."""
-    return LEAST + bend * np.log(pitch_um / best_um) ** 2
+    return MIN_VERSIONS + bend * np.log(pitch_um / best_um) ** 2
 
 
 def sensors_of(mean: np.ndarray, repeats: int, noise: float = 0.0, seed: int = 0) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_a_parabola_in_log_pitch_is_found(pitches: int, bend: float) -> None:
     optimum = fitted(parabola(pitch, bend), pitch_um=pitch).optimum
     assert optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
     # Half a step of the fine grid (0.065 %) beside the minimum, ΔE is higher by 3 · 0.00065² of 0.5 at most.
-    assert optimum.mean_delta_e == pytest.approx(LEAST, rel=3e-6)
+    assert optimum.mean_delta_e == pytest.approx(MIN_VERSIONS, rel=3e-6)
     assert optimum.inside
     low, high = optimum.interval_um
     assert low < BEST_UM < high < 1.02 * low
@@ -74,7 +74,7 @@ def test_the_pitches_of_a_shallow_minimum(bend: float) -> None:
     """0.5 + bend x² rises by 1 % at x = √(0.005/bend), by 2 % at √(0.01/bend); they are read on steps of 0.13 %, within."""
     optimum = fitted(parabola(PITCH, bend)).optimum
     for share, (low, high) in ((0.01, optimum.within_1_percent_um), (0.02, optimum.within_2_percent_um)):
-        reach = np.sqrt(LEAST * share / bend)
+        reach = np.sqrt(MIN_VERSIONS * share / bend)
         assert 0 <= np.log(low / BEST_UM) + reach < 1.4e-3
         assert 0 <= reach - np.log(high / BEST_UM) < 1.4e-3
 

@@ -38,7 +38,7 @@ from pixsim.studies.sensitivity import (
     turned_words,
     write_sensitivity_report,
 )
-from pixsim.studies.study import load_study, refuse_bad_pitches
+from pixsim.studies.study import check_pitches, load_study
 
 BASE_TOML = tiny_toml(
     repeats=4,
@@ -375,7 +375,7 @@ def test_every_case_that_is_shipped_can_run_and_differs_from_the_base(shipped: S
     base = shipped.base_study()
     found = list(cases_of(shipped))
     for variation, label, study in found:
-        refuse_bad_pitches(study)
+        check_pitches(study)
         assert study.model_dump(exclude={"quick"}) != base.model_dump(exclude={"quick"}), f"{variation}, {label} is the base"
         assert (study.seed, study.name) == (base.seed, base.name), "its random streams are others"
         assert study.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
@@ -431,7 +431,7 @@ def test_the_numbers_that_are_shipped_move_in_every_process(shipped: Sensitivity
     assert len(moves) == 6 * 2 * 4 - 2, "all but the measured peak at 0.35 µm"
     base = shipped.base_study()
     for each in moves:
-        refuse_bad_pitches(each.study(base))
+        check_pitches(each.study(base))
         low, high = load_technology(each.technology).ranges[each.number]
         assert each.value == (low, high)[each.end]
 
@@ -447,7 +447,7 @@ def test_modern_pixels_are_pinned_photodiodes() -> None:
     study = load_study("modern")
     assert len(study.technologies) >= 2
     for each in (study, study.quickened):
-        refuse_bad_pitches(each)
+        check_pitches(each)
         assert not each.paper
     for name in study.technologies:
         technology = load_technology(name)

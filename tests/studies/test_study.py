@@ -26,7 +26,7 @@ from pixsim.sensor.technology import technology_of
 from pixsim.studies.budget import Setup
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study
-from pixsim.viewer.score import Bench
+from pixsim.viewer.score import ImagingChain
 
 OWN = {"repeats": 3, "seed": 1}
 TINY_TOML = tiny_toml(**OWN)
@@ -307,8 +307,8 @@ def test_frames_from_the_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: 
     """Overexposed, so that a part of the pixels is saturated: their fraction is kept with the frame, whose DN do not show it."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     taken: list[int] = []
-    capture = Bench.capture
-    monkeypatch.setattr(Bench, "capture", lambda self, *key: taken.append(1) or capture(self, *key))
+    capture = ImagingChain.capture
+    monkeypatch.setattr(ImagingChain, "capture", lambda self, *key: taken.append(1) or capture(self, *key))
     study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0})
     results = tmp_path / "out/results.csv"
 
@@ -324,7 +324,7 @@ def test_frames_from_the_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: 
     assert evaluated() == (cold, 0)
     for path in (tmp_path / "cache/frames").iterdir():  # without the fractions, as if they had never been kept
         kept = cache.arrays("frames", path.stem)
-        cache.keep_arrays("frames", path.stem, {name: each for name, each in kept.items() if each.ndim == 2})
+        cache.store_arrays("frames", path.stem, {name: each for name, each in kept.items() if each.ndim == 2})
     assert evaluated() == (cold, 10)
 
 

@@ -23,7 +23,7 @@ from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDIT
 from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study import next_round
-from pixsim.viewer.score import Bench, Score
+from pixsim.viewer.score import ImagingChain, Score
 
 Sensors = dict[float, int]
 PITCH = np.geomspace(5.3, 15, 9).round(4)
@@ -259,15 +259,15 @@ def test_two_workers_take_the_same_rounds(done: tuple[StudyResult, Path], tmp_pa
 def test_a_study_that_is_interrupted_goes_on_in_its_round(
     count: int, done: tuple[StudyResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
 ) -> None:
-    counted = Bench.view
+    counted = ImagingChain.view
 
-    def interrupted(self: Bench, frame: Frame) -> Score:
+    def interrupted(self: ImagingChain, frame: Frame) -> Score:
         if len(evaluations) + 1 == count:
             raise KeyboardInterrupt
         return counted(self, frame)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Bench, "view", interrupted)
+        patch.setattr(ImagingChain, "view", interrupted)
         with pytest.raises(KeyboardInterrupt):
             pixsim.study(tiny(), tmp_path, jobs=1)
     kept = keys(tmp_path)

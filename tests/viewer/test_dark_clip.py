@@ -12,7 +12,7 @@ import pixsim
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.readout import draw_sensor, expose
+from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.score import dark_clip
 
@@ -54,8 +54,8 @@ def test_a_dark_frame_reads_as_told(options: dict[str, Any]) -> None:
     """Codes at 0 and their mean, within 5σ of a million pixels: about 1 % of either."""
     physics = derive(Pixel.model_validate(options))
     clip = dark_clip(physics, TIME_S, 1e4)
-    sensor = draw_sensor(physics, SHAPE, np.random.default_rng(1))
-    dn = expose(np.zeros(SHAPE), TIME_S, sensor, np.random.default_rng(2))
+    sensor = sample_sensor(physics, SHAPE, np.random.default_rng(1))
+    dn = read_out(np.zeros(SHAPE), TIME_S, sensor, np.random.default_rng(2))
     assert abs(in_standard_errors(dn == 0, clip["at_zero_fraction"])) < SIGMAS
     # Rounding alone moves the mean by up to exp(-2π²σ²)/π codes: nothing above σ of 0.8 DN.
     assert clip["spread_dn"] > 0.8

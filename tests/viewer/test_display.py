@@ -17,7 +17,7 @@ from pixsim.sensor.integration import mean_signal_rate
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import Frame
 from pixsim.viewer import display as displays
-from pixsim.viewer.score import bench_of, evaluate, project
+from pixsim.viewer.score import chain_at_pitch, evaluate, prepare_scene
 
 NM = np.arange(400.0, 721.0, 10)
 DIE_MM = 0.6784  # a quarter of the usual die: 128 dots of 5.3 µm
@@ -291,7 +291,7 @@ def test_a_pixel_fewer_leaves_no_seam():
     ends, mean = [], []
     for pitch_um in (6.7840, 6.7847):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = bench_of(project(light, camera, physics, Display(), border_um=15.0), physics, LONG)
+        bench = chain_at_pitch(prepare_scene(light, camera, physics, Display(), border_um=15.0), physics, LONG)
         map_ = bench.score("seam").delta_e
         assert map_.shape[1] == 506
         ends.append([map_[:, 0].mean(), map_[:, -1].mean()])
@@ -373,7 +373,7 @@ def test_ever_smaller_perfect_pixels_show_the_ideal_image(csf, bits, most):
     display, found = Display(bits=bits), {}
     for pitch_um in (5.3, 2.65, 1.325, 0.53):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = bench_of(project(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
+        bench = chain_at_pitch(prepare_scene(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
         found[pitch_um] = bench.view(
             bench.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator))
         ).mean_delta_e

@@ -64,13 +64,13 @@ def test_a_score_is_the_difference_of_the_two_shown_pictures():
 
 def test_a_running_integral_too_large_to_keep_changes_nothing(monkeypatch):
     physics, display = derive(Pixel(pitch_um=15.0)), Display(dots=128)
-    light = score.project(chart(256), CAMERA, physics, display)
-    kept = score.bench_of(light, physics, Exposure()).signal_e_per_s
+    light = score.prepare_scene(chart(256), CAMERA, physics, display)
+    kept = score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s
     assert light.running_integral is not None
-    monkeypatch.setattr(score, "MOST_KEPT_SAMPLES", 256**2 - 1)
-    light = score.project(chart(256), CAMERA, physics, display)
+    monkeypatch.setattr(score, "MAX_KEPT_SAMPLES", 256**2 - 1)
+    light = score.prepare_scene(chart(256), CAMERA, physics, display)
     assert light.running_integral is None
-    np.testing.assert_allclose(score.bench_of(light, physics, Exposure()).signal_e_per_s, kept, rtol=1e-13)
+    np.testing.assert_allclose(score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s, kept, rtol=1e-13)
 
 
 @pytest.mark.parametrize("bands", [0, 5])
@@ -104,12 +104,12 @@ def test_large_films_need_little_more_than_one_plane():
     """2048² and more must not need 2.5 planes beside the float32 picture; what is returned is one of them, or less."""
     n, physics, display = 1536, derive(Pixel(pitch_um=5.3)), Display(dots=256)
     image, silent = chart(n), chart(n, header=False)
-    light = score.project(image, CAMERA, physics, display)
+    light = score.prepare_scene(image, CAMERA, physics, display)
     rate = light.rate_e_per_s_um2
     grid, edges_um = (light.sample_pitch_um, 5.3, 3.0), light.screen.dot_edges_um
     on_demand = Columns(rate.shape, lambda first, last: rate[:, first:last])
     works = {
-        "project": (lambda: score.project(image, CAMERA, physics, display), 1.1, 1.6),
+        "project": (lambda: score.prepare_scene(image, CAMERA, physics, display), 1.1, 1.6),
         "ideal_rate": (lambda: ideal_rate(image, physics), 1.0, 1.5),
         "diffraction": (lambda: diffracted_rate(image, CAMERA, physics), 1.0, 1.3),
         "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),

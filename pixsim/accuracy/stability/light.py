@@ -58,8 +58,8 @@ def electrons(luminance_cd_per_m2: Any, time_s: float = TIME_S) -> Any:
 
 def taken(image: SpectralImage, physics: PixelPhysics, exposure: Exposure, seed: int = 0) -> sensors.Frame:
     rate = mean_signal_rate(image, CAMERA, physics)
-    sensor = sensors.draw_sensor(physics, rate.shape, np.random.default_rng(seed))
-    return sensors.capture_rate(rate, sensor, exposure, np.random.default_rng(seed + 1))
+    sensor = sensors.sample_sensor(physics, rate.shape, np.random.default_rng(seed))
+    return sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(seed + 1))
 
 
 def _shot_noise() -> Iterator[Case]:
@@ -150,8 +150,8 @@ def _darkness() -> Iterator[Case]:
     black = taken(scene(np.zeros((16, 16)), 1.0), derive(Pixel(**CLEAN | {"black_level_dn": 7})), Exposure())
     yield compare("total darkness, no noise: every code", 7.0, black.dn, 0.0, "the black level, exactly")
     physics = derive(Pixel(**CLEAN | {"read_noise_e": 40.0, "black_level_dn": 1000, "full_well_e": 64_535}))
-    sensor = sensors.draw_sensor(physics, (400, 500), np.random.default_rng(3))
-    dn = sensors.expose(np.zeros(sensor.shape), TIME_S, sensor, np.random.default_rng(4))
+    sensor = sensors.sample_sensor(physics, (400, 500), np.random.default_rng(3))
+    dn = sensors.read_out(np.zeros(sensor.shape), TIME_S, sensor, np.random.default_rng(4))
     codes = np.arange(2**16)
     edges = norm.cdf((codes[:, None] + [-0.5, 0.5] - 1000) / 40)
     share = np.diff(edges, axis=1)[:, 0]

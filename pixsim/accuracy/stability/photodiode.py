@@ -19,10 +19,10 @@ from pixsim.sensor.photodiode import (
     converted_e,
     default_diode,
     diode_of,
-    kept_charge_e,
-    kept_level_e,
     level_table,
     linear_limit_e,
+    stored_charge_e,
+    stored_signal_e,
 )
 from pixsim.sensor.pixel import E_PER_FC, Diode, derive
 
@@ -128,13 +128,13 @@ def tables() -> Iterator[Case]:
             physics = derive(Pixel.model_validate({"technology": technology, "pitch_um": pitch_um, **options}))
             diode, well_e = diode_of(physics), physics.full_well_e
             generated = np.concatenate([np.linspace(0, 2 * well_e, 1501), well_e * np.logspace(-4, 15, 301)])
-            kept = kept_charge_e(generated, time_s, diode)
+            kept = stored_charge_e(generated, time_s, diode)
             expected = converted_e(kept, well_e, diode) if conversion == "junction" else kept
-            got = kept_level_e(generated, time_s, physics)
+            got = stored_signal_e(generated, time_s, physics)
             name = f"{technology}, {temperature_k:g} K, {time_s:g} s, {conversion}"
             yield compare(f"table: {name}", expected, got, 1e-6, "quadrature", scale=well_e)
             fall = float(np.diff(level_table(diode, well_e, time_s, conversion == "junction").level_e).min())
             yield compare(f"table never falls: {name}", 0.0, min(fall, 0.0), 0.0, "f_t is monotone")
             below = np.linspace(0, 1 - 1e-9, 65) * linear_limit_e(diode, well_e, time_s)
-            lost = below - kept_charge_e(below, time_s, diode)
+            lost = below - stored_charge_e(below, time_s, diode)
             yield compare(f"linear law below its limit: {name}", 0.0, lost, LINEAR_WITHIN, "quadrature", scale=well_e)

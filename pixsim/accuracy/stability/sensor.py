@@ -39,8 +39,8 @@ def frame(
     physics: PixelPhysics, mean_e: Array | float, time_s: float = 1.0, shape: tuple[int, int] = (200, 500), seed: int = 0
 ) -> Array:
     """Codes under even light."""
-    sensor = sensors.draw_sensor(physics, shape, np.random.default_rng(seed))
-    return sensors.expose(np.broadcast_to(mean_e, shape), time_s, sensor, np.random.default_rng(seed + 1)).astype(float)
+    sensor = sensors.sample_sensor(physics, shape, np.random.default_rng(seed))
+    return sensors.read_out(np.broadcast_to(mean_e, shape), time_s, sensor, np.random.default_rng(seed + 1)).astype(float)
 
 
 def _pitches() -> Iterator[Case]:
@@ -110,22 +110,22 @@ def _grids() -> Iterator[Case]:
 
 def _times() -> Iterator[Case]:
     physics = physics_of(full_well_e=1e15, bits=16)
-    sensor = sensors.draw_sensor(physics, (2, 2), np.random.default_rng(0))
+    sensor = sensors.sample_sensor(physics, (2, 2), np.random.default_rng(0))
     rate = np.full((2, 2), 1e9)
     exposures = [Exposure(integration_s=float(time_s)) for time_s in TIMES_S]
-    got = [sensors.capture_rate(rate, sensor, each, np.random.default_rng(0)).mean_e.mean() for each in exposures]
+    got = [sensors.capture_from_rates(rate, sensor, each, np.random.default_rng(0)).mean_e.mean() for each in exposures]
     yield compare("mean electrons, 1 ns … 10 h", 1e9 * TIMES_S, got, ROUNDING, "rate · time")
     dark = physics_of(full_well_e=1e15, dark_current_e_per_s=250.0)
-    sensor = sensors.draw_sensor(dark, (2, 2), np.random.default_rng(0))
-    frames = [sensors.capture_rate(rate * 0, sensor, each, np.random.default_rng(0)) for each in exposures]
+    sensor = sensors.sample_sensor(dark, (2, 2), np.random.default_rng(0))
+    frames = [sensors.capture_from_rates(rate * 0, sensor, each, np.random.default_rng(0)) for each in exposures]
     yield compare("mean dark electrons, 1 ns … 10 h", 250 * TIMES_S, [f.mean_dark_e for f in frames], ROUNDING, "current · time")
 
 
 def _dark_current() -> Iterator[Case]:
     physics = physics_of(full_well_e=1000, bits=10, dark_current_e_per_s=1e6)
     yield compare("dark charge a thousand wells: every code", 1023.0, frame(physics, 0.0), 0.0, "the top code, exactly")
-    lowered = replace(sensors.draw_sensor(physics, (4, 4), np.random.default_rng(0)), offset_e=np.full((4, 4), -400.0))
-    moved = sensors.expose(np.zeros((4, 4)), 1.0, lowered, np.random.default_rng(1))
+    lowered = replace(sensors.sample_sensor(physics, (4, 4), np.random.default_rng(0)), offset_e=np.full((4, 4), -400.0))
+    moved = sensors.read_out(np.zeros((4, 4)), 1.0, lowered, np.random.default_rng(1))
     source = "0.6 · 1023, rounded: the well clips before the offset"
     yield compare("the same, offset by -0.4 wells: every code", 614.0, moved, 0.0, source)
     exposed = sensors.integration_time_s(Exposure(max_integration_s=10.0), physics, 0.0)
@@ -182,11 +182,11 @@ def _saturated() -> Iterator[Case]:
 
 def _saturated_of(physics: PixelPhysics, mean_e: float, offset_e: Array | None = None) -> float:
     """Of 100 000 pixels under even light in 30 ms; `offset_e` in the place of the sensor's own."""
-    sensor = sensors.draw_sensor(physics, (200, 500), np.random.default_rng(0))
+    sensor = sensors.sample_sensor(physics, (200, 500), np.random.default_rng(0))
     if offset_e is not None:
         sensor = replace(sensor, offset_e=offset_e)
     rate, exposure = np.full(sensor.shape, mean_e / 0.03), Exposure(integration_s=0.03)
-    return sensors.capture_rate(rate, sensor, exposure, np.random.default_rng(1)).saturated_fraction
+    return sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(1)).saturated_fraction
 
 
 def _converters() -> Iterator[Case]:
@@ -245,7 +245,7 @@ def _fixed_patterns() -> Iterator[Case]:
     means, deviations = [], []
     for seed, dsnu in enumerate(spreads):
         physics = physics_of(dsnu=dsnu, dark_current_e_per_s=1.0)
-        drawn = sensors.draw_sensor(physics, (400, 500), np.random.default_rng(seed)).dark_gain
+        drawn = sensors.sample_sensor(physics, (400, 500), np.random.default_rng(seed)).dark_gain
         gain = np.ones((400, 500)) if drawn is None else drawn
         means.append((gain.mean() - 1) / (dsnu / math.sqrt(n) + 1e-15))
         # Fourth moment of a gamma variable of mean 1: (3 + 6 s²) s⁴.
