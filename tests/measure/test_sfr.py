@@ -124,11 +124,11 @@ def test_a_crossing_is_found_or_not() -> None:
 REFUSED = {
     "contrast": np.full((64, 64), 100.0) + np.random.default_rng(1).standard_normal((64, 64)),
     "step of": DARK + 30 * (distances(5.0, 64, 64) > 0) + 40 * np.random.default_rng(1).standard_normal((64, 64)),
-    "from the pixels' own lines": gaussian_edge(0.0),
-    "own lines, over": gaussian_edge(90.4),
+    "from the rows or columns": gaussian_edge(0.0),
+    "columns, over": gaussian_edge(90.4),
     "at least 24 a side": gaussian_edge()[:20],
     "one channel of numbers": np.zeros((64, 64, 3)),
-    "no numbers": np.where(distances(5.0) > 150, np.nan, gaussian_edge()),
+    "NaN or infinite": np.where(distances(5.0) > 150, np.nan, gaussian_edge()),
     "straight edge": DARK + 900.0 * (distances(5.0) > ((np.arange(SIDE)[:, None] - SIDE / 2) / 30) ** 2),  # a curve
     "bins without a pixel": gaussian_edge(45.0),
     "on either side": gaussian_edge(5.0)[:, 160 - 5 : 160 + 200][:, :60],
@@ -208,7 +208,7 @@ def test_without_a_pitch_there_are_no_millimetres() -> None:
         ("sfr rgb.exr", "one: DN"),
         ("sfr edge.npy --region 1,2,3", "four whole numbers|x0,y0,x1,y1"),
         ("sfr edge.npy --pitch-um -1", "above 0"),
-        ("sfr edge.npy --black-level-dn 2000", "black level right"),
+        ("sfr edge.npy --black-level-dn 2000", "black level is right"),
     ],
 )
 def test_unusable_files_are_told_in_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, told: str) -> None:
