@@ -112,18 +112,6 @@ def variance_peak_e(physics: PixelPhysics, integration_s: float, brightest_e: fl
     return float(fine[np.argmax(expected_curve(fine, integration_s, physics)[1])])
 
 
-def gain_map(experiment: Experiment, bright_photons: float) -> float:
-    """√(s²_bright - s²_dark)/signal of the device's maps: PRNU1288 without temporal noise.
-
-    It differs from the spread of the gain map by the chance correlation of this map with the dark map.
-    """
-    sensor = experiment.sensor
-    if sensor.gain is None:
-        return 0.0
-    dark, light = dark_map_e(experiment), bright_photons * experiment.efficiency * sensor.gain
-    return math.sqrt(max((light + dark).var(ddof=1) - dark.var(ddof=1), 0.0)) / float(light.mean())
-
-
 def dark_map_e(experiment: Experiment) -> Array:
     """(rows, columns) mean dark signal of the device's pixels: pixel offsets, column offsets and dark charge, e-."""
     sensor, map_e = experiment.sensor, np.zeros(experiment.sensor.shape)
@@ -205,7 +193,12 @@ class DataSheet:
 
     @cached_property
     def true_prnu(self) -> float:
-        return gain_map(self.experiment, self.bright_photons)
+        """PRNU1288 of the device's maps; it differs from the spread of the gain by its correlation with the dark map."""
+        if self.experiment.sensor.gain is None:
+            return 0.0
+        dark = dark_map_e(self.experiment)
+        light = self.bright_photons * self.experiment.efficiency * self.experiment.sensor.gain
+        return math.sqrt(max((light + dark).var(ddof=1) - dark.var(ddof=1), 0.0)) / float(light.mean())
 
     @cached_property
     def true_linearity(self) -> Linearity:
@@ -329,10 +322,8 @@ def sheet_summary(sheet: DataSheet) -> dict[str, Any]:
     }
 
 
-def line(
-    standard: str, quantity: str, symbol: str, unit: str, estimate: Estimate, true: float, true_is: str, note: str = ""
-) -> Entry:
-    return Entry(standard, quantity, symbol, unit, estimate.value, estimate.error, true, true_is, note)
+def line(standard: str, name: str, symbol: str, unit: str, measured: Estimate, true: float, source: str, note: str = "") -> Entry:
+    return Entry(standard, name, symbol, unit, measured.value, measured.error, true, source, note)
 
 
 def decibel(ratio: Estimate) -> Estimate:

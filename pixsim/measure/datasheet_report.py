@@ -156,8 +156,8 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
         axes.plot(dark.at, start.value + slope.value * dark.at, color=ORANGE, lw=1, label=f"{symbol} = {current.value:.4g} e⁻/s")
         finish(axes, "integration time (s)", f"dark {label}")
     if warm:
-        values, errors = zip(*((current.value, current.error) for current in warm), strict=True)
-        panels[2].errorbar(temperatures, values, errors, fmt="o", ms=4, color=BLUE)
+        currents, errors = zip(*((current.value, current.error) for current in warm), strict=True)
+        panels[2].errorbar(temperatures, currents, errors, fmt="o", ms=4, color=BLUE)
         panels[2].set_yscale("log")
         plain_powers(panels[2].yaxis)
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")

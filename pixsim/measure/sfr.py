@@ -181,9 +181,8 @@ def upright(data: Array) -> tuple[Array, float, bool]:
     noise = max(np.diff(side, axis=0).std() / np.sqrt(2) for side in (data[:, :quarter], data[:, -quarter:]))
     if abs(high - low) < MIN_STEP_SIGMAS * noise:
         hint = "Average several frames, or use more light."
-        raise invalid(
-            "edge picture", f"a step of {abs(high - low) / noise:.2g} σ of its noise", f"at least {MIN_STEP_SIGMAS:g} σ", hint
-        )
+        got = f"a step of {abs(high - low) / noise:.2g} σ of its noise"
+        raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
     return data, float(contrast), turned
 
 
@@ -250,11 +249,8 @@ def rows_and_window(shape: tuple[int, int], intercept: float, slope: float, half
     inside = row[margin_px >= half_px]
     steps = int(inside.size * abs(slope))
     if steps < 1:
-        raise invalid(
-            "edge picture",
-            f"{inside.size} lines across the edge",
-            f"at least {np.ceil(1 / abs(slope)):.0f}, in which the edge moves by one pixel",
-        )
+        expected = f"at least {np.ceil(1 / abs(slope)):.0f}, in which the edge moves by one pixel"
+        raise invalid("edge picture", f"{inside.size} lines across the edge", expected)
     count = round(steps / abs(slope))
     start = (inside.size - count) // 2
     return inside[max(start, 0) : max(start, 0) + count], half_px

@@ -129,9 +129,9 @@ def test_a_survey_of_a_chart_with_a_formula(tmp_path):
     found = surveyed("csf")
     summary = check(found, tmp_path / "out")
     if BROWSER:
-        page, headings = tmp_path / "out/report.html", ["What it costs to be less wrong", "Every rung"]
+        page, headings = tmp_path / "out/report.html", ["Error against run time", "All settings"]
         assert_fits(page, tmp_path)
-        assert_prints(page, tmp_path, range(4, 10), ["As shipped", "formula of the csf chart"], headings)
+        assert_prints(page, tmp_path, range(4, 10), ["Default settings", "formula of the csf chart"], headings)
     for plate in plates_of(found):
         for legend in [axes.get_legend() for axes in plate.figure.axes if axes.get_legend()] + plate.figure.legends:
             looks = [grey_look(each) for each in legend.get_lines()]
@@ -183,7 +183,7 @@ def test_surveys_of_other_sensors_and_viewers(case, tmp_path):
     found = surveyed("csf", NO_TIME, scene={"resolution": 32, "spp": 4}, **SETTINGS[case])
     check(found, tmp_path / "out")
     if case == "one to one":
-        assert [each.left_out for each in found.rungs if each.ladder == "raster"] == ["the dots are the pixels"]
+        assert [each.left_out for each in found.rungs if each.ladder == "raster"] == ["one_to_one shows one pixel per dot"]
     if case == "no room for a sweep":
         assert found.setup.pitches_um == ()
         assert "error_optimum_um" not in {metric for metric in METRICS if found.rivals(metric)}
