@@ -59,35 +59,14 @@ class Depth:
 
 
 FULL = Depth(
-    seconds=265.0,
-    ladders_s=60.0,
-    reference_s=90.0,
-    runs=2,
-    pitches=6,
-    spp=64,
-    films=(-4, -3, -2, -1, 1),
-    bands=(1, 2, 4, 8, 16, 96),
-    lens=(1, 4, 16, 64),
-    plain=(4, 16, 64),
-    pool=16,
-    seeds_move_the_optimum=True,
-    dots=(1 / 8, 1 / 4, 1 / 2, 2, 4),
-)
+    seconds=265.0, ladders_s=60.0, reference_s=90.0, runs=2, pitches=6, spp=64, films=(-4, -3, -2, -1, 1),
+    bands=(1, 2, 4, 8, 16, 96), lens=(1, 4, 16, 64), plain=(4, 16, 64), pool=16, seeds_move_the_optimum=True,
+    dots=(1 / 8, 1 / 4, 1 / 2, 2, 4)
+)  # fmt: skip
 QUICK = Depth(
-    seconds=46.0,
-    ladders_s=12.0,
-    reference_s=12.0,
-    runs=1,
-    pitches=5,
-    spp=16,
-    films=(-2, -1),
-    bands=(2, 8),
-    lens=(4,),
-    plain=(4,),
-    pool=4,
-    seeds_move_the_optimum=False,
-    dots=(1 / 4, 1 / 2, 2),
-)
+    seconds=46.0, ladders_s=12.0, reference_s=12.0, runs=1, pitches=5, spp=16, films=(-2, -1), bands=(2, 8), lens=(4,),
+    plain=(4,), pool=4, seeds_move_the_optimum=False, dots=(1 / 4, 1 / 2, 2)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -329,7 +308,10 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
         delta_e = measured.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
         groups = [slice(start, start + count) for start in range(0, swept, count)]
         enough = len(groups) >= MIN_GROUPS
-        optimum = [_optimum(curves, group) - true_curve.optimum_um for group in groups] if enough else [math.nan]
+        optimum = [math.nan]
+        if enough:
+            means = (curves.sweep_delta_e[:, group].mean(axis=1) for group in groups)
+            optimum = [minimum_um(curves.pitch_um, mean) - true_curve.optimum_um for mean in means]
         name = f"{count} sensor{'s' * (count > 1)}"
         time_s = shipped.seconds + (count - 1) * measured.score_seconds
         errors = rms(delta_e.tolist()) / math.sqrt(1 + count / many), rms(optimum) / math.sqrt(1 + count / swept)
@@ -337,10 +319,6 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
         spread = math.sqrt(count / (2 * (swept if enough else many)))
         yield Rung("seeds", name, count, count == 1, time_s, math.nan, *errors, spread=spread)
         count *= 2
-
-
-def _optimum(result: Probe, sensors: slice) -> float:
-    return minimum_um(result.pitch_um, result.sweep_delta_e[:, sensors].mean(axis=1))
 
 
 def raster_rungs(image: SpectralImage, setup: Setup, clock: Clock, dots: Sequence[int]) -> Iterator[Rung]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.result import METRICS, Accuracy, pareto
 from pixsim.accuracy.solvers import response_plate
 from pixsim.base.files import output_folder, versions, write_json
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, new_figure, plain_powers
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, plain_powers
 from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
 
 if TYPE_CHECKING:
@@ -93,10 +94,6 @@ def points(rungs: list[Rung], metric: str, x: str = "seconds") -> tuple[list[flo
     return [getattr(rung, x) for rung in rungs], [getattr(rung, metric) for rung in rungs]
 
 
-def look(name: str, names: list[str]) -> Look:
-    return LOOKS[names.index(name) % len(LOOKS)]
-
-
 def finite(rungs: list[Rung], metric: str) -> list[Rung]:
     return [rung for rung in rungs if math.isfinite(getattr(rung, metric)) and getattr(rung, metric) > 0]
 
@@ -121,8 +118,8 @@ def work_precision(accuracy: Accuracy) -> Plate:
         front = pareto(seconds, errors)
         beyond: dict[str, Any] = {"color": "0.75", "lw": 5, "zorder": 0, "label": "Pareto front"}
         axes.step([seconds[k] for k in front], [errors[k] for k in front], where="post", **beyond)
-        for name, rungs in groups.items():
-            style = look(name, list(groups)).line | ({} if name in JOINED or "Mitsuba" in name else {"ls": ""})
+        for (name, rungs), look in zip(groups.items(), cycle(LOOKS), strict=False):
+            style = look.line | ({} if name in JOINED or "Mitsuba" in name else {"ls": ""})
             axes.plot(*points(finite(rungs, metric), metric), label=name, lw=0.7, ms=5, **style)
         if math.isfinite(value := getattr(accuracy.shipped, metric)):
             star: dict[str, Any] = {"ms": 15, "mfc": "white", "mec": "black", "mew": 1.3, "zorder": 5}
@@ -192,9 +189,9 @@ def viewing(accuracy: Accuracy) -> Plate:
     metrics = [m for m in ("error_delta_e", "error_optimum_um") if any(finite(accuracy.ladder(n), m) for n in names)]
     figure = new_figure(8.4, 3.6)
     for axes, metric in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics, strict=True):
-        for name in names:
+        for name, look in zip(names, LOOKS, strict=False):
             measured = sorted(finite(accuracy.ladder(name), metric), key=lambda rung: rung.seconds)
-            axes.plot(*points(measured, metric), lw=0.7, ms=5, label=name, **look(name, names).line)
+            axes.plot(*points(measured, metric), lw=0.7, ms=5, label=name, **look.line)
             for rung in measured:
                 at = rung.seconds, getattr(rung, metric)
                 axes.annotate(rung.setting, at, xytext=(4, 3), textcoords="offset points", fontsize=7)

@@ -17,7 +17,7 @@ import numpy as np
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Exposure, Pixel
-from pixsim.measure.estimators import Frames, Pair, Series, pair, series
+from pixsim.measure.estimators import Frames, Series, pair, series
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import MAX_BLACK, Sensor, least_black_level_dn, read_out, sample_sensor
@@ -85,11 +85,11 @@ class Experiment:
         if temperature_k is not None:
             key, sensor = ("temperature", round(1e6 * temperature_k)), self.warmed(temperature_k)
             times = times * min(self.physics.dark_current_e_per_s / sensor.physics.dark_current_e_per_s, 1.0)
-
-        def dark_pair(number: int, time_s: float) -> Pair:
-            return pair(*(self.frame(0.0, time_s, *key, number, index, sensor=sensor) for index in range(2)))
-
-        return series(times, [dark_pair(number, time_s) for number, time_s in enumerate(times.tolist())])
+        frames = (
+            (self.frame(0.0, time_s, *key, number, index, sensor=sensor) for index in range(2))
+            for number, time_s in enumerate(times.tolist())
+        )
+        return series(times, [pair(*two) for two in frames])
 
     def warmed(self, temperature_k: float) -> Sensor:
         """The same device at another temperature: only its dark current changes, not its maps."""

@@ -41,10 +41,7 @@ WRONG = {
     "1/N² of the engraved f-number": ("optics.irradiance_factor", lambda n, t, m=0.0: optics.irradiance_factor(n, t, 0 * m)),
     "E/L in single precision": ("optics.irradiance_factor", lambda n, t, m=0.0: np.float32(optics.irradiance_factor(n, t, m))),
     "an error of 5e-15": ("optics.irradiance_factor", lambda n, t, m=0.0: optics.irradiance_factor(n, t, m) * (1 + 5e-15)),
-    "a linear OTF": (
-        "optics.diffraction_otf",
-        lambda f, nm, n: np.maximum(1 - np.asarray(f) * nm * n / 1e6, 0),
-    ),
+    "a linear OTF": ("optics.diffraction_otf", lambda f, nm, n: np.maximum(1 - np.asarray(f) * nm * n / 1e6, 0)),
     "an OTF above 0 beyond the cut-off": (
         "optics.diffraction_otf",
         lambda f, nm, n: np.maximum(optics.diffraction_otf(f, nm, n), 1e-300),

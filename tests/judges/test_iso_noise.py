@@ -105,17 +105,11 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
     return table
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]}-{case[1]}")
+@pytest.mark.parametrize("case", [*CASES, *(pytest.param(case, marks=pytest.mark.judges_full) for case in MORE_CASES)])
 def test_noise_and_speed_match_parameters(case: Case) -> None:
     table = rows((case,))
     assert len(table) >= 11
     assert not not_met(table)
-
-
-@pytest.mark.judges_full
-@pytest.mark.parametrize("case", MORE_CASES, ids=lambda case: f"{case[0]}-{case[1]}")
-def test_noise_and_speed_other_pixels_match_parameters(case: Case) -> None:
-    assert not not_met(rows((case,)))
 
 
 def test_two_percent_more_noise_fails() -> None:

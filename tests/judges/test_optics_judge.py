@@ -200,13 +200,9 @@ def rows(full: bool = False) -> list[dict[str, object]]:
     return table
 
 
-def test_rows_pass():
-    assert not_met(rows()) == []
-
-
-@pytest.mark.judges_full
-def test_rows_full_pass():
-    assert not_met(rows(full=True)) == []
+@pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.judges_full)])
+def test_rows_pass(full):
+    assert not_met(rows(full)) == []
 
 
 # --- The judge can fail ---

@@ -146,14 +146,7 @@ def rows() -> list[dict[str, object]]:
     return [
         *(row(f"S-CIELAB map, ΔE {formula}, 5 pairs", matlab, -1e-9, 1e-9, from_1996(formula)) for formula in ("1976", "1994")),
         row("S-CIELAB kernels, 20 to 240 samples/deg", matlab, -1e-14, 1e-14, kernels),
-        row(
-            "mean ΔE, published filters / 1996 - 1, 60 samples/deg",
-            matlab,
-            0.01,
-            0.07,
-            published_over_1996(False),
-            "{:.3f}",
-        ),
+        row("mean ΔE, published filters / 1996 - 1, 60 samples/deg", matlab, 0.01, 0.07, published_over_1996(False), "{:.3f}"),
         row(
             "mean ΔE, published filters / 1996 - 1, 20 and 30 samples/deg", matlab, 0.01, 0.17, published_over_1996(True), "{:.3f}"
         ),
@@ -210,15 +203,11 @@ def test_delta_e_1994_swapped_images_differ():
     assert np.abs(swapped - data["delta_e_1994"]).max() > 1  # measured 2.5, so the maps above distinguish the two
 
 
-@pytest.mark.parametrize("name", PAIRS)
-def test_published_and_1996_filters_nearly_agree(name):
+@pytest.mark.parametrize("name", PAIRS[1:])  # the first map is uniform and has no correlation
+def test_published_and_1996_filters_correlate(name):
     map_, data = map_of(name)
-    expected, coarse = data["delta_e_1976"], float(data["samples_per_deg"]) < 60
-    # Two parametrisations of one experiment: the published filters are 2 to 6 % higher in the mean. The lower limit
-    # excludes identical filters. At 20 and 30 samples/deg the 1996 kernels are undersampled.
-    assert 0.01 < map_.mean() / expected.mean() - 1 < (0.17 if coarse else 0.07)
-    if np.ptp(expected) > 1e-6:  # a uniform map has no correlation
-        assert np.corrcoef(map_.ravel(), expected.ravel())[0, 1] > (0.99 if coarse else 0.998)
+    coarse = data["samples_per_deg"] < 60  # where the 1996 kernels are undersampled
+    assert np.corrcoef(map_.ravel(), data["delta_e_1976"].ravel())[0, 1] > (0.99 if coarse else 0.998)
 
 
 @pytest.mark.parametrize("coarse", [False, True])

@@ -107,10 +107,7 @@ def _lines() -> Iterator[Case]:
     thin = [line(nm, 0.01) for nm in lasers]
     images = [image_of(lamp, place_bands([lamp], SURFACES, witnesses, BANDS_TOLERANCE)) for lamp in thin]
     expected = [0.5 * nm * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S) for nm in lasers]
-    got, source = (
-        [_electrons(image, flat) for image in images],
-        "QE λ/hc · power; wavelength to half a cell of 1/32 nm",
-    )
+    got, source = ([_electrons(image, flat) for image in images], "QE λ/hc · power; wavelength to half a cell of 1/32 nm")
     yield compare("electrons from a laser 0.01 nm wide, QE 0.5, 361 to 829 nm", expected, got, 1 / 64 / LOW_NM, source)
     each_pixel = (electrons(np.array(lasers)) * (physics.photodiode_area_um2 * 1e-12))[:, None, None]
     rates = [mean_signal_rate(image, CAMERA, physics) for image in images]
