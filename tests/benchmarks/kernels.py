@@ -123,7 +123,7 @@ def plain_display(picture: np.ndarray, dots: int) -> np.ndarray:
 def plain_evaluation(chain: ImagingChain, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
     """Sensor, display and S-CIELAB of one frame and of the ideal picture."""
     dn = plain_frame(mean_e, chain.physics, seconds, np.random.default_rng(1))
-    rows, columns = chain.ideal.shape  # the edges at the top and left are not scored
+    rows, columns = chain.screen.ideal.shape  # the edges at the top and left are not scored
     shown = plain_display(dn / chain.physics.dn_per_e / white_e, DISPLAY.dots)[-rows:, -columns:]
     image = (np.rint(255 * np.clip(shown, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
     return plain_delta_e(chain.screen.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)

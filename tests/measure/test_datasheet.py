@@ -22,14 +22,12 @@ from pixsim.measure.estimators import (
     Series,
     Stack,
     doubling_k,
-    dsnu_e,
     exposure_at_snr,
     linearity,
     noise_15739,
     pair,
     parts,
     photon_transfer,
-    prnu,
     saturation_index,
     signal_at_snr_e,
     slope_through_origin,
@@ -72,6 +70,8 @@ def test_stack_matches_numpy_mean_and_variance() -> None:
     np.testing.assert_allclose(result.variance_dn2, frames.var(axis=0, ddof=1), rtol=1e-12)
     with pytest.raises(PixsimError, match="frames of a stack: got 1"):
         stack(frames[:1])
+    with pytest.raises(PixsimError, match="frames: got 5"):
+        noise_15739(frames)
 
 
 def test_parts_of_known_maps_recovers_variances() -> None:
@@ -162,28 +162,6 @@ def test_estimate_ratio_propagates_both_errors() -> None:
     ratio = Estimate(6.0, 0.3) / Estimate(2.0, 0.2)
     assert ratio.value == 3
     assert ratio.error == pytest.approx(3 * math.hypot(0.05, 0.1))
-
-
-def test_dsnu_and_prnu_without_temporal_noise_match_maps() -> None:
-    rng = stream("test maps")
-    offset, gain = 5 * rng.standard_normal((80, 80)), 1 + 0.02 * rng.standard_normal((80, 80))
-    still = np.zeros((80, 80))
-    dark, bright = Stack(16, 100 + offset, still), Stack(16, 100 + offset + 1000 * gain, still)
-    together = 2 * np.cov(offset.ravel(), 1000 * gain.ravel())[0, 1]
-    assert dsnu_e(dark, Estimate(0.5)).value == pytest.approx(offset.std(ddof=1) / 0.5, rel=1e-12)
-    assert prnu(dark, bright).value == pytest.approx(math.sqrt(1e6 * gain.var(ddof=1) + together) / 1000 / gain.mean(), rel=1e-9)
-
-
-def test_noise_15739_known_frames_within_errors() -> None:
-    rng = stream("test iso")
-    pattern = 3 * rng.standard_normal((200, 200))
-    frames = pattern + 4 * rng.standard_normal((8, 200, 200))
-    temporal, fixed, total = noise_15739(frames)
-    assert temporal.value == pytest.approx(4, abs=4 * temporal.error)
-    assert fixed.value == pytest.approx(pattern.std(ddof=1), abs=4 * fixed.error)
-    assert total.value == pytest.approx(math.hypot(temporal.value, fixed.value), rel=1e-12)
-    with pytest.raises(PixsimError, match="frames: got 7"):
-        noise_15739(frames[:7])
 
 
 @pytest.mark.parametrize("wanted", [10.0, 40.0])
