@@ -70,11 +70,6 @@ RENDERED = ("methods", "spp", "film", "sampler", "lens", "bands")
 LEGEND_COLUMNS = 6
 JOINED = ("spp", "film")  # ladders drawn with a line
 VIEWING = ("seeds", "raster")
-AXES = {
-    "error_e": "error of mean electrons (RMS, relative)",
-    "error_delta_e": "error of mean ΔE",
-    "error_optimum_um": "error of the optimum (µm)",
-}
 SETTINGS = {
     "spp": "samples per film cell", "film": "film width (samples)", "lens": "lens samples", "bands": "bands",
     "seeds": "sensors averaged", "raster": "display dots across"
@@ -124,7 +119,7 @@ def work_precision(accuracy: Accuracy) -> Plate:
         if math.isfinite(value := getattr(accuracy.shipped, metric)):
             star: dict[str, Any] = {"ms": 15, "mfc": "white", "mec": "black", "mew": 1.3, "zorder": 5}
             axes.plot(accuracy.shipped.seconds, value, "*", label="default settings", **star)
-        log_axes(axes, "seconds of render and score, warm", AXES[metric])
+        log_axes(axes, "seconds of render and score, warm", METRICS[metric])
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=LEGEND_COLUMNS, fontsize=8, frameon=False)
     caption = (
@@ -162,7 +157,7 @@ def convergence(accuracy: Accuracy) -> Plate:
         for metric, drawn in zip(METRICS, LOOKS, strict=False):
             drawn_rungs = finite(accuracy.ladder(name), metric)
             order = accuracy.order(name, metric)
-            label = AXES[metric].removeprefix("error of ").split(" (")[0] + (f": order {order}" if order else "")
+            label = SHORT[metric] + (f": order {order}" if order else "")
             if drawn_rungs:
                 axes.plot(*points(drawn_rungs, metric, "value"), drawn.marker, ms=4.5, color=drawn.colour, label=label)
                 shipped = points([rung for rung in drawn_rungs if rung.shipped], metric, "value")
@@ -196,7 +191,7 @@ def viewing(accuracy: Accuracy) -> Plate:
                 at = rung.seconds, getattr(rung, metric)
                 axes.annotate(rung.setting, at, xytext=(4, 3), textcoords="offset points", fontsize=7)
             axes.plot(*points([rung for rung in measured if rung.shipped], metric), "*", ms=13, mfc="white", mec="black")
-        log_axes(axes, "seconds of render and score, warm", AXES[metric])
+        log_axes(axes, "seconds of render and score, warm", METRICS[metric])
         axes.legend(fontsize=8, frameon=False, handlelength=LEGEND_LINE)
     caption = (
         "Sensors and display. Seeds: the mean over several simulated sensors, against that over others. Raster: the same picture "

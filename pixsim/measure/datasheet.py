@@ -215,7 +215,7 @@ class DataSheet:
         if pixel.black_level_dn != asked:
             notes.append(
                 f"black level raised from {asked:g} to {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that the dark frames "
-                "are not clipped at 0 DN. The full well spans the remaining codes, so K is smaller than at the given one."
+                "are not clipped at 0 DN. The full well spans the remaining codes, which reduces K."
             )
         if self.transfer.limited:
             notes.append(

@@ -120,9 +120,6 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
     return summary
 
 
-# --- Surveys ---
-
-
 def test_survey_csf_has_all_ladders(tmp_path):
     accuracy = surveyed("csf")
     summary = check(accuracy, tmp_path / "out")
@@ -185,9 +182,6 @@ def test_survey_other_settings_complete(case, tmp_path):
     if case == "no room for a sweep":
         assert accuracy.setup.pitches_um == ()
         assert "error_optimum_um" not in {metric for metric in METRICS if accuracy.rivals(metric)}
-
-
-# --- Pitches ---
 
 
 def csf(**values) -> tuple[Setup, pixsim.SpectralImage]:
@@ -254,9 +248,6 @@ def test_probe_is_reproducible_and_continuous():
     near = probe(brighter(image, 1 + 1e-6), setup)
     assert abs(near.mean_delta_e - one.mean_delta_e) < 1e-3
     assert 0 < one.score_seconds <= one.seconds
-
-
-# --- A tolerance of ΔE ---
 
 
 @pytest.fixture

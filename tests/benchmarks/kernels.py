@@ -60,9 +60,6 @@ def bands(n: int) -> SpectralImage:
     return SpectralImage(NM, 10.0, 1e3 * DIE_MM / n, data=data)
 
 
-# --- Plain implementations ---
-
-
 def plain_blur(plane: np.ndarray, gaussians: tuple[tuple[float, float], ...], samples_per_deg: float) -> np.ndarray:
     """One convolution per Gaussian with sampled kernels of unit sum, reflected at the borders."""
     total = np.zeros(plane.shape)
@@ -127,9 +124,6 @@ def plain_evaluation(chain: ImagingChain, mean_e: np.ndarray, white_e: float, se
     shown = plain_display(dn / chain.physics.dn_per_e / white_e, DISPLAY.dots)[-rows:, -columns:]
     image = (np.rint(255 * np.clip(shown, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
     return plain_delta_e(chain.screen.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
-
-
-# --- Tables ---
 
 
 def row(name: str, target_s: float | None, work: Work, plain: Work, repeats: int = 11) -> None:

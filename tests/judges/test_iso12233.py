@@ -23,7 +23,6 @@ So the judge uses a finer chart, and a lens of 100 mm at 50 m: the fall-off of t
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -76,23 +75,19 @@ def camera_of(f_number: float) -> Camera:
 
 
 @cache
-def texels_of(size: tuple[int, int]) -> np.ndarray:
-    return charts.make_chart("slanted_edge", *size)
-
-
-@cache
-def rendered(work: Work, angle_deg: float, f_number: float, folder: Path) -> SpectralImage:
+def rendered(work: Work, angle_deg: float, f_number: float) -> SpectralImage:
     """Irradiance of the edge; a chart at 95° is one at 5° rotated by 90°."""
-    texels = texels_of(work.texels)
-    path = folder / f"edge_{work.texels[0]}_{angle_deg:g}.exr"
-    charts.write_chart(path, texels if angle_deg == 5.0 else np.ascontiguousarray(np.rot90(texels)))
-    scene = pixsim.load_scene("slanted_edge", chart=str(path), resolution=work.resolution, spp=work.spp)
-    return pixsim.render(scene, camera_of(f_number))
+    texels = charts.make_chart("slanted_edge", *work.texels)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "edge.exr"
+        charts.write_chart(path, texels if angle_deg == 5.0 else np.ascontiguousarray(np.rot90(texels)))
+        scene = pixsim.load_scene("slanted_edge", chart=str(path), resolution=work.resolution, spp=work.spp)
+        return pixsim.render(scene, camera_of(f_number))
 
 
-def irradiance_of(work: Work, setting: Setting, folder: Path) -> SpectralImage:
+def irradiance_of(work: Work, setting: Setting) -> SpectralImage:
     """Without diffraction the irradiance of a chart in focus depends on the f-number only by a factor."""
-    return rendered(work, setting.angle_deg, setting.f_number if work.render_each else F_NUMBERS[0], folder)
+    return rendered(work, setting.angle_deg, setting.f_number if work.render_each else F_NUMBERS[0])
 
 
 def theory(
@@ -109,9 +104,9 @@ def theory(
 
 
 @cache
-def sensed(work: Work, setting: Setting, folder: Path) -> np.ndarray:
+def sensed(work: Work, setting: Setting) -> np.ndarray:
     """Mean electrons per second of every pixel, with diffraction and photodiode, without noise."""
-    image = irradiance_of(work, setting, folder)
+    image = irradiance_of(work, setting)
     return mean_signal_rate(image, camera_of(setting.f_number), derive(Pixel(pitch_um=setting.pitch_um)))
 
 
@@ -130,48 +125,42 @@ Curve = tuple[np.ndarray, np.ndarray]  # frequency (cy/px) and SFR
 
 
 def truth(
-    setting: Setting, work: Work, folder: Path, frequency_cy_per_px: np.ndarray, f_number: float | None = None, side: float = 1.0
+    setting: Setting, work: Work, frequency_cy_per_px: np.ndarray, f_number: float | None = None, side: float = 1.0
 ) -> np.ndarray:
     """Theoretical MTF of a setting, optionally with another f-number or a photodiode `side` times as wide."""
     pixel = Pixel(pitch_um=setting.pitch_um)
-    image = irradiance_of(work, setting, folder)
+    image = irradiance_of(work, setting)
     effective = camera_of(f_number or setting.f_number).effective_f_number
     return theory(frequency_cy_per_px, setting.angle_deg, image, effective, pixel, side * derive(pixel).photodiode_side_um)
 
 
-def estimate(setting: Setting, work: Work, folder: Path) -> EdgeResponse:
-    return edge_response(sensed(work, setting, folder))
+def estimate(setting: Setting, work: Work) -> tuple[EdgeResponse, Curve]:
+    edge = edge_response(sensed(work, setting))
+    return edge, (edge.frequency_cy_per_px, edge.sfr)
 
 
-def worst(curve: Curve, setting: Setting, work: Work, folder: Path, **changes: float) -> float:
+def worst(curve: Curve, setting: Setting, work: Work, **changes: float) -> float:
     """Signed difference from theory with the largest magnitude up to Nyquist."""
     frequency, sfr = curve
     below = frequency <= NYQUIST_CY_PER_PX
-    difference = sfr[below] - truth(setting, work, folder, frequency[below], **changes)
+    difference = sfr[below] - truth(setting, work, frequency[below], **changes)
     return float(difference[np.abs(difference).argmax()])
-
-
-def curve_of(edge: EdgeResponse) -> Curve:
-    return edge.frequency_cy_per_px, edge.sfr
 
 
 row = partial(verdict, STANDARD)
 
 
-def sfr_rows(work: Work, folder: Path) -> list[dict[str, object]]:
+def sfr_rows(work: Work) -> list[dict[str, object]]:
     """Largest difference from theory, and the angle, at each setting."""
     table = []
     for setting in SETTINGS:
-        edge = estimate(setting, work, folder)
-        off = worst(curve_of(edge), setting, work, folder)
+        edge, curve = estimate(setting, work)
+        off = worst(curve, setting, work)
         wide = edge.half_window_px >= MIN_HALF_WINDOW_PX
         table.append(row(f"SFR - MTF, {setting.name}", f"±{GATE} to Nyquist, ±48 px and more", off, abs(off) <= GATE and wide))
         turned = edge.angle_deg - setting.angle_deg
         table.append(row(f"angle, {setting.name}", f"±{ANGLE_GATE_DEG}°", turned, abs(turned) <= ANGLE_GATE_DEG))
     return table
-
-
-# --- A second, independent estimator ---
 
 
 def second_curve(rate: np.ndarray, half_window_px: float) -> Curve:
@@ -193,28 +182,25 @@ def second_curve(rate: np.ndarray, half_window_px: float) -> Curve:
     return frequency, mtf[:, 1] / np.sinc(frequency / 4) / np.sinc(frequency / 2)
 
 
-def second_rows(work: Work, folder: Path) -> list[dict[str, object]]:
+def second_rows(work: Work) -> list[dict[str, object]]:
     """quickMTF against theory with the same gate, and against pixsim."""
     table = []
     for setting in SETTINGS:
-        edge = estimate(setting, work, folder)
-        curve = second_curve(sensed(work, setting, folder), edge.half_window_px)
-        off = worst(curve, setting, work, folder)
+        edge, pixsim_curve = estimate(setting, work)
+        curve = second_curve(sensed(work, setting), edge.half_window_px)
+        off = worst(curve, setting, work)
         table.append(row(f"quickMTF - MTF, {setting.name}", f"±{GATE} to Nyquist", off, abs(off) <= GATE))
         below = curve[0] <= NYQUIST_CY_PER_PX
-        apart = float(np.abs(np.interp(curve[0][below], *curve_of(edge)) - curve[1][below]).max())
+        apart = float(np.abs(np.interp(curve[0][below], *pixsim_curve) - curve[1][below]).max())
         table.append(row(f"quickMTF - pixsim, {setting.name}", f"at most {APART}", apart, apart <= APART))
     return table
 
 
-# --- With noise ---
-
-
-def noise_rows(work: Work, folder: Path) -> list[dict[str, object]]:
+def noise_rows(work: Work) -> list[dict[str, object]]:
     """The mean e-SFR of quantised frames of several sensors equals the noiseless one within the scatter."""
     setting = Setting(5.0, 2.8, 6.5)
     physics = derive(Pixel(pitch_um=setting.pitch_um, black_level_dn=16))
-    rate, image, camera = sensed(work, setting, folder), irradiance_of(work, setting, folder), camera_of(setting.f_number)
+    rate, image, camera = sensed(work, setting), irradiance_of(work, setting), camera_of(setting.f_number)
     curves = []
     for seed in range(FRAMES):
         sensor = sample_sensor(physics, rate.shape, np.random.default_rng([1, seed]))
@@ -227,7 +213,7 @@ def noise_rows(work: Work, folder: Path) -> list[dict[str, object]]:
         curves.append(edge_response(frame.dn - frame.black_level_dn, saturation=2**frame.bits - 1 - frame.black_level_dn))
     below = (curves[0].frequency_cy_per_px <= NYQUIST_CY_PER_PX) & (curves[0].frequency_cy_per_px > 0)
     sfr = np.array([curve.sfr[below] for curve in curves])
-    z = (sfr.mean(axis=0) - estimate(setting, work, folder).sfr[below]) / (sfr.std(axis=0, ddof=1) / np.sqrt(FRAMES))
+    z = (sfr.mean(axis=0) - estimate(setting, work)[0].sfr[below]) / (sfr.std(axis=0, ddof=1) / np.sqrt(FRAMES))
     scatter = float(sfr.std(axis=0, ddof=1).max())
     return [
         same,
@@ -237,39 +223,24 @@ def noise_rows(work: Work, folder: Path) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def rows(work: Work = BOUNDED, folder: Path | None = None) -> list[dict[str, object]]:
+def rows(work: Work = BOUNDED) -> list[dict[str, object]]:
     """All rows of this judge."""
-    if folder is None:
-        with TemporaryDirectory() as temporary:
-            return rows(work, Path(temporary))
-    second = second_rows(work, folder) if find_spec("quickMTF") else []
-    return [*sfr_rows(work, folder), *noise_rows(work, folder), *second]
+    return [*sfr_rows(work), *noise_rows(work), *(second_rows(work) if find_spec("quickMTF") else [])]
 
 
-# --- The tests ---
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    yield tmp_path_factory.mktemp("iso12233")
-    rendered.cache_clear()
-    sensed.cache_clear()
-    texels_of.cache_clear()
-
-
-def test_sfr_matches_diffraction_and_photodiode_mtf(folder: Path) -> None:
-    table = sfr_rows(BOUNDED, folder)
+def test_sfr_matches_diffraction_and_photodiode_mtf() -> None:
+    table = sfr_rows(BOUNDED)
     assert len(table) == 24
     assert not not_met(table)
 
 
-def test_sfr_with_noise_is_unbiased(folder: Path) -> None:
-    assert not not_met(noise_rows(BOUNDED, folder))
+def test_sfr_with_noise_is_unbiased() -> None:
+    assert not not_met(noise_rows(BOUNDED))
 
 
-def test_quickmtf_agrees(folder: Path) -> None:
+def test_quickmtf_agrees() -> None:
     pytest.importorskip("quickMTF", reason="the second estimator, quickMTF, is in the test extra")
-    assert not not_met(second_rows(BOUNDED, folder))
+    assert not not_met(second_rows(BOUNDED))
 
 
 @pytest.mark.parametrize(
@@ -281,16 +252,16 @@ def test_quickmtf_agrees(folder: Path) -> None:
         (Setting(95.0, 2.8, 15.0), {"side": 0.97}),
     ],
 )
-def test_other_f_number_or_photodiode_fails(folder: Path, setting: Setting, changes: dict[str, float]) -> None:
-    assert abs(worst(curve_of(estimate(setting, BOUNDED, folder)), setting, BOUNDED, folder, **changes)) > GATE
+def test_other_f_number_or_photodiode_fails(setting: Setting, changes: dict[str, float]) -> None:
+    assert abs(worst(estimate(setting, BOUNDED)[1], setting, BOUNDED, **changes)) > GATE
 
 
-def test_packaged_texture_fails(folder: Path) -> None:
+def test_packaged_texture_fails() -> None:
     setting = Setting(5.0, 2.8, 6.5)
     coarse = Work((1024, 1024), 1024, 4, False)
-    assert worst(curve_of(estimate(setting, coarse, folder)), setting, coarse, folder) < -10 * GATE
+    assert worst(estimate(setting, coarse)[1], setting, coarse) < -10 * GATE
 
 
 @pytest.mark.judges_full
-def test_rows_full_pass(folder: Path) -> None:
-    assert not not_met(rows(FULL, folder))
+def test_rows_full_pass() -> None:
+    assert not not_met(rows(FULL))

@@ -50,9 +50,6 @@ DISCS, FAST_DISCS = [(4.0, 0.0), (4.0, 0.3), (4.0, 1.0)], [(0.5, 0.0), (0.5, 0.6
 QUADRATURE = [(n, a) for n in (0.5, 0.7, 1.4, 4.0, 32.0, 1000.0) for a in (0.0, 1e-3, 12.0, 45.0, 60.0)]
 
 
-# --- Radiance to irradiance ---
-
-
 def from_quadrature(f_number: float, angle_deg: float, law: Law = optics.irradiance_factor) -> float:
     """Relative difference of a formula from the integral."""
     tangent = float(np.tan(np.radians(angle_deg)))
@@ -147,9 +144,6 @@ def isetcam_line(**wrong: float) -> tuple[np.ndarray, float, float, np.ndarray]:
     return short, float(slope), float(at_zero), short - (slope * f_number + at_zero)
 
 
-# --- Diffraction ---
-
-
 def from_isetcam_mtf(nm: int, f_number: float = 4.0) -> np.ndarray:
     with np.load(ISETCAM) as file:
         frequency, mtf = file["optics_mtf_freq_cycmm"], file[f"optics_mtf_f4_{nm}nm"]
@@ -203,9 +197,6 @@ def rows(full: bool = False) -> list[dict[str, object]]:
 @pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.judges_full)])
 def test_rows_pass(full):
     assert not_met(rows(full)) == []
-
-
-# --- The judge can fail ---
 
 
 @pytest.mark.parametrize(("f_number", "angle_deg"), QUADRATURE)

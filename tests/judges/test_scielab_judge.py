@@ -161,9 +161,6 @@ def test_rows_pass():
     assert not_met(rows()) == []
 
 
-# --- The judge can fail ---
-
-
 @pytest.mark.parametrize("name", PAIRS)
 @pytest.mark.parametrize("wrong", [{"filters": "published"}, {"density": 1.01}, {"density": 1 / 1.01}])
 def test_maps_other_filters_or_distance_fail(name, wrong):
@@ -213,9 +210,6 @@ def test_published_and_1996_filters_correlate(name):
 @pytest.mark.parametrize("coarse", [False, True])
 def test_1996_filters_against_themselves_fail(coarse):
     assert np.abs(published_over_1996(coarse, filters="zhang1996")).max() < 0.01
-
-
-# --- MATLAB's plain CIELAB ---
 
 
 @pytest.mark.parametrize("formula", ["1976", "2000"])

@@ -51,9 +51,6 @@ def by_symbol(sheet: DataSheet) -> dict[str, Entry]:
     return {entry.symbol: entry for entry in entries(sheet)}
 
 
-# --- frames ---
-
-
 def test_pair_with_pattern_and_drift_gives_temporal_variance() -> None:
     rng = stream("test pair")
     pattern = 100 * rng.standard_normal((300, 300))
@@ -82,9 +79,6 @@ def test_parts_of_known_maps_recovers_variances() -> None:
     assert variances[:2] == pytest.approx([maps[0].var(), maps[1].var()], rel=0.03)
     assert variances[2] == pytest.approx(25, rel=0.02)
     assert sum(variances) == pytest.approx(sum(maps).var(ddof=1), rel=1e-2)
-
-
-# --- estimators, without noise ---
 
 
 def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, full_e: float = 9000.0) -> Series:
@@ -174,9 +168,6 @@ def test_exposure_at_snr_matches_closed_form(wanted: float) -> None:
     assert math.isnan(signal_at_snr_e(100.0, 500, 0.01))
 
 
-# --- expected moments of frames ---
-
-
 def test_clipped_moments_at_the_mean_closed_form() -> None:
     """Clipped at the mean: first moment -σ/√(2π), second moment σ²/2."""
     first, second = clipped_moments(np.zeros(1), 3.0, 0.0)
@@ -204,9 +195,6 @@ def test_expected_moments_near_full_well_match_frames(share: float, options: dic
     result = pair(*frames)
     assert result.mean_dn == pytest.approx(mean, rel=3e-4)
     assert result.variance_dn2 == pytest.approx(variance, rel=0.05)
-
-
-# --- the experiment ---
 
 
 def test_make_experiment_black_level_is_at_least_six_sigma() -> None:
@@ -267,9 +255,6 @@ def test_make_datasheet_noiseless_pixel_is_finite() -> None:
     assert lines["η"].measured > MIN_FRACTION
 
 
-# --- the sheet ---
-
-
 def test_entries_measured_within_standard_errors(sheet: DataSheet) -> None:
     for entry in entries(sheet):
         assert math.isfinite(entry.measured), entry.symbol
@@ -308,9 +293,6 @@ def test_variance_peak_e_gain_spread_lowers_peak() -> None:
     peaks = [variance_peak_e(physics, 0.03, 1.1 * physics.full_well_e) / physics.full_well_e for physics in (even, uneven)]
     assert 0.99 < peaks[0] < 1
     assert 1 - 4 * uneven.prnu < peaks[1] < 1 - uneven.prnu
-
-
-# --- the command ---
 
 
 def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import command
+from PIL import Image
 from scipy.special import erf
 
 from pixsim import PixsimError, edge_response
@@ -125,22 +126,13 @@ def test_edge_response_saturated_or_outside_region_raises() -> None:
         edge_response(gaussian_edge(), region=(0, 0, 321, 100))
 
 
-# --- files and the command --------------------------------------------------------------------------------------------
-
-
-def save_png16(path: Path, picture: np.ndarray) -> None:
-    from PIL import Image
-
-    Image.fromarray(picture.astype(np.uint16)).save(path)
-
-
 def test_read_edge_picture_all_formats_agree(tmp_path: Path) -> None:
     edge = np.rint(gaussian_edge())
     header = {"unit": "DN", "bits": 10, "black_level_dn": 20.0, "pitch_um": 5.3}
     write_channels(tmp_path / "raw.exr", {"DN": edge}, header)
     np.save(tmp_path / "edge.npy", edge.astype(np.uint16))
     np.savez(tmp_path / "edge.npz", edge)
-    save_png16(tmp_path / "edge.png", edge)
+    Image.fromarray(edge.astype(np.uint16)).save(tmp_path / "edge.png")
     for name in ("raw.exr", "edge.npy", "edge.npz", "edge.png"):
         assert np.array_equal(read_edge_picture(tmp_path / name).data, edge)
     raw = read_edge_picture(tmp_path / "raw.exr")
@@ -190,8 +182,6 @@ def test_sfr_summary_without_pitch_has_no_millimetres() -> None:
 def test_sfr_command_invalid_files_print_one_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str
 ) -> None:
-    from PIL import Image
-
     monkeypatch.chdir(tmp_path)
     edge = gaussian_edge()
     np.save("edge.npy", edge)
