@@ -101,12 +101,8 @@ def _sample_borders(picture: Array) -> Iterator[Case]:
             if first != int(first):
                 continue
             blocks = picture[int(first) :, int(first) :]
-            sums = np.array(
-                [
-                    [blocks[y * pitch : y * pitch + side, x * pitch : x * pitch + side].sum() for x in range(count)]
-                    for y in range(count)
-                ]
-            )
+            cuts = [slice(k * pitch, k * pitch + side) for k in range(count)]
+            sums = np.array([[blocks[y, x].sum() for x in cuts] for y in cuts])
             wanted.append((sums * sample_um**2).ravel())
             got_values.append(integrate_pixels(picture, sample_um, pitch * sample_um, side * sample_um).ravel())
     name = "photodiode edges on sample borders, samples of 0.001 to π µm"
