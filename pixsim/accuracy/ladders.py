@@ -1,4 +1,4 @@
-"""One setting moved at a time, everything else as shipped: wall time and error of each rung."""
+"""Ladders: series in which one setting varies and the others have their defaults, with wall time and error of each rung."""
 
 from __future__ import annotations
 
@@ -28,17 +28,20 @@ SCALAR = "scalar_spectral"
 SAMPLERS = "multijitter", "stratified", "ldsampler", "independent"
 SAMPLES = 1, 4, 16, 64, 256, 1024
 LONG_S = 3.0
-# Times the work of a pass of the shipped plan, roughly: a lens and paths for a pinhole and one bounce; 47 bands in one film;
-# a scalar variant. Only to tell beforehand whether a rung fits into the time.
+# Rough cost relative to a pass of the default plan: a lens and full paths instead of a pinhole and one bounce; 47 bands in one
+# film; a scalar variant. Used only to predict whether a rung fits into the remaining time.
 FULL_WORK, PLAIN_WORK, SCALAR_WORK = 3.0, 3.5, 12.0
-LONG_WORK = 8.0  # times that of the shipped settings: such methods come last
+LONG_WORK = 8.0  # relative to the default settings: more expensive methods come last
 Picture = Callable[[int], SpectralImage]  # seed -> irradiance
 
 
 @dataclass(frozen=True)
 class Depth:
-    """How much is measured: seconds in all, those that ladders have at least where the rest took long, and those for a rendered
-    reference; independent renders of each rung; settings."""
+    """Extent of a survey.
+
+    seconds : of the whole survey; ladders_s : at least for the ladders; reference_s : for a rendered reference
+    runs : independent renders of each rung; the other fields are the settings to measure
+    """
 
     seconds: float
     ladders_s: float
@@ -46,57 +49,37 @@ class Depth:
     runs: int
     pitches: int
     spp: int
-    films: tuple[int, ...]  # by powers of two from the scene's own
+    films: tuple[int, ...]  # powers of two, relative to the scene's film
     bands: tuple[int, ...]
     lens: tuple[int, ...]
     plain: tuple[int, ...]
     pool: int
     seeds_move_the_optimum: bool
-    dots: tuple[float, ...]  # times the display's
+    dots: tuple[float, ...]  # relative to the display's
 
 
 FULL = Depth(
-    seconds=265.0,
-    ladders_s=60.0,
-    reference_s=90.0,
-    runs=2,
-    pitches=6,
-    spp=64,
-    films=(-4, -3, -2, -1, 1),
-    bands=(1, 2, 4, 8, 16, 96),
-    lens=(1, 4, 16, 64),
-    plain=(4, 16, 64),
-    pool=16,
-    seeds_move_the_optimum=True,
-    dots=(1 / 8, 1 / 4, 1 / 2, 2, 4),
-)
+    seconds=265.0, ladders_s=60.0, reference_s=90.0, runs=2, pitches=6, spp=64, films=(-4, -3, -2, -1, 1),
+    bands=(1, 2, 4, 8, 16, 96), lens=(1, 4, 16, 64), plain=(4, 16, 64), pool=16, seeds_move_the_optimum=True,
+    dots=(1 / 8, 1 / 4, 1 / 2, 2, 4)
+)  # fmt: skip
 QUICK = Depth(
-    seconds=46.0,
-    ladders_s=12.0,
-    reference_s=12.0,
-    runs=1,
-    pitches=5,
-    spp=16,
-    films=(-2, -1),
-    bands=(2, 8),
-    lens=(4,),
-    plain=(4,),
-    pool=4,
-    seeds_move_the_optimum=False,
-    dots=(1 / 4, 1 / 2, 2),
-)
+    seconds=46.0, ladders_s=12.0, reference_s=12.0, runs=1, pitches=5, spp=16, films=(-2, -1), bands=(2, 8), lens=(4,),
+    plain=(4,), pool=4, seeds_move_the_optimum=False, dots=(1 / 4, 1 / 2, 2)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Rung:
-    """One setting, measured.
+    """Measured time and error of one setting.
 
-    ladder, setting : which, in words; value : its number, on the axis of the ladder
-    seconds : of rendering and scoring one picture, warm; least of the runs
+    ladder, setting : names; value : position on the axis of the ladder
+    shipped : whether these are the default settings
+    seconds : of rendering and scoring one picture, after a warm-up; minimum of the runs
     error_e : RMS relative error of the mean electrons of the pixels
-    error_delta_e : of mean ΔE; error_optimum_um : of the optimal pitch; RMS over runs, NaN where it was not measured
-    spread : standard error of the logarithm of the errors, where they are estimates from a few sensors
-    left_out : why it was not measured
+    error_delta_e : of mean ΔE; error_optimum_um : of the optimal pitch; RMS over the runs, NaN if not measured
+    spread : standard error of the logarithm of the errors, if they are estimates from a few sensors
+    left_out : reason why the setting was skipped
     """
 
     ladder: str
@@ -113,7 +96,7 @@ class Rung:
 
 @dataclass
 class Clock:
-    """Wall time that is left for the ladders, and what the shipped setting takes of it."""
+    """Wall time left for the ladders, and the time that the default settings take."""
 
     end: float
     runs: int
@@ -122,15 +105,15 @@ class Clock:
     score_s: float = 0.0  # of one sensor at one pitch
 
     def warms_up(self, work: float) -> bool:
-        """Whether a first render, which compiles, is made only to be thrown away; in a long one it hardly matters."""
+        """Whether to render once for compilation alone, which is negligible in a long render."""
         return work * self.render_s < LONG_S
 
     def runs_of(self, work: float) -> int:
-        """Renders of a rung: a long one once."""
+        """Number of renders of a rung: one if it is long."""
         return self.runs if self.warms_up(work) else 1
 
     def expected_s(self, work: float) -> float:
-        """Of a rung of so many times the work of the shipped one."""
+        """Expected seconds of a rung with `work` times the cost of the default settings."""
         runs = self.runs_of(work)
         return (runs + self.warms_up(work)) * work * self.render_s + runs * self.probe_s
 
@@ -143,11 +126,12 @@ NOTHING = Probe(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros((0, 0)))
 
 @dataclass(frozen=True)
 class Subject:
-    """What is measured, and against what.
+    """The scene and settings under test, with the reference results.
 
-    image : of the shipped settings, rendered in render_s; white : header entries that every picture of the scene is to share
-    reference : what is right, in words; analytic : whether by a formula
-    notes : what was made smaller to afford the reference
+    image : irradiance with the default settings, rendered in render_s
+    white : header entries shared by all pictures of the scene
+    reference : description of the reference; analytic : whether it is a formula
+    notes : reductions made to limit the time of the reference
     """
 
     scene: Scene
@@ -165,7 +149,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Step:
-    """A rung to be measured: how to make its picture, and how many times the work of the shipped setting it is."""
+    """A rung to measure: how to render its picture, and its work relative to the default settings."""
 
     setting: str
     value: float
@@ -175,7 +159,7 @@ class Step:
 
 
 def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: int) -> Picture:
-    """47 bands of 10 nm, all of 360-830 nm, in one specfilm, the scene's own lamps, `path`, a sampled lens."""
+    """Plain Mitsuba: 47 bands of 10 nm (360-830 nm) in one specfilm, the scene's lamps and integrator, and a sampled lens."""
     job = Renderer(scene, camera, plan, 0)
     flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
     factor = field_factor(job.size, job.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
@@ -184,13 +168,13 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
         state = scene.for_camera(camera)
         mi.parser.transform_all(config, state)
         built = mi.parser.instantiate(config, state)
-        world = next(each for each in (built if isinstance(built, list) else [built]) if isinstance(each, mi.Scene))
+        world = next(child for child in (built if isinstance(built, list) else [built]) if isinstance(child, mi.Scene))
         lens: dict[str, Any] = job.sensor | {
             "type": "thinlens",
             "aperture_radius": camera.aperture_radius_m,
             "focus_distance": camera.object_distance_m,
             "sampler": {"type": sampler, "sample_count": spp},
-            "film": film([film_response(each) for each in flat], job.size, 0, job.size[0]),
+            "film": film([film_response(pulse) for pulse in flat], job.size, 0, job.size[0]),
         }
         sensor, integrator = mi.load_dict(lens), world.integrator() or mi.load_dict({"type": "path"})
     header: dict[str, Any] = {"camera": camera.model_dump()}
@@ -211,13 +195,13 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
 
 
 def rendered(scene: Scene, camera: Camera, plan: Plan) -> Picture:
-    """How the renderer makes a picture of a plan."""
+    """Function that renders a plan with a given seed."""
     job = Renderer(scene, camera, plan, 0)
     return lambda seed: job.image(*job.run(seed))
 
 
 def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
-    """Time and errors of a setting, over independent renders."""
+    """Time and errors of a setting over independent renders."""
     picture = step.picture()
     if clock.warms_up(step.work):
         picture(clock.runs)
@@ -227,18 +211,17 @@ def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
         image = picture(seed)
         image.header |= subject.white
         middle = time.perf_counter()
-        found = probe(image, subject.setup)
-        seconds.append(middle - start + found.seconds)
-        electrons.append(relative_rms(found.electrons_e_per_s, subject.truth.electrons_e_per_s))
-        delta_e.append(found.mean_delta_e - subject.truth.mean_delta_e)
-        optimum.append(found.optimum_um - subject.truth.optimum_um)
+        result = probe(image, subject.setup)
+        seconds.append(middle - start + result.seconds)
+        electrons.append(relative_rms(result.electrons_e_per_s, subject.truth.electrons_e_per_s))
+        delta_e.append(result.mean_delta_e - subject.truth.mean_delta_e)
+        optimum.append(result.optimum_um - subject.truth.optimum_um)
     return Rung(ladder, step.setting, step.value, step.shipped, min(seconds), rms(electrons), rms(delta_e), rms(optimum))
 
 
 def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, shipped: Rung) -> Iterator[Rung]:
-    """Measure the rungs, cheapest first, but for the shipped one, which is known; what would take longer than what is left
-    is left out, and says so."""
-    for step in sorted(steps, key=lambda each: each.work):
+    """Measure the rungs, cheapest first; the default settings are already measured, and rungs beyond the time left are skipped."""
+    for step in sorted(steps, key=lambda candidate: candidate.work):
         expected = clock.expected_s(step.work)
         if step.shipped:
             yield replace(shipped, ladder=ladder, setting=step.setting, value=step.value)
@@ -249,24 +232,24 @@ def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, sh
 
 
 def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
-    """The ladders of the render, one setting moved on each; those that take longest come last.
+    """The ladders of the render, with one setting varied in each; the most expensive methods come last.
 
-    film : other widths, where the scene lets its resolution be set. bands : of equal width, and those that the plan places.
-    lens : a pinhole, and a lens of so many samples. methods : whole ways to the picture: plain Mitsuba, pixsim with nothing
-    left out, pixsim as shipped, and its other variant.
+    film : other widths, if the scene has a parameter `resolution`. bands : bands of equal width, and those of the plan.
+    lens : a pinhole, and lenses with several numbers of samples. methods : plain Mitsuba, and pixsim without pruning, with
+    default settings, and with its scalar variant.
     """
     scene, camera, plan, width = subject.scene, subject.camera, subject.plan, subject.image.shape[1]
     full = make_render_plan(scene, camera, subject.setup.pixel, full=True)
     films = {width, *(max(8, int(width * 2.0**k)) for k in depth.films)} if "resolution" in scene.names else ()
     planned = plan.bands.width_nm.size
 
-    def step(setting: str, value: float, work: float = 1.0, *, of: Scene = scene, to: Plan = plan, **moved: Any) -> Step:
-        shipped = of is scene and to is plan and all(getattr(plan, key) == each for key, each in moved.items())
-        return Step(setting, value, partial(rendered, of, camera, replace(to, **moved)), work, shipped)
+    def step(setting: str, value: float, work: float = 1.0, *, of: Scene = scene, to: Plan = plan, **changes: Any) -> Step:
+        shipped = of is scene and to is plan and all(getattr(plan, key) == value for key, value in changes.items())
+        return Step(setting, value, partial(rendered, of, camera, replace(to, **changes)), work, shipped)
 
     def equal_bands(count: int) -> Step:
-        even = make_render_plan(scene, camera, subject.setup.pixel, band_count=count)
-        return step(f"{count} equal bands", count, even.passes / plan.passes, to=even, spp=plan.spp)
+        equal = make_render_plan(scene, camera, subject.setup.pixel, band_count=count)
+        return step(f"{count} equal bands", count, equal.passes / plan.passes, to=equal, spp=plan.spp)
 
     methods = [
         step("pixsim, pruned", plan.spp),
@@ -274,8 +257,8 @@ def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
     ]
     for n in depth.plain:
         for sampler in ("independent", "multijitter"):
-            made = partial(plain_picture, scene, camera, plan, sampler, n)
-            methods.append(Step(f"Mitsuba, {sampler}, {n} spp", n, made, PLAIN_WORK * n / plan.spp))
+            make_picture = partial(plain_picture, scene, camera, plan, sampler, n)
+            methods.append(Step(f"Mitsuba, {sampler}, {n} spp", n, make_picture, PLAIN_WORK * n / plan.spp))
     if scene.choice.variant != SCALAR:
         methods.append(step(f"pixsim, pruned, {SCALAR}", plan.spp, SCALAR_WORK, of=replace(scene, choice=variants.choose(SCALAR))))
     return {
@@ -284,28 +267,28 @@ def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
             step(f"{n} wide", n, (n / width) ** 2, of=scene if n == width else scene.with_parameters(resolution=n))
             for n in sorted(films)
         ],
-        "methods": [each for each in methods if each.work < LONG_WORK],
+        "methods": [method for method in methods if method.work < LONG_WORK],
         "bands": [step(f"{planned} bands, as planned", planned), *map(equal_bands, depth.bands)],
         "sampler": [step(name, k, 1.0 + 0.01 * k, sampler=name) for k, name in enumerate(SAMPLERS)],
         "lens": [
             *(step(f"lens, {n} samples", n, n / plan.spp, lens="thinlens", spp=n) for n in depth.lens),
             step("pinhole", 1, lens="perspective"),
         ],
-        "long methods": [each for each in methods if each.work >= LONG_WORK],
+        "long methods": [method for method in methods if method.work >= LONG_WORK],
     }
 
 
-MIN_SENSORS, MIN_GROUPS = 4, 4  # so few means still tell their scatter to a third
-SENSORS_PER_SWEEP = 4  # at one pitch: they cost so much less
-OTHER_SENSORS = 104729  # beside the user's seed: the reference's sensors are others
+MIN_SENSORS, MIN_GROUPS = 4, 4  # the scatter of four means is known to about a third
+SENSORS_PER_SWEEP = 4  # sensors at one pitch per sensor of a sweep, which costs more
+OTHER_SENSORS = 104729  # added to the seed for the reference's sensors
 
 
 def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, pool: int) -> Iterator[Rung]:
-    """Means over 1, 2, 4 … sensors against that over as many others as there are; RMS over all groups of so many.
+    """RMS differences between means over 1, 2, 4 … sensors and the mean over all sensors of another pool.
 
-    Four times `pool` sensors are scored at the pixel's own pitch, `pool` at every pitch. The reference scatters too, by what
-    is known: a difference of means over n and m sensors has (1 + n/m) times the variance of the first alone, and is divided
-    by its root. Fewer sensors are taken, and the optimum is left, where time is short.
+    Four times `pool` sensors are scored at the pixel's pitch, and `pool` at every pitch. The reference mean scatters too: a
+    difference of means over n and m sensors has 1 + n/m times the variance of the first mean, and is divided by the root of
+    this factor. If time is short, the optimum is skipped first; then the pool is reduced.
     """
 
     def expected_s() -> float:
@@ -318,43 +301,42 @@ def seed_rungs(image: SpectralImage, setup: Setup, shipped: Rung, clock: Clock, 
         return
     many, swept = SENSORS_PER_SWEEP * pool, pool if setup.pitches_um else 1
     seeds = setup.seed, setup.seed + OTHER_SENSORS
-    own, truth = (probe(image, replace(setup, pitches_um=(), sensors=many, seed=seed)) for seed in seeds)
+    measured, truth = (probe(image, replace(setup, pitches_um=(), sensors=many, seed=seed)) for seed in seeds)
     curves, true_curve = (probe(image, replace(setup, sensors=swept, seed=seed)) for seed in seeds)
     count = 1
     while count * MIN_GROUPS <= many:
-        delta_e = own.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
+        delta_e = measured.delta_e.reshape(-1, count).mean(axis=1) - truth.mean_delta_e
         groups = [slice(start, start + count) for start in range(0, swept, count)]
         enough = len(groups) >= MIN_GROUPS
-        optimum = [_optimum(curves, each) - true_curve.optimum_um for each in groups] if enough else [math.nan]
+        optimum = [math.nan]
+        if enough:
+            means = (curves.sweep_delta_e[:, group].mean(axis=1) for group in groups)
+            optimum = [minimum_um(curves.pitch_um, mean) - true_curve.optimum_um for mean in means]
         name = f"{count} sensor{'s' * (count > 1)}"
-        time_s = shipped.seconds + (count - 1) * own.score_seconds
+        time_s = shipped.seconds + (count - 1) * measured.score_seconds
         errors = rms(delta_e.tolist()) / math.sqrt(1 + count / many), rms(optimum) / math.sqrt(1 + count / swept)
-        # The RMS of G values is known to 1/√(2G).
+        # The relative standard error of an RMS of G values is 1/√(2G).
         spread = math.sqrt(count / (2 * (swept if enough else many)))
         yield Rung("seeds", name, count, count == 1, time_s, math.nan, *errors, spread=spread)
         count *= 2
 
 
-def _optimum(found: Probe, sensors: slice) -> float:
-    return minimum_um(found.pitch_um, found.sweep_delta_e[:, sensors].mean(axis=1))
-
-
 def raster_rungs(image: SpectralImage, setup: Setup, clock: Clock, dots: Sequence[int]) -> Iterator[Rung]:
-    """Displays of other dots that show the same picture at the same angle; the finest that there is time for is the reference."""
-    own = setup.display.dots
+    """Displays with other dot counts and the same picture angle; the finest one within the time is the reference."""
+    given = setup.display.dots
     if setup.display.raster != "fixed_size":
-        yield Rung("raster", "one_to_one", 1, True, left_out="the dots are the pixels")
+        yield Rung("raster", "one_to_one", 1, True, left_out="one_to_one shows one pixel per dot")
         return
-    found: dict[int, Probe] = {}
-    for count in sorted({*dots, own}):
-        expected = clock.probe_s * max(1.0, (count / own) ** 2)
+    probes: dict[int, Probe] = {}
+    for count in sorted({*dots, given}):
+        expected = clock.probe_s * max(1.0, (count / given) ** 2)
         if clock.room_for(expected):
-            found[count] = probe(image, replace(setup, display=finer(setup.display, count)))
+            probes[count] = probe(image, replace(setup, display=finer(setup.display, count)))
         else:
-            yield Rung("raster", f"{count} dots", count, count == own, left_out=f"about {expected:.0f} s")
-    finest = max(found, default=0)
-    for count, each in found.items():
+            yield Rung("raster", f"{count} dots", count, count == given, left_out=f"about {expected:.0f} s")
+    finest = max(probes, default=0)
+    for count, result in probes.items():
         if count < finest:
-            truth = found[finest]
-            errors = abs(each.mean_delta_e - truth.mean_delta_e), abs(each.optimum_um - truth.optimum_um)
-            yield Rung("raster", f"{count} dots", count, count == own, clock.render_s + each.seconds, math.nan, *errors)
+            truth = probes[finest]
+            errors = abs(result.mean_delta_e - truth.mean_delta_e), abs(result.optimum_um - truth.optimum_um)
+            yield Rung("raster", f"{count} dots", count, count == given, clock.render_s + result.seconds, math.nan, *errors)

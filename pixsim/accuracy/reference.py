@@ -1,4 +1,4 @@
-"""What is right: the chart's own formula where the scene is one of the shipped charts alone, else a much longer render."""
+"""Reference irradiance: the formula of a packaged chart, or a much longer render of any other scene."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from pixsim.scene.scene import Scene, packaged_scenes
 from pixsim.studies.budget import Setup
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
-MIN_PARTS = 4096  # across a chart, for those nodes: far smaller than a cycle, exact to 1e-12
-REFERENCE_WORK = 64  # times the samples of a default render
+MIN_PARTS = 4096  # across a chart: parts much smaller than a cycle, for which the quadrature is exact to 1e-12
+REFERENCE_WORK = 64  # relative to the samples of a default render
 REFERENCE_BANDS = 470  # of 1 nm
-REFERENCE_SEED = 7919  # beside the user's seed
+REFERENCE_SEED = 7919  # added to the user's seed
 
 
 def cell_means(value: Callable[[Array], Array], count: int) -> Array:
-    """Means of a smooth function of [0, 1] over `count` equal cells; large cells are taken in parts."""
+    """Means of a smooth function on [0, 1] over `count` equal cells, by Gauss-Legendre quadrature in small parts."""
     parts = -(-MIN_PARTS // count)
     middle = (np.arange(count * parts) + 0.5) / (count * parts)
     means = (value(middle[:, None] + NODES / (2 * count * parts)) * (WEIGHTS / 2)).sum(axis=1)
@@ -34,19 +34,21 @@ def cell_means(value: Callable[[Array], Array], count: int) -> Array:
 
 
 def csf_picture(height: int, width: int) -> Array:
-    """Cell means of the CSF chart's formula: a sum of a constant and a product of functions of x and of y."""
-    base = float(csf_value(0.0, 0.0))  # the phase is 0 at x = 0: the mean
+    """Cell means of the CSF chart's formula, a constant plus a product of functions of x and y."""
+    base = float(csf_value(0.0, 0.0))  # the mean, as the phase is 0 at x = 0
     wave = cell_means(lambda x: csf_value(x, 1.0) / base - 1, width)
     growth = cell_means(lambda y: csf_contrast(y) / csf_contrast(1.0), height)
     return base * (1 + growth[:, None] * wave[None, :])
 
 
 def edge_picture(height: int, width: int, dark: float = 0.1) -> Array:
-    """Cell means of the slanted edge. A line of a cell is bright right of the edge, which moves along the cell's height at a
-    constant rate: the mean of what is covered is a difference of its integral, ∫ clip(u, 0, 1) du."""
+    """Cell means of the slanted edge, bright on the right.
+
+    Along the height of a cell the edge moves at a constant rate, so the mean cover is a difference of ∫ clip(u, 0, 1) du.
+    """
     y = np.arange(height + 1) / height
     edge = (0.5 + (0.5 - y) * np.tan(np.radians(SLANT_DEG))) * width
-    right = np.arange(1, width + 1)[None, :] - edge[:, None]  # of the edge, at the cells' upper and lower ends
+    right = np.arange(1, width + 1)[None, :] - edge[:, None]  # from the edge to a cell's right side, at its top and bottom
     inside = np.clip(right, 0.0, 1.0)
     cover = np.diff(inside**2 / 2 + np.maximum(right - 1, 0.0), axis=0) / np.diff(right, axis=0)
     return np.asarray(dark + (1 - dark) * cover)
@@ -60,36 +62,37 @@ FORMULAS: dict[str, Callable[[int, int], Array]] = {"csf": csf_picture, "flat": 
 
 
 def formula_of(scene: Scene, plan: Plan) -> str | None:
-    """Name of the shipped chart that a scene shows alone, upright and filling the film; None for any other, and for a file
-    of the same name elsewhere, which may show anything."""
+    """Name of the packaged chart that fills a scene's film; None for other scenes, and for files elsewhere of the same name."""
     name = scene.path.stem
     shipped = name in FORMULAS and scene.path.resolve() == packaged_scenes()[name].resolve()
     return name if shipped and plan.chart is not None and "chart" not in scene.parameters else None
 
 
 def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, shape: tuple[int, int]) -> tuple[SpectralImage, str]:
-    """The chart's formula as irradiance, and in words: exact cell means, bands of 1 nm, the lens's fall-off at every sample."""
+    """Irradiance of the chart's formula, and its description: exact cell means, bands of 1 nm, the lens's fall-off."""
     plan = make_render_plan(scene, camera, setup.pixel, band_count=REFERENCE_BANDS)
     picture = FORMULAS[name](*shape)
     job = Renderer(scene.with_parameters(resolution=shape[1]), camera, plan, 0)
     pictures = [np.repeat(picture[:, :, None], len(light.fit.pulses), axis=2) for light in plan.lights]
-    told = f"analytic, the formula of the {name} chart: {shape[1]} × {shape[0]} exact cell means, bands of 1 nm"
-    return job.image(pictures, 0), told
+    description = f"analytic, the formula of the {name} chart: {shape[1]} × {shape[0]} exact cell means, bands of 1 nm"
+    return job.image(pictures, 0), description
 
 
 def rendered_reference(
-    scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, told: Progress | None = None
+    scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, progress: Progress | None = None
 ) -> tuple[SpectralImage, str]:
-    """A render, and in words: with nothing left out, other seeds, and at least `work` times the samples of the plan's, on a
-    film twice as fine where the scene lets its resolution be set."""
+    """A reference render and its description: without pruning, other seeds, at least `work` times the plan's samples.
+
+    Its film is twice as fine if the scene has a parameter `resolution`.
+    """
     width = Renderer(scene, camera, plan, 0).size[1]
     free = "resolution" in scene.names
     finer = scene.with_parameters(resolution=2 * width) if free else scene
     full = make_render_plan(finer, camera, setup.pixel, full=True)
     cells = 4 if free else 1
     spp = 1 << max(4, math.ceil(math.log2(work * plan.spp * plan.passes / (full.passes * cells))))
-    heavy = Renderer(finer, camera, replace(full, spp=spp), setup.seed + REFERENCE_SEED)
-    image = heavy.image(*heavy.run(0, told))
+    renderer = Renderer(finer, camera, replace(full, spp=spp), setup.seed + REFERENCE_SEED)
+    image = renderer.image(*renderer.run(0, progress))
     times = full.passes * spp * cells / (plan.spp * plan.passes)
-    size = " × ".join(str(n) for n in heavy.size[::-1])
+    size = " × ".join(str(n) for n in renderer.size[::-1])
     return image, f"a render of {times:.0f} times the work, other seeds: {size}, {full.passes} passes of {spp}"

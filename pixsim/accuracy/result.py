@@ -1,4 +1,4 @@
-"""What `pixsim accuracy` found: errors, orders of convergence with their uncertainty, and the Pareto front against time."""
+"""Results of `pixsim accuracy`: errors, orders of convergence with their uncertainty, and the Pareto front against time."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pixsim.show.pages import plain
 from pixsim.studies.budget import Calibration, Effect, Setup
 
 MIN_POINTS = 3
-FLAT = 2 / 3  # of the slope so far: where errors fall more slowly than that, another source of error is met
-SAME_TIME = 0.9  # wall times of the same work scatter by a tenth
+FLAT = 2 / 3  # of the previous slope: a slower decrease means that another source of error dominates
+SAME_TIME = 0.9  # wall times of equal work scatter by a tenth
 
 
 @dataclass(frozen=True)
 class Order:
-    """error ∝ setting^-order, by weighted least squares in logarithms.
+    """Power law error ∝ setting^-order, from weighted least squares in logarithms.
 
-    order_se : standard error of the order, from the scatter about the line and from what the points' own errors allow
-    points : that were fitted
+    order_se : standard error of the order, the larger one of that from the residuals and that from the points' errors
+    points : number of fitted points
     """
 
     order: float
@@ -39,7 +39,7 @@ class Order:
 
     @property
     def ci95(self) -> float:
-        """Half width of the order's 95 % interval: Student's t, which three points make 13 times the standard error."""
+        """Half width of the order's 95 % interval by Student's t: 13 standard errors for three points."""
         return float(student_t.ppf(0.975, self.points - 2)) * self.order_se
 
     def __str__(self) -> str:
@@ -47,19 +47,18 @@ class Order:
 
 
 def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence[float] | None = None) -> Order | None:
-    """The order at which errors fall; None where fewer than three points lie above the ladder's floor.
+    """The order of convergence; None if fewer than three points lie above the floor set by other settings.
 
-    The floor is what other settings leave over: the points from which on errors fall at less than two thirds of their slope
-    so far, or rise, are left out. (A threshold on the error itself would take a slow order, ½ for random numbers, for a floor.)
+    The fit ends where the errors rise, or fall by less than two thirds of the slope up to there. A threshold on the error
+    would mistake a slow order, such as ½ for random sampling, for a floor.
 
     Parameters
     ----------
-    spread : standard errors of the logarithms of the errors, where those are estimates; then all points count, by their
-        weight. None: the scatter alone tells
+    spread : standard errors of the logarithms of the errors; with them all points are fitted, weighted by 1/spread²
     """
-    own = [0.0] * len(setting) if spread is None else spread
-    points = sorted((s, e, d) for s, e, d in zip(setting, error, own, strict=True) if s > 0 and e > 0 and math.isfinite(s * e))
-    falling = points if any(own) else points[: len(above_floor([(s, e) for s, e, _ in points]))]
+    sigmas = [0.0] * len(setting) if spread is None else spread
+    points = sorted((s, e, d) for s, e, d in zip(setting, error, sigmas, strict=True) if s > 0 and e > 0 and math.isfinite(s * e))
+    falling = points if any(sigmas) else points[: len(above_floor([(s, e) for s, e, _ in points]))]
     if len(falling) < MIN_POINTS:
         return None
     x, y = np.log([s for s, _, _ in falling]), np.log([e for _, e, _ in falling])
@@ -74,7 +73,7 @@ def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence
 
 
 def above_floor(pairs: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
-    """The first of (setting, error), by setting, as long as the errors keep falling."""
+    """The leading (setting, error) pairs, sorted by setting, up to where the errors stop falling."""
     if len({setting for setting, _ in pairs}) < len(pairs):
         return ()
     for k in range(1, len(pairs)):
@@ -85,12 +84,12 @@ def above_floor(pairs: Sequence[tuple[float, float]]) -> Sequence[tuple[float, f
 
 
 def slope_of(one: tuple[float, float], other: tuple[float, float]) -> float:
-    """Local order between two (setting, error)."""
+    """Local order between two (setting, error) pairs."""
     return math.log(one[1] / other[1]) / math.log(other[0] / one[0])
 
 
 def pareto(seconds: Sequence[float], error: Sequence[float]) -> list[int]:
-    """Indices of the points that no other beats in both time and error, by time; points without an error are on no front."""
+    """Indices of the points that no other dominates in time and error, sorted by time; NaN errors are excluded."""
     front: list[int] = []
     best = math.inf
     for index in sorted(range(len(seconds)), key=lambda k: (seconds[k], error[k])):
@@ -100,12 +99,12 @@ def pareto(seconds: Sequence[float], error: Sequence[float]) -> list[int]:
     return front
 
 
-def beaten_by(own: int, seconds: Sequence[float], error: Sequence[float], visible: float = 0.0) -> int | None:
-    """Index of the point that beats one clearly: faster by more than times scatter, and nearer by more than `visible`."""
+def beaten_by(index: int, seconds: Sequence[float], error: Sequence[float], visible: float = 0.0) -> int | None:
+    """Index of the most accurate point that is clearly faster, and more accurate by more than `visible`; or None."""
     better = [
         k
         for k in range(len(seconds))
-        if seconds[k] < SAME_TIME * seconds[own] and math.isfinite(error[k]) and error[k] < error[own] - visible
+        if seconds[k] < SAME_TIME * seconds[index] and math.isfinite(error[k]) and error[k] < error[index] - visible
     ]
     return min(better, key=lambda k: error[k], default=None)
 
@@ -115,12 +114,12 @@ METRICS = {
     "error_delta_e": "error of mean ΔE",
     "error_optimum_um": "error of the optimal pitch (µm)",
 }
-USUAL_SENSORS = 8  # of a study: what their mean cannot see does not tell settings apart
+USUAL_SENSORS = 8  # of a study: differences that their mean does not resolve do not matter
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What was measured. `notes` say what was made smaller to stay within the time."""
+    """Results of a survey. `notes` list reductions made to limit the time."""
 
     name: str
     reference: str
@@ -138,30 +137,30 @@ class Accuracy:
     seconds: float
 
     def ladder(self, name: str) -> list[Rung]:
-        """Its rungs that were measured, by their number."""
-        return sorted((each for each in self.rungs if each.ladder == name and not each.left_out), key=lambda each: each.value)
+        """Measured rungs of a ladder, sorted by value."""
+        return sorted((rung for rung in self.rungs if rung.ladder == name and not rung.left_out), key=lambda rung: rung.value)
 
     @property
     def names(self) -> list[str]:
-        return list(dict.fromkeys(each.ladder for each in self.rungs))
+        return list(dict.fromkeys(rung.ladder for rung in self.rungs))
 
     def order(self, name: str, metric: str) -> Order | None:
-        """Of a ladder whose settings are numbers."""
+        """Order of convergence of a ladder; None if its settings are not numbers."""
         if name in ("methods", "sampler"):
             return None
-        found = [each for each in self.ladder(name) if "pinhole" not in each.setting and "planned" not in each.setting]
-        errors, spread = [getattr(each, metric) for each in found], [each.spread for each in found]
-        return fit_order([each.value for each in found], errors, spread if any(spread) else None)
+        rungs = [rung for rung in self.ladder(name) if "pinhole" not in rung.setting and "planned" not in rung.setting]
+        errors, spread = [getattr(rung, metric) for rung in rungs], [rung.spread for rung in rungs]
+        return fit_order([rung.value for rung in rungs], errors, spread if any(spread) else None)
 
     def rivals(self, metric: str) -> list[Rung]:
-        """Measured settings of the render, the shipped one first, once: those of seeds and raster have references of their own."""
-        others = [each for each in self.rungs if not (each.left_out or each.shipped) and each.ladder not in ("seeds", "raster")]
-        return [each for each in (self.shipped, *others) if math.isfinite(getattr(each, metric))]
+        """Measured render settings, the default ones first; the ladders of seeds and raster have other references."""
+        others = [rung for rung in self.rungs if not (rung.left_out or rung.shipped) and rung.ladder not in ("seeds", "raster")]
+        return [rung for rung in (self.shipped, *others) if math.isfinite(getattr(rung, metric))]
 
     def beaten(self, metric: str) -> Rung | None:
-        """The setting that is clearly faster and nearer than the shipped one, if there is one.
+        """The setting that is clearly faster and more accurate than the default, or None.
 
-        Nearer by what a study of eight sensors could see, for ΔE and the optimum.
+        For ΔE and the optimum, the difference must exceed the standard error of a study with eight sensors.
         """
         rivals = self.rivals(metric)
         if not rivals or rivals[0] is not self.shipped:
@@ -169,25 +168,25 @@ class Accuracy:
         sensor = self.calibration.sensor
         visible = {"error_delta_e": sensor.delta_e, "error_optimum_um": sensor.optimum_um}.get(metric, 0.0)
         margin = visible / math.sqrt(USUAL_SENSORS) if math.isfinite(visible) else 0.0
-        index = beaten_by(0, [each.seconds for each in rivals], [getattr(each, metric) for each in rivals], margin)
+        index = beaten_by(0, [rung.seconds for rung in rivals], [getattr(rung, metric) for rung in rivals], margin)
         return None if index is None else rivals[index]
 
     def as_dict(self) -> dict[str, Any]:
-        """summary.json."""
+        """The results as the contents of summary.json."""
         return {
             "scene": self.name,
             "reference": self.reference,
             "analytic": self.analytic,
             "shipped": plain(asdict(self.shipped)),
-            "ladders": {name: [plain(asdict(each)) for each in self.rungs if each.ladder == name] for name in self.names},
+            "ladders": {name: [plain(asdict(rung)) for rung in self.rungs if rung.ladder == name] for name in self.names},
             "orders": {
                 name: {metric: asdict(order) for metric in METRICS if (order := self.order(name, metric))} for name in self.names
             },
             "shipped_on_front": {metric: self.beaten(metric) is None for metric in METRICS if self.rivals(metric)},
             "stage_seconds": self.stage_seconds,
-            "error_budget": {name: plain(asdict(each)) for name, each in self.budget.items()},
+            "error_budget": {name: plain(asdict(effect)) for name, effect in self.budget.items()},
             "stability": [plain(case.as_dict()) for case in self.cases],
-            "solvers": [plain(asdict(each)) for each in self.solvers],
+            "solvers": [plain(asdict(row)) for row in self.solvers],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }

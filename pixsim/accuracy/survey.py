@@ -1,4 +1,4 @@
-"""`pixsim accuracy`: all of it, within a bounded time, and where the time of one result goes."""
+"""The survey of `pixsim accuracy`, within a bounded time, and the run time of one result by stage."""
 
 from __future__ import annotations
 
@@ -45,22 +45,22 @@ from pixsim.viewer import display as displays
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 LONG_S = 5.0
-# (what, photo-charge in full wells, seconds): from a picture's middle grey to a sensor in the sun for hours.
+# (name, photo-charge in full wells, seconds): from mid-grey to a sensor in the sun for hours.
 DISCHARGES = (("half a well", 0.5, 0.03), ("ten wells", 10.0, 0.03), ("1e12 wells in hours", 1e12, 3.6e4))
-FINER = 2  # the analytic reference's film, of the scene's
-MIN_TIMES = 4.0  # the work of the shipped settings: less is no reference
-COARSEST = 64  # film width of the least part of a scene that is looked at, where its reference would take too long
+FINER = 2  # film of the analytic reference, relative to the scene's
+MIN_WORK = 4.0  # of a reference, relative to the default settings
+MIN_FILM = 64  # width of the smallest part of a scene, if the reference of the whole would take too long
 MIN_DOTS = 8
-CHART_HALF_WIDTH = "chart_half_width"  # of the shipped charts, which fill the die: a part of it is to show a part of them
+CHART_HALF_WIDTH = "chart_half_width"  # parameter of the packaged charts; fixed, so that a part of the die shows a part of them
 
 
 def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display) -> tuple[SpectralImage, dict[str, float]]:
-    """A render and its seconds, and what the first one takes longer than the second: loading and compiling."""
+    """A render and the seconds of rendering and of compiling, the extra time of a first render."""
     start = time.perf_counter()
     job = Renderer(scene, camera, plan, 0)
     image = job.image(*job.run(0))
     first = render_s = time.perf_counter() - start
-    if first < LONG_S:  # in a long one, loading and compiling hardly matter
+    if first < LONG_S:  # compiling is negligible in a long render
         start = time.perf_counter()
         image = job.image(*job.run(1))
         render_s = time.perf_counter() - start
@@ -69,40 +69,40 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display) ->
 
 
 def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
-    """By stage, of one picture sensed, shown, compared and written as `pixsim run` does it.
+    """Seconds of each stage after the render, as in `pixsim run`.
 
-    Diffraction is one of the steps of `prepare_scene`, the others of which are the viewer's: it is timed alone, and left out there.
+    Diffraction is timed alone, and switched off in `prepare_scene`, whose other steps belong to the viewer.
     """
-    still = copy(image)
-    still.header = image.header | {"diffraction": False}
+    without_diffraction = copy(image)
+    without_diffraction.header = image.header | {"diffraction": False}
     physics, ends = derive(setup.pixel), [time.perf_counter()]
     with unheard(), tempfile.TemporaryDirectory() as folder:
         diffracted_rate(image, setup.camera, physics)
         ends.append(time.perf_counter())
-        light = prepare_scene(still, setup.camera, physics, setup.display)
+        light = prepare_scene(without_diffraction, setup.camera, physics, setup.display)
         ends.append(time.perf_counter())
-        bench = chain_at_pitch(light, physics, setup.exposure)
-        frame = bench.capture("stages")
+        chain = chain_at_pitch(light, physics, setup.exposure)
+        frame = chain.capture("stages")
         ends.append(time.perf_counter())
-        score = bench.view(frame)
+        score = chain.view(frame)
         ends.append(time.perf_counter())
-        told = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed)
-        write_all(Path(folder), image, score, told)
+        summary = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed)
+        write_all(Path(folder), image, score, summary)
         ends.append(time.perf_counter())
     diffraction, ideal, sensor, shown, report = (end - start for start, end in pairwise(ends))
     return {"diffraction": diffraction, "sensor": sensor, "S-CIELAB": ideal + shown, "report": report}
 
 
 def discharges(pixel: Pixel) -> tuple[Solved, ...]:
-    """Three discharges, from one that any solver can do to one that only an implicit one can; none of a pinned photodiode."""
+    """Solvers for three discharges, from an easy one to one that only implicit solvers can do; empty for pinned photodiodes."""
     physics = derive(pixel)
     if physics.diode is None:
         return ()
     well_e = physics.full_well_e
     return tuple(
-        replace(each, light=light)
+        replace(solved, light=light)
         for light, wells, time_s in DISCHARGES
-        for each in solvers(physics.diode, wells * well_e / time_s, time_s)
+        for solved in solvers(physics.diode, wells * well_e / time_s, time_s)
     )
 
 
@@ -111,7 +111,7 @@ def survey(
 ) -> Accuracy:
     """Measure a scene's errors against run time, its error budget, and the stability cases.
 
-    Raises PixsimError for a scene that cannot be rendered or sensed.
+    Raises PixsimError if the scene cannot be rendered or captured.
     """
     depth = QUICK if quick else FULL
     progress("parse and render")
@@ -125,12 +125,12 @@ def survey(
     setup = Setup.of(settings, camera)
     image, seconds = first_picture(scene, camera, plan, setup.display)
     stages |= seconds | seconds_to_score(image, setup)
-    subject = referred(Subject(scene, camera, plan, setup, image, seconds["render"]), depth, progress)
+    subject = with_reference(Subject(scene, camera, plan, setup, image, seconds["render"]), depth, progress)
     progress("error budget")
     calibration = calibrate(subject.scene, subject.camera, subject.plan, replace(subject.setup, pitches_um=()))
     cases = stability.all_cases(progress("stability"))
     clock = Clock(max(start + depth.seconds, time.perf_counter() + depth.ladders_s), depth.runs)
-    shipped, rungs = climbed(subject, depth, clock, progress)
+    shipped, rungs = all_rungs(subject, depth, clock, progress)
     return Accuracy(
         name=scene.path.stem,
         reference=subject.reference,
@@ -149,41 +149,44 @@ def survey(
     )
 
 
-def referred(subject: Subject, depth: Depth, progress: Stage) -> Subject:
-    """The subject with what is right for it. Of a scene without a formula so small a middle part is looked at that a render of
-    64 times its work can be waited for; `notes` say so."""
-    told, notes = progress("reference"), []
+def with_reference(subject: Subject, depth: Depth, progress: Stage) -> Subject:
+    """The subject with its reference.
+
+    Without a formula the reference is a render of 64 times the work; if it would take too long, the survey is restricted to
+    the middle of the scene, with a note.
+    """
+    report_progress, notes = progress("reference"), []
     name = formula_of(subject.scene, subject.plan)
     white = {key: value for key, value in subject.image.header.items() if key == "luminance_cd_per_m2"}
     if name:
         height, width = subject.image.shape
         shape = FINER * height, FINER * width
-        image, words = analytic_reference(subject.scene, subject.camera, subject.setup, name, shape)
+        image, description = analytic_reference(subject.scene, subject.camera, subject.setup, name, shape)
     else:
         whole_s, parts, free = FULL_WORK * REFERENCE_WORK * subject.render_s, 1, "resolution" in subject.scene.names
-        while whole_s / parts**2 > depth.reference_s and subject.image.shape[1] > COARSEST * parts and free:
+        while whole_s / parts**2 > depth.reference_s and subject.image.shape[1] > MIN_FILM * parts and free:
             parts *= 2
         if parts > 1:
-            notes.append(f"looked at the middle 1/{parts} of the die, across and down, to afford the reference")
+            notes.append(f"restricted to the middle 1/{parts} of the die's width and height, to limit the time of the reference")
             subject = middle_of(subject, parts)
         expected_s = FULL_WORK * REFERENCE_WORK * subject.render_s
-        work = min(REFERENCE_WORK, max(MIN_TIMES, REFERENCE_WORK * depth.reference_s / expected_s))
+        work = min(REFERENCE_WORK, max(MIN_WORK, REFERENCE_WORK * depth.reference_s / expected_s))
         if work < REFERENCE_WORK:
-            notes.append(f"the reference has {work:.0f} times the work of the shipped settings only, of {REFERENCE_WORK}")
-        image, words = rendered_reference(subject.scene, subject.camera, subject.setup, subject.plan, work, told)
-    for each in (subject.image, image):
-        each.header |= white
+            notes.append(f"the reference has only {work:.0f} instead of {REFERENCE_WORK} times the work of the default settings")
+        image, description = rendered_reference(subject.scene, subject.camera, subject.setup, subject.plan, work, report_progress)
+    for picture in (subject.image, image):
+        picture.header |= white
     setup = subject.setup.around(pitches_around_optimum_um(subject.image, subject.setup, depth.pitches))
     truth, analytic = probe(image, setup), name is not None
-    return replace(subject, setup=setup, white=white, truth=truth, reference=words, analytic=analytic, notes=tuple(notes))
+    return replace(subject, setup=setup, white=white, truth=truth, reference=description, analytic=analytic, notes=tuple(notes))
 
 
 def middle_of(subject: Subject, parts: int) -> Subject:
-    """The middle of the die alone: the same samples, pixels and dots, fewer of them."""
-    scene, own, setup = subject.scene, subject.camera, subject.setup
-    kept = {CHART_HALF_WIDTH: own.chart_half_width_m} if CHART_HALF_WIDTH in scene.names - scene.parameters.keys() else {}
-    scene = scene.with_parameters(resolution=subject.image.shape[1] // parts, **kept)
-    camera = own.model_copy(update={"die_mm": own.die_mm / parts})
+    """The middle of the die, with fewer samples, pixels and dots of the same size."""
+    scene, given, setup = subject.scene, subject.camera, subject.setup
+    chart_size = {CHART_HALF_WIDTH: given.chart_half_width_m} if CHART_HALF_WIDTH in scene.names - scene.parameters.keys() else {}
+    scene = scene.with_parameters(resolution=subject.image.shape[1] // parts, **chart_size)
+    camera = given.model_copy(update={"die_mm": given.die_mm / parts})
     display = setup.display.model_copy(update={"dots": max(MIN_DOTS, setup.display.dots // parts)})
     setup = replace(setup, camera=camera, display=display)
     plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)
@@ -191,17 +194,18 @@ def middle_of(subject: Subject, parts: int) -> Subject:
     return Subject(scene, camera, plan, setup, image, seconds["render"])
 
 
-def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tuple[Rung, list[Rung]]:
-    """The shipped settings, then all ladders; those that take longest come last, where time may be up."""
-    told = progress("ladders")
-    own = Step("as shipped", subject.plan.spp, partial(rendered, subject.scene, subject.camera, subject.plan), shipped=True)
+def all_rungs(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tuple[Rung, list[Rung]]:
+    """Rungs of the default settings and of all ladders; the most expensive come last and are skipped if time runs out."""
+    report_progress = progress("ladders")
+    picture = partial(rendered, subject.scene, subject.camera, subject.plan)
+    shipped_step = Step("default settings", subject.plan.spp, picture, shipped=True)
     began = time.perf_counter()
-    shipped = measure("methods", own, subject, clock)
+    shipped = measure("methods", shipped_step, subject, clock)
     whole_s = time.perf_counter() - began - (clock.runs + 1) * subject.render_s
     clock.render_s, clock.probe_s = subject.render_s, max(whole_s, 0.0) / clock.runs
     clock.score_s = clock.probe_s / (1 + len(subject.setup.pitches_um))
     viewer = replace(subject.setup, pitches_um=subject.setup.pitches_um if depth.seeds_move_the_optimum else ())
-    dots = [each for times in depth.dots if MIN_DOTS <= (each := int(subject.setup.display.dots * times)) <= MAX_DOTS]
+    dots = [count for times in depth.dots if MIN_DOTS <= (count := int(subject.setup.display.dots * times)) <= MAX_DOTS]
     climbs = {
         "seeds": seed_rungs(subject.image, viewer, shipped, clock, depth.pool),
         "raster": raster_rungs(subject.image, subject.setup, clock, dots),
@@ -211,6 +215,6 @@ def climbed(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tu
     }
     rungs: list[Rung] = []
     for number, (name, rise) in enumerate(climbs.items()):
-        told(number / len(climbs), f": {name}")
+        report_progress(number / len(climbs), f": {name}")
         rungs += rise
     return shipped, rungs

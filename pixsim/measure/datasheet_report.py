@@ -1,4 +1,4 @@
-"""A data sheet on disk and in the terminal: table, CSV, summary.json, figures and one HTML file that opens offline."""
+"""Write a data sheet: a table for the terminal, CSV, summary.json, figures and a self-contained HTML report."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 BLUE, ORANGE = COLOURS[:2]
-DARK, LIGHT = LOOKS[2:4]  # far apart in grey, for lines that lie over each other
-MARKED = 12  # markers along a line of many points, which tell it in grey
+DARK, LIGHT = LOOKS[2:4]  # distinct in greyscale, for overlapping lines
+MARKED = 12  # markers along a line of many points, which identify it in greyscale
 BINS = 101
 
 
@@ -35,9 +35,9 @@ def datasheet_plates(sheet: DataSheet) -> list[Plate]:
 
 
 def plate(name: str, caption: str, figure: Figure, table: dict[str, Array]) -> Plate:
-    """With columns of one length: NaN beyond the end of the shorter ones."""
-    longest = max(len(each) for each in table.values())
-    filled = {key: each.tolist() + [math.nan] * (longest - len(each)) for key, each in table.items()}
+    """A plate whose shorter columns are padded with NaN."""
+    longest = max(len(column) for column in table.values())
+    filled = {key: column.tolist() + [math.nan] * (longest - len(column)) for key, column in table.items()}
     return Plate(name, caption, figure, filled)
 
 
@@ -54,14 +54,14 @@ def finish(axes: Axes, x: str, y: str, legend: Literal["best", "lower right"] = 
 
 
 def photon_transfer_plate(sheet: DataSheet) -> Plate:
-    """Temporal variance against mean, both above the dark."""
+    """Temporal variance against mean signal, both minus the dark."""
     t, light, e = sheet.transfer, sheet.light, sheet.experiment
     signal, variance = sheet.signal_dn, light.variance_dn2 - sheet.dark.variance_dn2
     mean, expected = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
     dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.physics)
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
-    axes.plot(mean - dark_mean, expected - dark_variance, color="0.6", lw=1, label="expected of the model")
+    axes.plot(mean - dark_mean, expected - dark_variance, color="0.6", lw=1, label="model")
     axes.plot(signal, variance, "o", ms=3.5, mfc="none", color=BLUE, label="measured")
     axes.plot(signal[t.fitted], variance[t.fitted], "o", ms=3.5, color=BLUE, label=f"fitted, up to {100 * SENSITIVITY_SHARE:.0f} %")
     reach = np.array([0.0, signal[t.saturation_index]])
@@ -69,10 +69,10 @@ def photon_transfer_plate(sheet: DataSheet) -> Plate:
     axes.plot(reach, k.value * reach, "--", color=ORANGE, lw=1.2, label=f"K = {k.value:.4g} ± {k.error:.1g} DN/e⁻")
     axes.plot(signal[t.saturation_index], variance[t.saturation_index], "v", ms=9, mfc="white", mec=ORANGE, mew=1.5,
               label="saturation")  # fmt: skip
-    finish(axes, "mean gray value above the dark, μ_y − μ_y.dark (DN)", "temporal variance, σ²_y − σ²_y.dark (DN²)")
+    finish(axes, "mean gray value minus dark, μ_y − μ_y.dark (DN)", "temporal variance, σ²_y − σ²_y.dark (DN²)")
     caption = (
-        "Photon transfer. The slope between 0 and 70 % of saturation is the system gain K; the peak of the variance is saturation: "
-        "beyond it pixels fill, those of more gain first."
+        "Photon transfer. The slope between 0 and 70 % of saturation is the system gain K. Saturation is the peak of the variance, "
+        "beyond which the pixels reach full well, those of higher gain first."
     )
     table = {"photons_p": light.at, "signal_dn": signal, "variance_dn2": variance, "expected_signal_dn": mean - dark_mean,
              "expected_variance_dn2": expected - dark_variance, "fitted": t.fitted.astype(int)}  # fmt: skip
@@ -80,7 +80,7 @@ def photon_transfer_plate(sheet: DataSheet) -> Plate:
 
 
 def responsivity_plate(sheet: DataSheet) -> Plate:
-    """Mean against photons."""
+    """Mean signal against photons."""
     t, light, signal = sheet.transfer, sheet.light, sheet.signal_dn
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
@@ -90,40 +90,40 @@ def responsivity_plate(sheet: DataSheet) -> Plate:
     axes.plot(reach, r.value * reach, "--", color=ORANGE, lw=1.2, label=f"R = {r.value:.5g} DN/photon")
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="saturation")
     axes.set_ylim(top=1.15 * signal.max())
-    finish(axes, photon_axis(sheet), "mean gray value above the dark (DN)")
-    caption = "Sensitivity. The slope is the responsivity R; over K it is the quantum efficiency of the whole pixel, η = R/K."
+    finish(axes, photon_axis(sheet), "mean gray value minus dark (DN)")
+    caption = "Sensitivity. The slope is the responsivity R; η = R/K is the quantum efficiency of the whole pixel."
     return plate("responsivity", caption, figure, {"photons_p": light.at, "signal_dn": signal})
 
 
 def snr_plate(sheet: DataSheet) -> Plate:
-    """Signal to temporal noise and to total noise against photons, logarithmic."""
+    """SNR with temporal noise and with total noise against photons, log-log."""
     t, rising = sheet.transfer, sheet.rising
     photons, signal = rising.at, rising.mean_dn - sheet.dark.mean_dn
     snr_temporal, snr_total = signal / np.sqrt(rising.variance_dn2), signal / np.sqrt(rising.frame_variance_dn2)
-    seen = signal > 0
+    positive = signal > 0
     figure = new_figure(6.4, 4.2)
     axes = figure.subplots()
     electrons = t.efficiency.value * photons
     model = electrons / np.sqrt(t.dark_noise_e.value**2 + 1 / 12 / t.gain_dn_per_e.value**2 + electrons)
-    axes.loglog(photons, np.sqrt(electrons), ":", color="0.4", lw=1, label="ideal sensor of this η: √μ_e")
-    axes.loglog(photons, model, "-", color=BLUE, lw=1, label="from K, η and σ_d")
-    axes.loglog(photons[seen], snr_temporal[seen], "o", ms=3.5, color=BLUE, label="measured, temporal noise")
-    axes.loglog(photons[seen], snr_total[seen], "s", ms=3.5, color=ORANGE, label="measured, total noise (with fixed pattern)")
+    axes.loglog(photons, np.sqrt(electrons), ":", color="0.4", lw=1, label="ideal sensor of the same η: √μ_e")
+    axes.loglog(photons, model, "-", color=BLUE, lw=1, label="model from K, η and σ_d")
+    axes.loglog(photons[positive], snr_temporal[positive], "o", ms=3.5, color=BLUE, label="measured, temporal noise")
+    axes.loglog(photons[positive], snr_total[positive], "s", ms=3.5, color=ORANGE, label="measured, total noise with fixed pattern")
     axes.axvline(t.threshold_p.value, color="0.5", lw=1, ls="--", label="μ_p.min, where the SNR is 1")
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls="-.", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
-    finish(axes, photon_axis(sheet), "SNR, mean over standard deviation", "lower right")
+    finish(axes, photon_axis(sheet), "SNR (mean / standard deviation)", "lower right")
     caption = (
-        "Signal-to-noise ratio against light. Between the two thresholds lies the dynamic range; PRNU ends the rise of the total."
+        "Signal-to-noise ratio against light. The dynamic range lies between the two vertical lines. PRNU limits the total SNR."
     )
     table = {"photons_p": photons, "snr_temporal": snr_temporal, "snr_total": snr_total, "snr_model": model}
     return plate("snr", caption, figure, table)
 
 
 def linearity_plate(sheet: DataSheet) -> Plate:
-    """Relative deviation from the line."""
-    found, light = sheet.linearity, sheet.light
-    percent, inside = 100 * found.deviation, found.within
+    """Relative deviation of the mean signal from a straight line."""
+    result, light = sheet.linearity, sheet.light
+    percent, inside = 100 * result.deviation, result.within
     error = 100 * np.sqrt(light.variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
@@ -131,49 +131,50 @@ def linearity_plate(sheet: DataSheet) -> Plate:
     reach = f"{100 * LINEARITY_SHARES[0]:.0f} to {100 * LINEARITY_SHARES[1]:.0f} %"
     shown = np.arange(light.at.size) <= np.flatnonzero(inside)[-1] + 1
     axes.errorbar(light.at[inside], percent[inside], error[inside], fmt="o", ms=3.5, lw=1, color=BLUE,
-                  label=f"{reach} of saturation: LE = {100 * found.error:.2g} %")  # fmt: skip
+                  label=f"{reach} of saturation: LE = {100 * result.error:.2g} %")  # fmt: skip
     outside = shown & np.logical_not(inside)
     axes.plot(light.at[outside], percent[outside], "o", ms=3.5, mfc="none", color=BLUE, label="outside the range")
     widest = 1.3 * float((np.abs(percent) + error)[inside].max())
     axes.set_ylim(-widest, widest)
-    finish(axes, photon_axis(sheet), "deviation from the line (%)")
-    caption = "Linearity: relative deviation of the mean signal from the line of least relative deviations. Bars: standard error."
+    finish(axes, photon_axis(sheet), "deviation from a straight line (%)")
+    caption = "Linearity: relative deviation of the mean signal from a straight line fitted to minimise it. Bars: standard error."
     table = {"photons_p": light.at, "deviation_percent": percent, "within": inside.astype(int)}
     return plate("linearity", caption, figure, table)
 
 
 def dark_current_plate(sheet: DataSheet) -> Plate:
-    """Mean and variance of the dark against time, and the dark current against temperature."""
+    """Mean and variance of dark frames against integration time, and dark current against temperature."""
     dark, k = sheet.dark_series, sheet.transfer.gain_dn_per_e.value
     (from_mean, from_variance), (temperatures, warm) = sheet.dark_currents, sheet.warm_currents
     figure = new_figure(9.6 if warm else 6.4, 3.6)
     panels = np.atleast_1d(figure.subplots(1, 3 if warm else 2))
-    columns = (dark.mean_dn / k, "mean with the black level (e⁻)", "μ_I.mean", from_mean), (
+    columns = (dark.mean_dn / k, "mean, with black level (e⁻)", "μ_I.mean", from_mean), (
         dark.variance_dn2 / k**2, "variance (e⁻²)", "μ_I.var", from_variance)  # fmt: skip
-    for axes, (values, label, symbol, found) in zip(panels, columns, strict=False):
+    for axes, (values, label, symbol, current) in zip(panels, columns, strict=False):
         axes.plot(dark.at, values, "o", ms=4, color=BLUE)
         slope, start = straight_line(dark.at, values, np.zeros_like(values))
-        axes.plot(dark.at, start.value + slope.value * dark.at, color=ORANGE, lw=1, label=f"{symbol} = {found.value:.4g} e⁻/s")
+        axes.plot(dark.at, start.value + slope.value * dark.at, color=ORANGE, lw=1, label=f"{symbol} = {current.value:.4g} e⁻/s")
         finish(axes, "integration time (s)", f"dark {label}")
     if warm:
-        panels[2].errorbar(temperatures, [each.value for each in warm], [each.error for each in warm], fmt="o", ms=4, color=BLUE)
+        currents, errors = zip(*((current.value, current.error) for current in warm), strict=True)
+        panels[2].errorbar(temperatures, currents, errors, fmt="o", ms=4, color=BLUE)
         panels[2].set_yscale("log")
         plain_powers(panels[2].yaxis)
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
-    caption = "Dark current: slopes of the dark's mean and variance over time, which agree where dark charge alone adds noise"
-    caption += "; and its growth with temperature." if warm else "."
+    caption = "Dark current: slopes of the dark mean and variance over time. They agree if only dark charge adds noise."
+    caption += " Right: dark current against temperature." if warm else ""
     table = {
         "integration_s": dark.at,
         "mean_dn": dark.mean_dn,
         "variance_dn2": dark.variance_dn2,
         "temperature_k": temperatures,
-        "dark_current_e_per_s": np.array([each.value for each in warm]),
+        "dark_current_e_per_s": np.array([current.value for current in warm]),
     }
     return plate("dark_current", caption, figure, table)
 
 
 def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
-    """(name, label, flat map): the dark image in electrons and the bright one in per cent of the signal, less their means."""
+    """(name, label, map): the mean dark image in electrons and the mean response in per cent, each minus its mean."""
     dark_dn = sheet.dark_stack.mean_dn
     dark = (dark_dn - dark_dn.mean()) / sheet.transfer.gain_dn_per_e.value
     light = sheet.bright_stack.mean_dn - dark_dn
@@ -184,7 +185,7 @@ def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
 
 
 def histogram_plate(sheet: DataSheet) -> Plate:
-    """Logarithmic histograms of the stacks' mean images, with the normal law of the same spread."""
+    """Logarithmic histograms of the stacks' mean images, with normal distributions of the same spread."""
     figure = new_figure(8.6, 3.6)
     table: dict[str, Array] = {}
     for axes, (name, label, map_), colour in zip(figure.subplots(1, 2), deviations(sheet), COLOURS, strict=False):
@@ -193,25 +194,25 @@ def histogram_plate(sheet: DataSheet) -> Plate:
         centres, sigma = (edges[1:] + edges[:-1]) / 2, max(float(map_.std()), 1e-12)
         normal = map_.size * np.diff(edges) / (sigma * np.sqrt(2 * np.pi)) * np.exp(-((centres / sigma) ** 2) / 2)
         axes.step(centres, np.maximum(counts, 0.5), where="mid", color=colour, lw=1, label=f"{name}: {map_.size} pixels")
-        axes.plot(centres, normal, "--", color="0.4", lw=1, label="normal law of the same spread")
+        axes.plot(centres, normal, "--", color="0.4", lw=1, label="normal distribution of the same spread")
         axes.set_yscale("log")
         axes.set_ylim(0.5, 3 * counts.max())
         finish(axes, label, "pixels per bin")
         short = name.lower()
         table |= {f"{short}_bin": centres, f"{short}_pixels": counts, f"{short}_normal": normal}
     caption = (
-        "Logarithmic histograms of the mean dark image and of the mean response; what stands beside the normal law is defective."
+        "Logarithmic histograms of the mean dark image and mean response. Pixels outside the normal distribution are defective."
     )
     return plate("histograms", caption, figure, table)
 
 
 def draw_many(axes: Axes, x: Array, y: Array, look: Look, size: int, **more: Any) -> None:
-    """A thin line through many points, with a few markers, of which there are MARKED to `size` points."""
+    """Draw a thin line through many points, with MARKED markers per `size` points."""
     axes.plot(x, y, lw=0.9, ms=4, **look.line | {"ls": "-", "markevery": max(1, size // MARKED)}, **more)
 
 
 def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
-    """Power of the lines along an axis, averaged over them, and its frequencies in periods per pixel (section 8.4)."""
+    """Frequencies (periods per pixel) and mean power spectrum along an axis of a map (EMVA 1288, section 8.4)."""
     power = np.abs(np.fft.rfft(map_ - map_.mean(), axis=axis)) ** 2 / map_.shape[axis]
     return np.asarray(np.fft.rfftfreq(map_.shape[axis]), float), np.asarray(power.mean(axis=1 - axis))
 
@@ -230,29 +231,29 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
         finish(axes, "frequency (periods per pixel)", "standard deviation (" + ("e⁻)" if name == "DSNU" else "%)"))
     caption = (
         "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is "
-        "level (dotted: the spread of all pixels); column offsets lift the horizontal one above the vertical one."
+        "flat (dotted: standard deviation of all pixels). Column offsets raise the horizontal spectrogram."
     )
     return plate("spectrograms", caption, figure, table)
 
 
 def profile_plate(sheet: DataSheet) -> Plate:
-    """Means of the columns and of the rows."""
+    """Means of the columns and of the rows of the maps."""
     figure = new_figure(8.6, 3.6)
     table: dict[str, Array] = {}
     for axes, (name, label, map_) in zip(figure.subplots(1, 2), deviations(sheet), strict=True):
-        for words, axis, look in (("columns", 0, DARK), ("rows", 1, LIGHT)):
+        for lines, axis, look in (("columns", 0, DARK), ("rows", 1, LIGHT)):
             mean = map_.mean(axis=axis)
-            draw_many(axes, np.arange(mean.size), mean, look, mean.size, label=f"{name}, means of {words}", zorder=2 + axis)
-            table[f"{name.lower()}_{words}"] = mean
-        finish(axes, "number of the column or row", label.replace(", deviation from the mean", ""))
+            draw_many(axes, np.arange(mean.size), mean, look, mean.size, label=f"{name}, means of {lines}", zorder=2 + axis)
+            table[f"{name.lower()}_{lines}"] = mean
+        finish(axes, "column or row", label.replace(", deviation from the mean", ""))
     caption = (
-        f"Profiles: means over columns and rows, less the mean. The black level leaves {BLACK_SIGMAS:g} σ of the dark below it."
+        f"Profiles: means of columns and rows minus the overall mean. The black level is at least {BLACK_SIGMAS:g} σ of the dark."
     )
     return plate("profiles", caption, figure, table)
 
 
 TERMINAL_WIDTH = 132
-ROUNDING = 1e-8  # no unit of the sheet is so large that less could be seen, but for dark currents in the deep cold
+ROUNDING = 1e-8  # smaller values are roundings of 0 in every unit of the sheet, except dark currents at very low temperature
 
 
 def sheet_name(sheet: DataSheet) -> str:
@@ -261,19 +262,19 @@ def sheet_name(sheet: DataSheet) -> str:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """In so many digits; a dash where there is none, 0 for what is one but for rounding."""
+    """A value in significant digits; a dash for NaN and infinity, 0 for roundings of 0."""
     if not math.isfinite(value):
         return "–"
     return "0" if abs(value) < ROUNDING else f"{value:.{digits}g}"
 
 
 def off(entry: Entry) -> str:
-    """measured/true - 1 in per cent; nothing where that says nothing."""
+    """measured/true - 1 in per cent; empty if undefined or 1000 % and more."""
     return f"{100 * entry.off:+.2f} %" if math.isfinite(entry.off) and abs(entry.off) < 10 else ""
 
 
 def described(sheet: DataSheet) -> str:
-    """What was measured, in a line."""
+    """One line that describes the pixel and the measurement."""
     e, p = sheet.experiment, sheet.experiment.physics
     rows, columns = e.sensor.shape
     return (
@@ -283,31 +284,31 @@ def described(sheet: DataSheet) -> str:
 
 
 def datasheet_lines(sheet: DataSheet) -> list[str]:
-    """The sheet as a table, then what a reader has to know."""
+    """Lines for the terminal: the sheet as a table, then its notes."""
     from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("", "", "measured", "± s.e.", "true", "unit", "off"):
+    for name in ("", "", "measured", "± s.e.", "true", "unit", "deviation"):
         table.add_column(name, justify="left" if name in ("", "unit") else "right", no_wrap=True)
     standard = ""
-    for each in entries(sheet):
-        if each.standard != standard:
-            standard = each.standard
+    for entry in entries(sheet):
+        if entry.standard != standard:
+            standard = entry.standard
             table.add_row(f"[bold]{standard}[/bold]")
-        numbers = number(each.measured), number(each.standard_error, 2), number(each.true)
-        table.add_row(f"  {each.quantity}", each.symbol, *numbers, each.unit, off(each))
+        numbers = number(entry.measured), number(entry.standard_error, 2), number(entry.true)
+        table.add_row(f"  {entry.quantity}", entry.symbol, *numbers, entry.unit, off(entry))
     text = StringIO()
     Console(file=text, width=TERMINAL_WIDTH).print(table)
-    return [described(sheet), *(line.rstrip() for line in text.getvalue().splitlines()), *(f"note: {each}" for each in sheet.notes)]
+    return [described(sheet), *(line.rstrip() for line in text.getvalue().splitlines()), *(f"note: {note}" for note in sheet.notes)]
 
 
 def write_datasheet(sheet: DataSheet, out: Path) -> Path:
-    """Write everything into a folder; returns the report's path."""
+    """Write the data sheet's files into a folder and return the path of its report."""
     pixel = sheet.experiment.physics.pixel
     with output_folder(out) as folder:
         shown = write_figures(folder, [plate.drawn() for plate in datasheet_plates(sheet)])
-        rows_csv([each.as_dict() for each in entries(sheet)], folder / "datasheet.csv")
+        rows_csv([entry.as_dict() for entry in entries(sheet)], folder / "datasheet.csv")
         write_json(folder / "summary.json", sheet_summary(sheet))
         page = {
             "described": described(sheet),

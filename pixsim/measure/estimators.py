@@ -1,9 +1,9 @@
-"""The estimators of EMVA 1288, ISO 15739 and ISO 12232: frames in, numbers with standard errors out.
+"""The estimators of EMVA 1288, ISO 15739 and ISO 12232: from frames to values with standard errors.
 
 K and R are slopes through the origin between 0 and 70 % of saturation (section 6.6), σ_d and the absolute sensitivity
 threshold follow from the dark (2.4, 6.6), DSNU and PRNU from stacks (8.2), the linearity error from relative deviations
 between 5 and 95 % (6.7), dark currents from slopes over time (7.1) and their doubling from slopes over temperature (7.2).
-Each estimate comes with its standard error, from the variance of a sample variance (2σ⁴/n) and of a sample mean (σ²/n).
+Standard errors follow from the variance of a sample variance (2σ⁴/n) and of a sample mean (σ²/n).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ Frames = NDArray[np.int32]
 
 
 class Pair(NamedTuple):
-    """What two frames of the same light tell.
+    """Statistics of two frames under the same light.
 
-    mean_dn : of both. variance_dn2 : temporal. frame_variance_dn2 : of the pixels of one frame, fixed pattern included.
+    mean_dn : of both frames. variance_dn2 : temporal. frame_variance_dn2 : over the pixels of a frame, with fixed pattern.
     """
 
     mean_dn: float
@@ -37,7 +37,7 @@ class Pair(NamedTuple):
 
 
 def pair(first: Frames, second: Frames) -> Pair:
-    """Mean and temporal variance from two frames (EMVA 1288, section 6.6), blind to the fixed pattern and to a drift."""
+    """Mean and temporal variance from two frames, free of fixed pattern and drift (EMVA 1288, section 6.6)."""
     a, b = first.astype(float), second.astype(float)
     variance = float(np.mean((a - b) ** 2)) / 2 - (a.mean() - b.mean()) ** 2 / 2
     return Pair(float((a.mean() + b.mean()) / 2), float(variance), float((a.var(ddof=1) + b.var(ddof=1)) / 2))
@@ -45,7 +45,7 @@ def pair(first: Frames, second: Frames) -> Pair:
 
 @dataclass(frozen=True)
 class Stack:
-    """Mean and temporal variance of each pixel over frames of the same light.
+    """Mean and temporal variance of each pixel over several frames under the same light.
 
     mean_dn, variance_dn2 : (rows, columns)
     """
@@ -60,15 +60,15 @@ class Stack:
 
     @property
     def spatial_dn2(self) -> float:
-        """Variance of the mean image, less what the temporal noise leaves in it (EMVA 1288, section 8.1)."""
+        """Variance of the mean image, minus its residual temporal noise (EMVA 1288, section 8.1)."""
         return float(self.mean_dn.var(ddof=1)) - self.temporal_dn2 / self.frames
 
 
 def stack(frames: Iterable[Frames]) -> Stack:
-    """PixsimError for fewer than two frames."""
+    """Mean and variance of each pixel; raises PixsimError for fewer than two frames."""
     count, total, squares = 0, np.zeros((), np.int64), np.zeros((), np.int64)
-    for each in frames:
-        wide = each.astype(np.int64)  # sums of 24-bit codes squared stay exact up to 2^15 frames
+    for frame in frames:
+        wide = frame.astype(np.int64)  # sums of squared 24-bit codes are exact up to 2^15 frames
         count, total, squares = count + 1, total + wide, squares + wide * wide
     if count < 2:
         raise invalid("frames of a stack", count, "2 or more")
@@ -77,7 +77,7 @@ def stack(frames: Iterable[Frames]) -> Stack:
 
 
 class Series(NamedTuple):
-    """(n,) means and variances of pairs of frames, over what was varied (photons, seconds)."""
+    """(n,) means and variances of pairs of frames against `at`, photons or seconds."""
 
     at: Array
     mean_dn: Array
@@ -92,18 +92,18 @@ def series(at: Array, pairs: list[Pair]) -> Series:
 SENSITIVITY_SHARE = 0.7  # of saturation: range of the fits of K and R
 LINEARITY_SHARES = 0.05, 0.95  # of saturation
 QUANTISATION_DN2 = 1 / 12
-LIMITED_DN2 = 0.24  # temporal variance of the dark below which the quantiser decides what is seen (section 6.6)
+LIMITED_DN2 = 0.24  # temporal dark variance below which quantisation dominates (section 6.6)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its standard error, in the unit of the name it goes by."""
+    """A value and its standard error, in the unit that the variable or field is named for."""
 
     value: float
     error: float = 0.0
 
     def __truediv__(self, other: Estimate) -> Estimate:
-        """Ratio of independent estimates; infinite, or NaN, over 0."""
+        """Ratio of independent estimates; a ratio over 0 is infinite, or NaN for 0/0."""
         if not other.value:
             return Estimate(math.inf if self.value else math.nan, math.nan)
         value = self.value / other.value
@@ -114,7 +114,7 @@ class Estimate:
 
 
 def root(square: Estimate, of_none: float = math.nan) -> Estimate:
-    """√ of a variance; where the estimate is not above zero, `of_none`: NaN, as EMVA 1288 has it, or 0."""
+    """Square root of a variance; `of_none` if the estimate is not positive: NaN, as in EMVA 1288, or 0."""
     if square.value <= 0:
         return Estimate(of_none, math.sqrt(square.error))
     value = math.sqrt(square.value)
@@ -127,14 +127,14 @@ def variance_error(variance: float | Array, pixels: int) -> Array:
 
 
 def slope_through_origin(x: Array, y: Array, y_error: Array, common_error: float = 0.0) -> Estimate:
-    """Least squares through the origin; `common_error` is of what was subtracted from every y alike."""
+    """Least-squares slope through the origin; `common_error` is that of a constant subtracted from every y."""
     power = float(np.sum(x * x))
     error = math.hypot(math.sqrt(float(np.sum((x * y_error) ** 2))), common_error * float(np.sum(x)))
     return Estimate(float(np.sum(x * y)) / power, error / power)
 
 
 def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimate]:
-    """Slope and value at 0, by least squares with equal weights; errors from those of the points."""
+    """Slope and intercept by least squares with equal weights; standard errors from those of the points."""
     middle = x - x.mean()
     power = float(np.sum(middle**2))
     slope = float(np.sum(middle * y)) / power
@@ -146,12 +146,12 @@ def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimat
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """What the light series tells. Electrons and photons are per pixel.
+    """Results of the light series. Electrons and photons are per pixel.
 
     gain_dn_per_e : K. responsivity_dn_per_p : R. efficiency : η = R/K. dark_noise_e : σ_d.
     saturation_p, saturation_e : μ_p.sat, μ_e.sat. threshold_p, threshold_e : μ_p.min, μ_e.min.
-    limited : whether the quantiser decides σ_d, which is then an upper bound.
-    saturation_index, fitted : index of the variance's peak, and which exposures K and R are fitted to.
+    limited : quantisation dominates, so that σ_d is an upper bound.
+    saturation_index, fitted : index of the variance's peak, and a mask of the exposures that K and R are fitted to.
     """
 
     gain_dn_per_e: Estimate
@@ -180,9 +180,9 @@ class PhotonTransfer:
 def saturation_index(variance_dn2: Array) -> int:
     """Index of the peak of the temporal variance: the saturation of EMVA 1288, section 6.6.
 
-    Scanned from the brightest exposure down, as the standard has it: the first peak that the two next dimmer exposures stay
-    below, if it is more than half of the largest value, for beyond saturation the variance is small and may do what it likes.
-    Where there is none, the largest value.
+    The scan starts at the brightest exposure, as in the standard. It returns the first peak that exceeds the two next dimmer
+    exposures and half of the largest value: beyond saturation the variance is small and irregular. Without such a peak it
+    returns the largest value.
     """
     v = variance_dn2
     for index in range(len(v) - 2, 1, -1):
@@ -194,10 +194,10 @@ def saturation_index(variance_dn2: Array) -> int:
 def photon_transfer(
     light: Series, dark_mean_dn: float, dark_variance_dn2: float, pixels: int, gain_spread: float = 0.0
 ) -> PhotonTransfer:
-    """K, R, η, σ_d, saturation and threshold from a light series and one dark pair of a sensor of so many pixels.
+    """K, R, η, σ_d, saturation and threshold from a light series and a dark pair of a sensor with that many pixels.
 
-    gain_spread : PRNU of the pixels, so many of which miss the mean gain of their type by spread/√pixels. It is in the standard
-        errors of R and η, which are those of the type
+    gain_spread : PRNU. A sensor's mean gain differs from that of its type by gain_spread/√pixels, which the standard errors of
+        R and η include
     """
     signal, excess = light.mean_dn - dark_mean_dn, light.variance_dn2 - dark_variance_dn2
     saturated = saturation_index(light.variance_dn2)
@@ -210,16 +210,16 @@ def photon_transfer(
     response = slope_through_origin(p, x, mean_error, math.sqrt(dark_variance_dn2 / (2 * pixels)))
     efficiency = response / gain
     limited = dark_variance_dn2 < LIMITED_DN2
-    seen = Estimate(max(dark_variance_dn2, LIMITED_DN2), dark_error)
-    dark_noise = root(Estimate(seen.value - QUANTISATION_DN2, seen.error)) / gain
-    threshold_e = root(seen) / gain
+    dark_variance = Estimate(max(dark_variance_dn2, LIMITED_DN2), dark_error)
+    dark_noise = root(Estimate(dark_variance.value - QUANTISATION_DN2, dark_variance.error)) / gain
+    threshold_e = root(dark_variance) / gain
     threshold_e = Estimate(threshold_e.value + 0.5, threshold_e.error)
-    # Between two exposures the peak may be anywhere: its standard error is at most their distance.
+    # The peak lies anywhere between two exposures, so their distance bounds its standard error.
     saturation_p = Estimate(float(light.at[saturated]), float(np.diff(light.at)[saturated - 1]))
-    missed = gain_spread / math.sqrt(pixels)
+    type_error = gain_spread / math.sqrt(pixels)  # relative
 
-    def of_type(found: Estimate) -> Estimate:
-        return Estimate(found.value, math.hypot(found.error, found.value * missed))
+    def of_type(estimate: Estimate) -> Estimate:
+        return Estimate(estimate.value, math.hypot(estimate.error, estimate.value * type_error))
 
     return PhotonTransfer(
         gain_dn_per_e=gain,
@@ -238,10 +238,10 @@ def photon_transfer(
 
 @dataclass(frozen=True)
 class Linearity:
-    """Deviation of the mean signal from the straight line of least relative deviations.
+    """Relative deviation of the mean signal from a straight line fitted to minimise it.
 
-    deviation : (n,) relative, of every exposure. within : (n,) those between 5 and 95 % of saturation.
-    error : mean |deviation| within (Release 4.0); lowest, highest: the extremes (Release 3.1).
+    deviation : (n,) at every exposure. within : (n,) mask of the exposures between 5 and 95 % of saturation.
+    error : mean |deviation| within that range (Release 4.0). lowest, highest : its extremes (Release 3.1).
     """
 
     deviation: Array
@@ -252,7 +252,7 @@ class Linearity:
 
 
 def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
-    """Weighted by 1/signal², so that it is the relative deviation that is least (section 6.7)."""
+    """Linearity error from a fit weighted by 1/signal², which minimises relative deviations (section 6.7)."""
     low, high = (share * signal_dn[saturated] for share in LINEARITY_SHARES)
     within = (signal_dn >= low) & (signal_dn <= high)
     within[saturated + 1 :] = False
@@ -262,9 +262,9 @@ def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
     return Linearity(deviation, within, float(np.abs(inside).mean()), float(inside.min()), float(inside.max()))
 
 
-def spatial_error(variance: float, left: float, count: int) -> float:
-    """Standard error of a spatial variance of `count` given pixels, by the temporal variance that is left in each."""
-    return math.sqrt((4 * max(variance, 0.0) * left + 2 * left**2) / count)
+def spatial_error(variance: float, residual: float, count: int) -> float:
+    """Standard error of the spatial variance of `count` given pixels, each with a residual temporal variance."""
+    return math.sqrt((4 * max(variance, 0.0) * residual + 2 * residual**2) / count)
 
 
 def spatial_error_dn2(images: Stack) -> float:
@@ -273,31 +273,31 @@ def spatial_error_dn2(images: Stack) -> float:
 
 
 def dsnu_e(dark: Stack, gain: Estimate) -> Estimate:
-    """DSNU1288 = s_dark/K: spread of the dark images' mean over the pixels, e- (section 8.2)."""
+    """DSNU1288 = s_dark/K: standard deviation of the mean dark image over the pixels, e- (section 8.2)."""
     return root(Estimate(dark.spatial_dn2, spatial_error_dn2(dark))) / gain
 
 
 def prnu(dark: Stack, bright: Stack) -> Estimate:
-    """PRNU1288 = √(s²_bright - s²_dark) over the signal, from stacks in the dark and at half of saturation; a fraction (8.2)."""
+    """PRNU1288 = √(s²_bright - s²_dark)/signal from stacks in the dark and at half of saturation, a fraction (section 8.2)."""
     signal = float(bright.mean_dn.mean() - dark.mean_dn.mean())
     error_dn2 = math.hypot(spatial_error_dn2(bright), spatial_error_dn2(dark))
     return root(Estimate(bright.spatial_dn2 - dark.spatial_dn2, error_dn2)) * (1 / signal)
 
 
 def parts(images: Stack) -> tuple[Estimate, Estimate, Estimate]:
-    """Spatial variances of a stack that belong to columns, rows and single pixels, DN² (Release 4.0, section 8.3).
+    """Spatial variances of a stack due to columns, rows and single pixels, DN² (Release 4.0, section 8.3).
 
-    The three add up to the spatial variance; each is cleared of what the others and temporal noise leave in it. Standard errors
-    are those of these pixels, by the temporal noise left in means of columns, rows and pixels.
+    The three add up to the spatial variance; each is corrected for the others and for temporal noise. Standard errors come
+    from the residual temporal noise in the means of columns, rows and pixels.
     """
     rows, columns = images.mean_dn.shape
     mean, noise = images.mean_dn, images.temporal_dn2 / images.frames
     of_columns = float(mean.mean(axis=0).var()) - noise / rows
     of_rows = float(mean.mean(axis=1).var()) - noise / columns
-    all_, rest = images.spatial_dn2, rows * columns - rows - columns
-    column_dn2 = ((rows * columns - rows) * of_columns - columns * (all_ - of_rows)) / rest
-    row_dn2 = ((rows * columns - columns) * of_rows - rows * (all_ - of_columns)) / rest
-    pixel_dn2 = rows * columns * (all_ - of_columns - of_rows) / rest
+    total, rest = images.spatial_dn2, rows * columns - rows - columns
+    column_dn2 = ((rows * columns - rows) * of_columns - columns * (total - of_rows)) / rest
+    row_dn2 = ((rows * columns - columns) * of_rows - rows * (total - of_columns)) / rest
+    pixel_dn2 = rows * columns * (total - of_columns - of_rows) / rest
     return (
         Estimate(column_dn2, spatial_error(column_dn2, noise / rows, columns)),
         Estimate(row_dn2, spatial_error(row_dn2, noise / columns, rows)),
@@ -306,25 +306,25 @@ def parts(images: Stack) -> tuple[Estimate, Estimate, Estimate]:
 
 
 def dark_current(dark: Series, gain: Estimate, pixels: int) -> tuple[Estimate, Estimate]:
-    """e- per second and pixel, from the mean and from the variance: slopes over integration time over K and K² (section 7.1)."""
+    """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided by K and K² (section 7.1)."""
     of_mean, _ = straight_line(dark.at, dark.mean_dn, np.sqrt(dark.variance_dn2 / (2 * pixels)))
     of_variance, _ = straight_line(dark.at, dark.variance_dn2, variance_error(dark.variance_dn2, pixels))
     variance = of_variance / gain
-    # K enters twice, and with it its error.
+    # K² doubles the relative error of K.
     error = math.hypot(of_variance.error / gain.value**2, 2 * variance.value / gain.value * gain.error / gain.value)
     return of_mean / gain, Estimate(variance.value / gain.value, error)
 
 
 def doubling_k(temperature_k: Array, current_e_per_s: Array, error_e_per_s: Array) -> Estimate:
-    """ϑ_d from the slope of log₂ of the dark current over temperature (section 7.2); NaN for currents not above 0."""
+    """Doubling temperature ϑ_d from the slope of log₂(dark current) over temperature (7.2); NaN if a current is not positive."""
     if np.any(current_e_per_s <= 0):
         return Estimate(math.nan, math.nan)
     slope, _ = straight_line(temperature_k, np.log2(current_e_per_s), error_e_per_s / current_e_per_s / math.log(2))
     return Estimate(1 / slope.value, slope.error / slope.value**2)
 
 
-SATURATION_SPEED_LX_S = 78.0  # ISO 12232: S = 78/H_sat, half a stop of headroom above 18 % grey included
-NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H at the S/N
+SATURATION_SPEED_LX_S = 78.0  # ISO 12232: S = 78/H_sat, with half a stop of headroom above 18 % grey
+NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H, with H at the given S/N
 SIGNAL_TO_NOISE = 40.0, 10.0  # "first excellent" and "first acceptable" picture
 MIN_FRAMES = 8
 TINY = 1e-300
@@ -332,19 +332,18 @@ DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 
 def noise_15739(frames: Array) -> tuple[Estimate, Estimate, Estimate]:
-    """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch, n ≥ 8 (ISO 15739, section 6.2.3).
+    """Temporal, fixed-pattern and total noise (DN) from (n, rows, columns) frames of a patch (ISO 15739, section 6.2.3).
 
-    σ_diff² is the mean variance of what single frames differ from their average, σ_ave² that of the average:
-    temporal² = n/(n - 1) σ_diff², fixed² = σ_ave² - σ_diff²/(n - 1). PixsimError for fewer frames.
-
-    Standard errors are those of the temporal noise: the fixed pattern is that of these pixels.
+    σ_diff² is the mean variance of a frame minus the average frame, σ_ave² the variance of the average frame:
+    temporal² = n/(n - 1) σ_diff², fixed² = σ_ave² - σ_diff²/(n - 1). Standard errors come from temporal noise alone, for a
+    given fixed pattern. Raises PixsimError for n < 8.
     """
     n = len(frames)
     if n < MIN_FRAMES:
         raise invalid("frames", n, f"{MIN_FRAMES} or more")
     pixels = frames[0].size
     average = frames.mean(axis=0)
-    difference_dn2 = float(np.mean([(each - average).var() for each in frames]))
+    difference_dn2 = float(np.mean([(frame - average).var() for frame in frames]))
     temporal_dn2 = n / (n - 1) * difference_dn2
     fixed_dn2 = float(average.var(ddof=1)) - difference_dn2 / (n - 1)
     temporal_error = temporal_dn2 * math.sqrt(2 / (pixels * (n - 1)))
@@ -354,7 +353,7 @@ def noise_15739(frames: Array) -> tuple[Estimate, Estimate, Estimate]:
 
 
 def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
-    """Electrons in a pixel for 1 lx·s of CIE D65 on the sensor, 360-830 nm."""
+    """Electrons in a pixel per lx·s of CIE D65 on the sensor, 360-830 nm."""
     step = np.ones_like(DAYLIGHT_NM)
     spectrum = d65(DAYLIGHT_NM)
     electrons = physics.band_quantum_efficiency(DAYLIGHT_NM, step) * photons_per_joule(DAYLIGHT_NM) * spectrum
@@ -363,11 +362,11 @@ def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
 
 
 def exposure_at_snr(exposure: Array, signal: Array, noise: Array, wanted: float, relative_error: float) -> Estimate:
-    """Least exposure at which signal over noise is so high, by straight lines in logarithms; NaN where none is.
+    """Lowest exposure that reaches the wanted S/N, by log-log interpolation; NaN if it is not reached.
 
     `relative_error` is that of one S/N.
     """
-    quiet = noise <= 0  # so few electrons that no pixel has one
+    quiet = noise <= 0  # at so little light no pixel collects an electron
     known = np.maximum(signal, TINY) / np.where(quiet, 1.0, noise)
     ratio = np.log(np.where(quiet, TINY, known) / wanted)
     reached = np.flatnonzero((ratio[1:] >= 0) & (ratio[:-1] < 0))
@@ -381,7 +380,7 @@ def exposure_at_snr(exposure: Array, signal: Array, noise: Array, wanted: float,
 
 
 def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:
-    """Mean electrons μ with μ/√(μ + σ² + (PRNU μ)²) as wanted; NaN where PRNU or the noise never lets it be."""
+    """Mean electrons μ that solve μ/√(μ + σ² + (PRNU μ)²) = wanted; NaN if PRNU limits S/N below that."""
     square = wanted**-2 - gain_spread**2
     if square <= 0:
         return math.nan

@@ -1,9 +1,9 @@
-"""The photon-transfer experiment of EMVA 1288: one individual sensor under even monochromatic light, and in the dark.
+"""The photon-transfer experiment of EMVA 1288: one simulated sensor under uniform monochromatic light, and in the dark.
 
-Light of one wavelength, the same on every pixel, in equal steps from dark to beyond saturation at one integration time
-(Release 4.0 Linear, section 6.5); two frames a step; stacks of frames in the dark and at half of the saturation for the
-spatial terms (8); pairs in the dark at several times (7.1) and temperatures (7.2). The fixed pattern is drawn once. Every
-frame has its own random stream, so that a frame is the same whichever others are taken.
+The light rises in equal steps from dark to beyond saturation at one integration time, with two frames a step (Release 4.0
+Linear, section 6.5). Stacks of frames in the dark and at half of saturation give the spatial terms (8), dark pairs at several
+times (7.1) and temperatures (7.2) the dark current. The fixed pattern is sampled once. Every frame has its own random stream,
+so that it does not depend on which other frames are captured.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ import numpy as np
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Exposure, Pixel
-from pixsim.measure.estimators import Frames, Pair, Series, pair, series
+from pixsim.measure.estimators import Frames, Series, pair, series
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import MAX_BLACK, Sensor, least_black_level_dn, read_out, sample_sensor
 
-SHAPE = 200, 200  # pixels of the command's sensor: a variance is known to 0.7 %, a fitted slope to 0.2 %
-EXPOSURES = 50  # the least of EMVA 1288, section 6.5
-DIM_EXPOSURES = 12  # beside them, at equal ratios below the first: where ISO 12232 finds S/N 10
-BEYOND_SATURATION = 1.1  # of the light that fills the well: the peak of the variance is to be seen from both sides
-STACK = 64  # frames; the standard asks for 16 at least
-DARK_TIMES = 8  # the standard asks for 6 at least
-WARMER_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # temperatures of the dark series, above the pixel's own
-HOTTEST_K = 400.0
+SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
+EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
+DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
+BEYOND_SATURATION = 1.1  # of the light that fills the well, so that the series spans the peak of the variance
+STACK = 64  # frames; the standard requires at least 16
+DARK_TIMES = 8  # the standard requires at least 6
+TEMPERATURE_STEPS_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # of the dark series, from the pixel's temperature
+MAX_TEMPERATURE_K = 400.0
 USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
-DARK_SHARE = 0.02  # of the well that dark charge takes at most in the light series, unless told otherwise
-MAX_DARK_SHARE = 0.2  # of the well, in the longest of the dark series
+DARK_SHARE = 0.02  # of the full well: limit of the dark charge in the light series, if no integration time is given
+MAX_DARK_SHARE = 0.2  # of the full well, at the longest time of the dark series
 MAX_DARK_S = 3600.0
-SEARCH_NM = (200.0, 1200.0)  # where the peak of a response is looked for
-FULL_LEVEL = 0.999  # of the full well: where a soft saturation counts as full
-MAX_LIGHT = 4.0  # wells of generated charge, if a soft saturation is not full before
+SEARCH_NM = (200.0, 1200.0)  # range of the search for the peak of the response
+FULL_LEVEL = 0.999  # of the full well: a soft saturation counts as full from here
+MAX_LIGHT = 4.0  # full wells of generated charge: end of the search for soft saturation
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is exposed, and how.
+    """The sensor and the exposures of a photon-transfer experiment.
 
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
-    black_level_dn in the sensor's pixel is the one used; `asked_black_dn` is what the user had.
+    asked_black_dn : black level given by the user; that of the sensor's pixel is the one used
     """
 
     sensor: Sensor = field(repr=False)
@@ -65,45 +65,45 @@ class Experiment:
 
     @cached_property
     def efficiency(self) -> float:
-        """Electrons per photon on the whole pixel: QE(λ) times fill factor."""
+        """Electrons per photon on the whole pixel (η of EMVA 1288): QE(λ) times fill factor."""
         return pixel_efficiency(self.physics, self.wavelength_nm)
 
     def frame(self, photons: float, integration_s: float, *key: object, sensor: Sensor | None = None) -> Frames:
-        """One frame of the individual, (rows, columns) DN; the key names its random stream."""
-        own = sensor or self.sensor
-        mean_e = np.full(own.shape, photons * self.efficiency)
-        return read_out(mean_e, integration_s, own, stream("datasheet", self.seed, *key))
+        """One frame of the device, (rows, columns) DN; the key names its random stream."""
+        exposed = sensor or self.sensor
+        mean_e = np.full(exposed.shape, photons * self.efficiency)
+        return read_out(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
 
     def frames(self, count: int, photons: float, *key: object) -> Iterator[Frames]:
-        """Frames of the same light at the light series' integration time."""
+        """Frames under the same light at the integration time of the light series."""
         return (self.frame(photons, self.integration_s, *key, index) for index in range(count))
 
     def dark_series(self, temperature_k: float | None = None) -> Series:
-        """Dark pairs at each time; at another temperature than the pixel's own, over times in which its well does not fill."""
+        """Dark pairs at each integration time; at higher temperatures the times are shorter, so that the well does not fill."""
         key: tuple[object, ...] = ("dark series",)
         sensor, times = self.sensor, self.dark_times_s
         if temperature_k is not None:
             key, sensor = ("temperature", round(1e6 * temperature_k)), self.warmed(temperature_k)
             times = times * min(self.physics.dark_current_e_per_s / sensor.physics.dark_current_e_per_s, 1.0)
-
-        def dark_pair(number: int, time_s: float) -> Pair:
-            return pair(*(self.frame(0.0, time_s, *key, number, index, sensor=sensor) for index in range(2)))
-
-        return series(times, [dark_pair(number, each) for number, each in enumerate(times.tolist())])
+        frames = (
+            (self.frame(0.0, time_s, *key, number, index, sensor=sensor) for index in range(2))
+            for number, time_s in enumerate(times.tolist())
+        )
+        return series(times, [pair(*two) for two in frames])
 
     def warmed(self, temperature_k: float) -> Sensor:
-        """The same individual at another temperature: its maps stay, its currents grow."""
+        """The same device at another temperature: only its dark current changes, not its maps."""
         pixel = Pixel.model_validate(self.physics.pixel.model_dump() | {"temperature_k": temperature_k})
         return replace(self.sensor, physics=replace(derive(pixel), full_well_e=self.physics.full_well_e))
 
 
 def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
-    """Electrons per photon on a whole pixel: what EMVA 1288 calls η, fill factor included."""
+    """Electrons per photon on a whole pixel, fill factor included: η of EMVA 1288."""
     return float(physics.quantum_efficiency(wavelength_nm)) * physics.fill_factor
 
 
 def peak_wavelength_nm(physics: PixelPhysics) -> float:
-    """Whole nanometre at which the response is highest; the middle one where several are."""
+    """Wavelength of the highest response in whole nanometres; the middle one of a plateau."""
     nm = np.arange(*SEARCH_NM)
     efficiency = physics.quantum_efficiency(nm)
     highest = nm[efficiency >= efficiency.max() * (1 - 1e-9)]
@@ -111,7 +111,7 @@ def peak_wavelength_nm(physics: PixelPhysics) -> float:
 
 
 def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysics:
-    """The pixel with at least the black level that its dark needs; PixsimError where its ADC has no codes for one."""
+    """The pixel with a black level of at least 6 σ of its dark noise; raises PixsimError if its ADC has too few codes for it."""
     least = least_black_level_dn(physics, integration_s)
     if physics.pixel.black_level_dn >= least:
         return physics
@@ -119,14 +119,17 @@ def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysic
         raise invalid(
             "pixel.bits",
             physics.pixel.bits,
-            f"enough for a black level of 6 σ of the dark, here {least} DN, in the lower half of the codes",
-            "Raise pixel.bits, or lower the noise in the dark.",
+            f"enough bits for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes",
+            "Raise pixel.bits, or reduce the dark noise.",
         )
     return replace(physics, pixel=physics.pixel.model_copy(update={"black_level_dn": float(least)}))
 
 
 def usual_integration_s(physics: PixelPhysics, exposure: Exposure) -> float:
-    """The one asked for; else 30 ms, or what keeps dark charge below 2 % of the well. PixsimError beyond half the well."""
+    """The given integration time; by default 30 ms, or less to keep dark charge below 2 % of the full well.
+
+    Raises PixsimError if dark charge would fill half the well.
+    """
     dark = physics.dark_current_e_per_s
     chosen = exposure.integration_s
     if chosen is None:
@@ -134,14 +137,14 @@ def usual_integration_s(physics: PixelPhysics, exposure: Exposure) -> float:
     if dark * chosen > physics.full_well_e / 2:
         raise invalid(
             "exposure.integration_s",
-            f"{chosen:g}, in which {dark * chosen:.3g} e- of dark charge gather",
-            f"at most {physics.full_well_e / 2 / dark:.3g} s, which fills half the well",
+            f"{chosen:g} s, which collects {dark * chosen:.3g} e- of dark charge",
+            f"at most {physics.full_well_e / 2 / dark:.3g} s, which fills half of the well",
         )
     return chosen
 
 
 def filling_light_e(physics: PixelPhysics, integration_s: float) -> float:
-    """Mean photo-electrons that fill the well, soft saturation included."""
+    """Mean photo-electrons that fill the well, including soft saturation."""
     dark_e = physics.dark_current_e_per_s * integration_s
     grid = np.linspace(0.01, MAX_LIGHT, 400) * physics.full_well_e
     level = stored_signal_e(grid, integration_s, physics)
@@ -150,18 +153,18 @@ def filling_light_e(physics: PixelPhysics, integration_s: float) -> float:
 
 
 def dark_times_s(physics: PixelPhysics, integration_s: float) -> Array:
-    """Equally spaced, up to a fifth of the well or an hour."""
+    """Equally spaced integration times, until dark charge fills a fifth of the well, at most an hour."""
     dark = physics.dark_current_e_per_s
     longest = min(MAX_DARK_SHARE * physics.full_well_e / dark, MAX_DARK_S) if dark else MAX_DARK_S
     return np.linspace(integration_s, max(longest, 2 * integration_s), DARK_TIMES)
 
 
 def temperatures_k(pixel: Pixel) -> tuple[float, ...]:
-    """The pixel's own and warmer ones, or colder where it is hot; none where the dark current is given as one number."""
+    """The pixel's temperature and higher ones (lower ones near 400 K); empty if the dark current is given as a number."""
     if pixel.dark_current_e_per_s is not None:
         return ()
-    sign = 1 if pixel.temperature_k + WARMER_K[-1] <= HOTTEST_K else -1
-    return tuple(pixel.temperature_k + sign * each for each in WARMER_K)
+    sign = 1 if pixel.temperature_k + TEMPERATURE_STEPS_K[-1] <= MAX_TEMPERATURE_K else -1
+    return tuple(pixel.temperature_k + sign * step_k for step_k in TEMPERATURE_STEPS_K)
 
 
 def make_experiment(
@@ -174,16 +177,16 @@ def make_experiment(
     exposures: int = EXPOSURES,
     stack_frames: int = STACK,
 ) -> Experiment:
-    """One individual of a pixel, drawn from the seed, and what it is shown.
+    """One simulated device of a pixel, sampled from the seed, and its exposures.
 
     Parameters
     ----------
-    exposure : integration_s is that of the light series; 30 ms by default, less where dark charge is strong
-    wavelength_nm : of the light; where the response peaks by default
+    exposure : integration_s is that of the light series; by default 30 ms, less if the dark current is high
+    wavelength_nm : of the light; by default the peak of the response
     shape : (rows, columns) pixels
     exposures : light levels, equally spaced from dark to 1.1 times what fills the well
 
-    Raises PixsimError for a wavelength at which the pixel is blind, and for bits that leave no room for a black level.
+    Raises PixsimError for a wavelength without response, and for too few bits for the black level.
     """
     raw = derive(pixel)
     time_s = usual_integration_s(raw, exposure or Exposure())
@@ -191,7 +194,7 @@ def make_experiment(
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
     efficiency = pixel_efficiency(physics, nm)
     if not efficiency > 0:
-        raise invalid("wavelength_nm", f"{nm:g}", f"one at which the pixel sees light, as {peak_wavelength_nm(physics):g}")
+        raise invalid("wavelength_nm", f"{nm:g}", f"a wavelength with a response, such as {peak_wavelength_nm(physics):g} nm")
     brightest = BEYOND_SATURATION * filling_light_e(physics, time_s) / efficiency
     photons = brightest * np.arange(1, exposures + 1) / exposures
     return Experiment(

@@ -1,4 +1,4 @@
-"""`pixsim accuracy` and `--tolerance-delta-e`, from the command line to the files."""
+"""`pixsim accuracy` and `--tolerance-delta-e`, from the command line to the written files."""
 
 from __future__ import annotations
 
@@ -38,26 +38,24 @@ from pixsim.studies.budget import SOURCES, Setup, brighter, pitch_range_um, pitc
 from pixsim.viewer.score import chain_at_pitch
 
 LADDERS = {"methods", "spp", "film", "bands", "sampler", "lens", "seeds", "raster"}
-pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # what a command warns of is in its stderr
-DISPLAY, DIE = {"dots": 32}, {"die_mm": 0.4}  # 75 pixels of 5.3 µm: quick
+pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # commands print warnings to stderr
+DISPLAY, DIE = {"dots": 32}, {"die_mm": 0.4}  # 75 pixels of 5.3 µm, for speed
 SMALL = replace(
     QUICK, seconds=math.inf, reference_s=0.0, spp=16, films=(-1,), bands=(2,), lens=(4,), plain=(4,), pool=8, dots=(0.5, 2)
 )
-NO_TIME = replace(SMALL, seconds=0.0, ladders_s=0.0)  # for any rung, however fast the machine is
-
-
-each_discharge_once = once(solvers)
+NO_TIME = replace(SMALL, seconds=0.0, ladders_s=0.0)  # skips every rung on any machine
+cached_solvers = once(solvers)
 
 
 @pytest.fixture(autouse=True)
 def few_extremes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cases have tests of their own, and so have the solvers: equal pixels share their discharges."""
-    monkeypatch.setattr(surveys, "solvers", each_discharge_once)
+    """Two cases and cached discharges, for speed: other tests check them."""
+    monkeypatch.setattr(surveys, "solvers", cached_solvers)
     cases = [
         replace(compare("one", 1.0, 1.0, 0.1, "by <hand>"), room="optics"),
         compare("two & three", 1.0, 2.0, 0.1, "it's wrong"),
     ]
-    monkeypatch.setattr(stability, "all_cases", lambda told=None: cases)
+    monkeypatch.setattr(stability, "all_cases", lambda report_progress=None: cases)
 
 
 def settings(**values) -> Run:
@@ -71,7 +69,7 @@ def surveyed(source: str | Path, depth=SMALL, **values) -> Accuracy:
 
 
 class Page(HTMLParser):
-    """Every tag that is opened is closed, in order."""
+    """Checks that HTML tags are closed in order."""
 
     VOID = ("meta", "img", "br", "hr", "link", "input")
 
@@ -90,82 +88,79 @@ class Page(HTMLParser):
 
 
 @pytest.fixture
-def letters_where_they_fall(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half of a figure's time is its layout: for surveys whose figures differ in their data only."""
+def no_figure_layout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skips the layout of figures, half of their time."""
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
 
 
-def check(found: Accuracy, folder: Path) -> dict:
-    """What every survey holds, and its files; returns summary.json."""
-    assert set(found.names) >= LADDERS - {"film"}
-    assert found.shipped.seconds > 0
-    assert set(found.budget) == set(SOURCES)
-    for each in found.rungs:
-        assert each.left_out or each.seconds > 0
+def check(accuracy: Accuracy, folder: Path) -> dict:
+    """Checks a survey and its files; returns summary.json."""
+    assert set(accuracy.names) >= LADDERS - {"film"}
+    assert accuracy.shipped.seconds > 0
+    assert set(accuracy.budget) == set(SOURCES)
+    for rung in accuracy.rungs:
+        assert rung.left_out or rung.seconds > 0
     for metric in ("error_e", "error_delta_e"):
-        assert found.rivals(metric)[0] is found.shipped
-    report = write_accuracy(found, folder)
+        assert accuracy.rivals(metric)[0] is accuracy.shipped
+    report = write_accuracy(accuracy, folder)
     text = report.read_text(encoding="utf-8")
     Page(text)
     assert "by &lt;hand&gt;" in text
     assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     json.dumps(summary, allow_nan=False)
-    assert summary["reference"] == found.reference
-    assert set(summary["ladders"]) == set(found.names)
+    assert summary["reference"] == accuracy.reference
+    assert set(summary["ladders"]) == set(accuracy.names)
     with (folder / "ladders.csv").open(encoding="utf-8", newline="") as file:
-        assert len(list(csv.DictReader(file))) == len(found.rungs)
-    climbed = [name for name in found.names if len(found.ladder(name)) > 1]
+        assert len(list(csv.DictReader(file))) == len(accuracy.rungs)
+    climbed = [name for name in accuracy.names if len(accuracy.ladder(name)) > 1]
     for name in ("work_precision", *(("convergence", "viewing") if climbed else ()), "stages", "budget"):
         assert (folder / f"figures/{name}.svg").stat().st_size > 1000
         assert (folder / f"figures/{name}.csv").exists()
     return summary
 
 
-# --- Surveys ---
-
-
-def test_a_survey_of_a_chart_with_a_formula(tmp_path):
-    found = surveyed("csf")
-    summary = check(found, tmp_path / "out")
+def test_survey_csf_has_all_ladders(tmp_path):
+    accuracy = surveyed("csf")
+    summary = check(accuracy, tmp_path / "out")
     if BROWSER:
-        page, headings = tmp_path / "out/report.html", ["What it costs to be less wrong", "Every rung"]
+        page, headings = tmp_path / "out/report.html", ["Error against run time", "All settings"]
         assert_fits(page, tmp_path)
-        assert_prints(page, tmp_path, range(4, 10), ["As shipped", "formula of the csf chart"], headings)
-    for plate in plates_of(found):
+        assert_prints(page, tmp_path, range(4, 10), ["Default settings", "formula of the csf chart"], headings)
+    for plate in plates_of(accuracy):
         for legend in [axes.get_legend() for axes in plate.figure.axes if axes.get_legend()] + plate.figure.legends:
-            looks = [grey_look(each) for each in legend.get_lines()]
+            looks = [grey_look(rung) for rung in legend.get_lines()]
             assert len(set(looks)) == len(looks), plate.name
-    assert set(found.names) == LADDERS
+    assert set(accuracy.names) == LADDERS
     assert summary["analytic"] is True
     assert "formula of the csf chart" in summary["reference"]
-    assert list(found.stage_seconds) == ["parse", "compile", "render", "diffraction", "sensor", "S-CIELAB", "report"]
-    assert all(each >= 0 for each in found.stage_seconds.values())
-    spp = found.ladder("spp")
+    assert list(accuracy.stage_seconds) == ["parse", "compile", "render", "diffraction", "sensor", "S-CIELAB", "report"]
+    assert all(rung >= 0 for rung in accuracy.stage_seconds.values())
+    spp = accuracy.ladder("spp")
     assert spp[-1].error_e < spp[0].error_e
-    films = found.ladder("film")
+    films = accuracy.ladder("film")
     assert films[-1].error_e < films[0].error_e
 
 
 @pytest.mark.parametrize(("name", "analytic"), [("flat", True), ("slanted_edge", True), ("macbeth", False)])
-@pytest.mark.usefixtures("letters_where_they_fall")
-def test_a_survey_of_a_scene_with_and_without_a_formula(name, analytic, tmp_path):
-    found = surveyed(name, NO_TIME, scene={"resolution": 32 if analytic else 16, "spp": 4})
-    summary = check(found, tmp_path / "out")
+@pytest.mark.usefixtures("no_figure_layout")
+def test_survey_scene_selects_reference(name, analytic, tmp_path):
+    accuracy = surveyed(name, NO_TIME, scene={"resolution": 32 if analytic else 16, "spp": 4})
+    summary = check(accuracy, tmp_path / "out")
     assert summary["analytic"] is analytic
     assert analytic or "times the work, other seeds" in summary["reference"]
-    if name == "flat":  # its electrons are right but for the fall-off and the bands
-        assert found.shipped.error_e < 1e-3
+    if name == "flat":  # only the fall-off and the bands cause errors
+        assert accuracy.shipped.error_e < 1e-3
 
 
-@pytest.mark.usefixtures("letters_where_they_fall")
-def test_what_there_is_no_time_for_is_left_out_and_says_so(tmp_path):
-    found = surveyed("csf", NO_TIME)
-    check(found, tmp_path / "out")
-    left = [each for each in found.rungs if each.left_out]
-    assert {each.ladder for each in left} == LADDERS
-    assert all(math.isnan(each.seconds) and "about" in each.left_out for each in left)
-    assert math.isfinite(found.shipped.error_e)
+@pytest.mark.usefixtures("no_figure_layout")
+def test_survey_without_time_skips_ladders(tmp_path):
+    accuracy = surveyed("csf", NO_TIME)
+    check(accuracy, tmp_path / "out")
+    left = [rung for rung in accuracy.rungs if rung.left_out]
+    assert {rung.ladder for rung in left} == LADDERS
+    assert all(math.isnan(rung.seconds) and "about" in rung.left_out for rung in left)
+    assert math.isfinite(accuracy.shipped.error_e)
 
 
 SETTINGS = {
@@ -178,18 +173,15 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("case", SETTINGS)
-@pytest.mark.usefixtures("letters_where_they_fall")
-def test_surveys_of_other_sensors_and_viewers(case, tmp_path):
-    found = surveyed("csf", NO_TIME, scene={"resolution": 32, "spp": 4}, **SETTINGS[case])
-    check(found, tmp_path / "out")
+@pytest.mark.usefixtures("no_figure_layout")
+def test_survey_other_settings_complete(case, tmp_path):
+    accuracy = surveyed("csf", NO_TIME, scene={"resolution": 32, "spp": 4}, **SETTINGS[case])
+    check(accuracy, tmp_path / "out")
     if case == "one to one":
-        assert [each.left_out for each in found.rungs if each.ladder == "raster"] == ["the dots are the pixels"]
+        assert [rung.left_out for rung in accuracy.rungs if rung.ladder == "raster"] == ["one_to_one shows one pixel per dot"]
     if case == "no room for a sweep":
-        assert found.setup.pitches_um == ()
-        assert "error_optimum_um" not in {metric for metric in METRICS if found.rivals(metric)}
-
-
-# --- Pitches ---
+        assert accuracy.setup.pitches_um == ()
+        assert "error_optimum_um" not in {metric for metric in METRICS if accuracy.rivals(metric)}
 
 
 def csf(**values) -> tuple[Setup, pixsim.SpectralImage]:
@@ -199,7 +191,7 @@ def csf(**values) -> tuple[Setup, pixsim.SpectralImage]:
     return Setup.of(run, camera), render(scene, camera)
 
 
-def test_pitches_lie_around_the_least_error():
+def test_pitches_around_optimum_within_range():
     setup, image = csf(pixel={"technology": "4t-bsi", "pitch_um": 2.0}, camera={"die_mm": 0.1})
     low, high = pitch_range_um(setup)
     pitches = pitches_around_optimum_um(image, setup, 6)
@@ -207,13 +199,13 @@ def test_pitches_lie_around_the_least_error():
     assert low * 0.999 <= pitches[0] < pitches[-1] <= high * 1.001
     assert list(pitches) == sorted(set(pitches))
     paper = replace(setup, pixel=pixsim.Pixel())
-    narrow = replace(paper, camera=setup.camera.model_copy(update={"die_mm": 0.1}))  # 16 pixels of 6.25 µm, and none below 5.3
+    narrow = replace(paper, camera=setup.camera.model_copy(update={"die_mm": 0.1}))  # 16 pixels of 6.25 µm; 5.3 µm is the minimum
     assert pitches_around_optimum_um(image, narrow, 6) == ()
     large = replace(setup, camera=setup.camera.model_copy(update={"die_mm": 10.0}))
     assert pitch_range_um(large)[0] * 1024 == pytest.approx(10_000)  # 0.4 µm would be 600 million pixels
 
 
-def test_the_set_ups_pixel_is_the_optimums_where_that_is_asked_for():
+def test_setup_around_at_optimum_moves_pixel():
     setup, _ = csf()
     assert setup.around((4.0, 5.0, 9.0)).pixel == setup.pixel
     moved = replace(setup, at_optimum=True).around((4.0, 5.0, 9.0))
@@ -221,11 +213,11 @@ def test_the_set_ups_pixel_is_the_optimums_where_that_is_asked_for():
     assert replace(setup, at_optimum=True).around(()).pixel == setup.pixel
 
 
-def test_errors_of_seeds_are_those_of_independent_sensors():
-    """Means over n sensors err by σ/√n: 8 means of 4 and a reference of 32 tell that to a third, 3 of them."""
+def test_seed_rungs_errors_fall_with_root_of_count():
+    """The error of a mean over n sensors is σ/√n."""
     setup, image = csf()
     shipped, clock = Rung("methods", "own", 1, seconds=1.0), Clock(math.inf, 1, 0.0, 0.01)
-    rungs = {each.value: each for each in seed_rungs(image, setup, shipped, clock, 8)}
+    rungs = {rung.value: rung for rung in seed_rungs(image, setup, shipped, clock, 8)}
     assert set(rungs) == {1, 2, 4, 8}
     sensor = probe(image, replace(setup, sensors=32, seed=5)).delta_e.std(ddof=1)
     for count in (1, 2, 4):
@@ -233,7 +225,7 @@ def test_errors_of_seeds_are_those_of_independent_sensors():
         assert rungs[count].seconds >= 1.0
 
 
-def test_what_sensors_share_is_made_once(monkeypatch):
+def test_probe_builds_one_chain_per_pitch(monkeypatch):
     setup, image = csf()
     made = []
     plain = chain_at_pitch
@@ -242,7 +234,7 @@ def test_what_sensors_share_is_made_once(monkeypatch):
     assert len(made) == 3
 
 
-def test_a_probe_is_the_same_each_time_and_changes_as_little_as_its_picture():
+def test_probe_is_reproducible_and_continuous():
     setup, image = csf()
     setup = replace(setup, sensors=2, pitches_um=(6.0, 7.0, 8.0, 9.0, 10.0))
     one, again = probe(image, setup), probe(image, setup)
@@ -258,12 +250,9 @@ def test_a_probe_is_the_same_each_time_and_changes_as_little_as_its_picture():
     assert 0 < one.score_seconds <= one.seconds
 
 
-# --- A tolerance of ΔE ---
-
-
 @pytest.fixture
 def chart(tmp_path: Path) -> Path:
-    """The csf scene with a film that is left open, of half of its samples across."""
+    """The csf scene with half of its resolution, which the run may change."""
     return edited(tmp_path, "csf", ('name="resolution" value="1024"', 'name="resolution" value="512"'), ('value="16"', 'value="4"'))
 
 
@@ -271,13 +260,13 @@ RUN = f"--variant {VARIANT} --display.dots 128 --camera.die-mm 0.8 --json"
 
 
 def run(source: Path | str, more: str, out: Path) -> dict:
-    code, told, err = command(f"run {source} {RUN} {more} --out {out}")
+    code, out_text, err = command(f"run {source} {RUN} {more} --out {out}")
     assert code == 0, err
-    return {**json.loads(told), "err": err}
+    return {**json.loads(out_text), "err": err}
 
 
 def truth_of(sensors: int = 16) -> float:
-    """Mean ΔE over many other sensors of the formula's picture."""
+    """Mean ΔE of the chart's formula over many other sensors."""
     scene = load("csf")
     options = Run.model_validate({"camera": {"die_mm": 0.8}, "display": {"dots": 128}})
     camera = scene.camera(options.camera)
@@ -286,7 +275,7 @@ def truth_of(sensors: int = 16) -> float:
     return probe(image, setup).mean_delta_e
 
 
-def test_a_run_meets_its_tolerance_and_a_looser_one_is_cheaper(chart, tmp_path, monkeypatch):
+def test_run_meets_tolerance_and_looser_is_cheaper(chart, tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     tolerances = 0.01, 1.0
     results = {t: run(chart, f"--tolerance-delta-e {t} --max-seconds {HANG_S}", tmp_path / f"{t}") for t in tolerances}
@@ -304,10 +293,10 @@ def test_a_run_meets_its_tolerance_and_a_looser_one_is_cheaper(chart, tmp_path, 
     assert tight["sensors"] >= loose["sensors"]
     errors = [abs(results[t]["sensors_mean_delta_e"] - truth) for t in tolerances]
     assert errors[0] < errors[1]
-    assert len(list((tmp_path / "cache/calibration").iterdir())) == 1  # the second took what the first had measured
+    assert len(list((tmp_path / "cache/calibration").iterdir())) == 1  # the second run used the first one's calibration
 
 
-def test_a_film_that_is_set_stays_and_what_it_leaves_is_told(tmp_path):
+def test_run_fixed_film_reports_unmet_tolerance(tmp_path):
     result = run("csf", "-D resolution=64 --tolerance-delta-e 0.001 --max-seconds 5", tmp_path / "out")
     budget = result["error_budget"]
     assert (budget["met"], budget["settings"]["resolution"]) == (False, 64)
@@ -316,13 +305,13 @@ def test_a_film_that_is_set_stays_and_what_it_leaves_is_told(tmp_path):
     assert "leave it open" in result["err"]
 
 
-def test_what_a_user_reads_is_the_mean_over_the_sensors(chart, tmp_path):
-    code, told, _ = command(f"run {chart} {RUN.replace('--json', '')} --tolerance-delta-e 5 --out {tmp_path / 'out'}")
+def test_run_prints_mean_over_sensors(chart, tmp_path):
+    code, text, _ = command(f"run {chart} {RUN.replace('--json', '')} --tolerance-delta-e 5 --out {tmp_path / 'out'}")
     assert code == 0
     score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
-    assert f"mean ΔE {score['sensors_mean_delta_e']:.4f} ± " in told
+    assert f"mean ΔE {score['sensors_mean_delta_e']:.4f} ± " in text
     for name in SOURCES:
-        assert name in told
+        assert name in text
 
 
 @pytest.mark.parametrize(
@@ -340,20 +329,20 @@ def test_what_a_user_reads_is_the_mean_over_the_sensors(chart, tmp_path):
         ("accuracy picture.exr", "picture.exr"),
     ],
 )
-def test_bad_input_is_told_in_one_message(line, message, tmp_path, monkeypatch):
+def test_commands_invalid_input_print_one_message(line, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pixsim.write_chart("picture.exr", pixsim.make_chart("flat"))
-    code, told, err = command(line)
-    assert (code, told) == (2, "")
+    code, text, err = command(line)
+    assert (code, text) == (2, "")
     assert message in err
     assert len([row for row in err.splitlines() if row.startswith("pixsim:")]) == 1
     assert "Traceback" not in err
     assert not (tmp_path / "pixsim-out").exists()
 
 
-def test_a_scene_that_tells_no_white_can_have_a_tolerance(tmp_path):
-    own = edited(tmp_path, "macbeth", *WHITELESS)
-    result = run(own, "-D resolution=32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
+def test_run_scene_without_white_meets_tolerance(tmp_path):
+    source = edited(tmp_path, "macbeth", *WHITELESS)
+    result = run(source, "-D resolution=32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
     assert "error_budget" in result
     assert result["err"].count("does not tell its white") == 1
 
@@ -361,16 +350,16 @@ def test_a_scene_that_tells_no_white_can_have_a_tolerance(tmp_path):
 WHITELESS = (('<default name="white_cd_per_m2"', '<default name="unused_white"'),)
 
 
-def test_a_study_carries_its_budget(chart, tmp_path):
+def test_study_with_tolerance_reports_budget(chart, tmp_path):
     study = tmp_path / "small.toml"
     study.write_text(
         f'name = "small"\ntolerance_delta_e = 2\nmax_repeats = 3\nscene.file = "{chart}"\ncamera.die_mm = 0.4\n'
         "display.dots = 32\npitch = { count = 6 }\n",
         encoding="utf-8",
     )
-    code, told, err = command(f"study {study} --jobs 1 --variant {VARIANT} --out {tmp_path / 'out'}")
+    code, text, err = command(f"study {study} --jobs 1 --variant {VARIANT} --out {tmp_path / 'out'}")
     assert code == 0, err
-    assert "error budget for 2 ΔE" in told
+    assert "error budget for 2 ΔE" in text
     summary = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))
     budget = summary["error_budget"]
     assert set(budget["sources"]) == set(SOURCES)

@@ -1,8 +1,8 @@
-"""Wall time and peak memory of whole commands in fresh processes: with an empty cache, with a warm one, scalar against LLVM.
+"""Wall time and peak memory of commands in new processes: with an empty and a warm cache, and LLVM against scalar.
 
 python tests/benchmarks/cold_start.py [repeats]
 
-Each command begins with an empty cache of its own; where something stands in "after", that was run before with the same one.
+Each command has its own cache, empty unless COMMANDS gives a command to run before.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from helpers.timing import fresh, seconds_of
 
 Words = list[str]
 RUN, STUDY = ["run", "csf"], ["study", "chen2000"]
-OTHER_DISPLAY = ["study", "DISPLAY"]  # chen2000 with another gamma, from a file that is made for it
-COMMANDS: dict[str, tuple[Words, Words]] = {  # what is measured, what is run before
+OTHER_DISPLAY = ["study", "DISPLAY"]  # chen2000 with another gamma, in a file
+COMMANDS: dict[str, tuple[Words, Words]] = {  # the measured command, the command run before
     "pixsim --help": (["--help"], []),
     "pixsim run csf": (RUN, []),
     "pixsim run csf, again": (RUN, RUN),
@@ -33,8 +33,8 @@ COMMANDS: dict[str, tuple[Words, Words]] = {  # what is measured, what is run be
 }
 
 
-def started(words: Words, folder: Path, out: str) -> float:
-    """Seconds of a command."""
+def run_command(words: Words, folder: Path, out: str) -> float:
+    """Run a command and return its seconds."""
     if words == OTHER_DISPLAY:
         import pixsim
 
@@ -49,11 +49,11 @@ def started(words: Words, folder: Path, out: str) -> float:
 
 
 def measure(words: Words, before: Words) -> tuple[float, float]:
-    """Seconds, and GiB of the largest process."""
+    """Seconds, and peak memory of the largest process in GiB."""
     with tempfile.TemporaryDirectory() as folder:
         if before:
-            started(before, Path(folder), "before")
-        return fresh(started, words, Path(folder), "result")
+            run_command(before, Path(folder), "before")
+        return fresh(run_command, words, Path(folder), "result")
 
 
 def main() -> None:

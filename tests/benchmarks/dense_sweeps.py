@@ -1,8 +1,8 @@
-"""Dense sweeps of mean ΔE against pitch, from which `interval_coverage.py` draws its studies: tests/data/dense_sweeps/*.csv.
+"""Dense sweeps of mean ΔE against pitch, the data of `interval_coverage.py`: tests/data/dense_sweeps/*.csv.
 
 python tests/benchmarks/dense_sweeps.py [NAME …]
 
-Each pitch has its own sensors. A file holds the mean and the standard deviation of the sensors' mean ΔE at every pitch.
+The sensors differ between pitches. A file holds mean and standard deviation of the sensors' mean ΔE at every pitch.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ GATE: dict[str, Any] = {
 
 
 def chen2000(technology: str, count: int, **more: Any) -> pixsim.Study:
-    """The packaged study for one technology, at `count` pitches of its own range."""
+    """The packaged study for one technology, with `count` pitches in its range."""
     study = load_study("chen2000").model_copy(update={"technologies": (technology,), "paper": False, "target_ci_um": None})
     table = study.model_dump(mode="json", exclude={"quick"})
     table["pitch"]["count"] = count
@@ -45,19 +45,19 @@ def chen2000(technology: str, count: int, **more: Any) -> pixsim.Study:
 
 
 def gate(luminance_cd_per_m2: float, f_number: float, count: int) -> pixsim.Study:
-    """The camera of docs/how_small.md in a given light, with another lens."""
+    """The camera of docs/how_small.md with a given luminance and f-number."""
     scene = {"file": "csf", "parameters": {"luminance_cd_per_m2": luminance_cd_per_m2}}
     pitch = {"min_um": 1.326, "max_um": 10.607, "count": count}
     return pixsim.Study.model_validate(GATE | {"scene": scene, "pitch": pitch, "camera": GATE["camera"] | {"f_number": f_number}})
 
 
 def studies() -> dict[str, pixsim.Study]:
-    """Name of a file -> the study behind it."""
+    """Studies by the name of their data file."""
     one_to_one = {"display": {"raster": "one_to_one", "white_cd_per_m2": 1000.0}}
     return {
         "chen2000_0.35um": chen2000("0.35um", 140),
         "evening": gate(10.0, 2.8, 50),
-        "flat": gate(80.0, 8.0, 60),  # the lens blurs more than most of the pixels
+        "flat": gate(80.0, 8.0, 60),  # diffraction exceeds most of the pixel sizes
         "near_an_end": chen2000("0.5um", 60),
         "at_the_end": chen2000("0.35um", 60, **one_to_one),
         "skewed": chen2000("0.18um", 80),

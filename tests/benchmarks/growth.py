@@ -1,10 +1,9 @@
-"""How time and memory grow with the work: resolution, samples, bands, pitches, sensors, workers; with fitted exponents.
+"""Scaling of time and memory with resolution, samples, bands, pitches, sensors and workers, with fitted exponents.
 
     python tests/benchmarks/growth.py [--largest 8192] [--out docs/pictures/growth.svg]
 
-Each point is a process of its own: seconds are wall time after a warm-up on a small picture, memory is the largest resident
-set of the process, Python, Mitsuba and compiler included. An exponent p of time ~ n^p is fitted to the points of the larger
-half; memory is told as it is. Nothing is taken from the cache. 8192² takes some minutes.
+Each point runs in a new process: wall time after a warm-up on a small picture, and peak memory including Python, Mitsuba and
+the compiler. The exponent p of time ~ n^p is fitted to the larger half of the points. The cache is off. 8192² takes minutes.
 """
 
 from __future__ import annotations
@@ -25,40 +24,40 @@ from helpers.timing import fresh, seconds_of
 import pixsim
 from pixsim.studies.study import render_for, study
 
-CONSTANT = 0.2  # an exponent that is none, within the noise of the machine
+CONSTANT = 0.2  # smaller exponents are noise
 PITCHES_UM = np.geomspace(5.2, 15.0, 64).round(4).tolist()
 
 
 def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
-    """The stages of `pixsim run csf` on a film of so many samples a side."""
+    """Seconds of the stages of `pixsim run csf` at a resolution."""
     from pixsim.scene.convergence import render_until
     from pixsim.scene.plan import make_plan
     from pixsim.viewer.score import make_imaging_chain
 
     seconds: dict[str, float] = {}
     for size in (64, resolution):
-        own = {} if spp is None else {"spp": spp}
-        scene = pixsim.load_scene("csf", resolution=size, **own)
+        samples = {} if spp is None else {"spp": spp}
+        scene = pixsim.load_scene("csf", resolution=size, **samples)
         camera, pixel, exposure = scene.camera(), pixsim.Pixel(), pixsim.Exposure()
         start = time.perf_counter()
         plan = make_plan(scene, camera, pixel)
         planned = time.perf_counter()
         image, _ = render_until(scene, camera, plan, [pixel], exposure)
         rendered = time.perf_counter()
-        bench = make_imaging_chain(image, camera, pixel, exposure, pixsim.Display())
-        projected = time.perf_counter()
-        bench.score("growth")
+        chain = make_imaging_chain(image, camera, pixel, exposure, pixsim.Display())
+        prepared = time.perf_counter()
+        chain.score("growth")
         seconds = {
             "plan": planned - start,
             "render": rendered - planned,
-            "optics, pixels": projected - rendered,
-            "sensor, S-CIELAB": time.perf_counter() - projected,
+            "optics, pixels": prepared - rendered,
+            "sensor, S-CIELAB": time.perf_counter() - prepared,
         }
     return seconds
 
 
 def bands_run(count: int) -> dict[str, float]:
-    """Diffraction of a general image of 1024², a transform a band."""
+    """Seconds of diffraction of a general image of 1024², one transform per band."""
     from pixsim.sensor.integration import diffracted_rate
     from pixsim.sensor.pixel import derive
 
@@ -69,24 +68,24 @@ def bands_run(count: int) -> dict[str, float]:
 
 
 def study_run(pitches: int, repeats: int, jobs: int) -> dict[str, float]:
-    """The evaluations of a study of 512 dots; without render and report."""
+    """Seconds of the evaluations of a study, without render and report."""
     table = {
         "name": "growth",
         "repeats": repeats,
         "scene": {"file": "csf", "parameters": {"resolution": 512}},
         "pitch": {"values_um": PITCHES_UM[:: len(PITCHES_UM) // pitches][:pitches]},
     }
-    asked = pixsim.Study.model_validate(table)
-    render_s = seconds_of(lambda: render_for(asked))
+    small = pixsim.Study.model_validate(table)
+    render_s = seconds_of(lambda: render_for(small))
     with tempfile.TemporaryDirectory() as folder:
-        study_s = seconds_of(lambda: study(asked, folder, jobs=jobs))
+        study_s = seconds_of(lambda: study(small, folder, jobs=jobs))
     return {"evaluate": max(study_s - render_s, 0.0)}
 
 
 Axis = tuple[str, Callable[[int], dict[str, float]], tuple[int, ...]]
 AXES: dict[str, Axis] = {
-    "resolution": ("samples a side", chart_run, (256, 512, 1024, 2048, 4096, 8192)),
-    "samples": ("samples a cell, 512²", lambda spp: chart_run(512, spp), (4, 16, 64, 256, 1024)),
+    "resolution": ("samples per side", chart_run, (256, 512, 1024, 2048, 4096, 8192)),
+    "samples": ("samples per cell, 512²", lambda spp: chart_run(512, spp), (4, 16, 64, 256, 1024)),
     "bands": ("bands, general image of 1024²", bands_run, (4, 8, 16, 32, 64)),
     "pitches": ("pitches, 2 sensors each", lambda n: study_run(n, 2, 1), (8, 16, 32, 64)),
     "sensors": ("sensors, 5 pitches", lambda n: study_run(5, n, 1), (4, 8, 16, 32)),
@@ -99,7 +98,7 @@ def point(axis: str, value: int) -> dict[str, float]:
 
 
 def measured(axis: str, value: int) -> dict[str, float]:
-    """In a process of its own: seconds of each stage, and memory in GiB."""
+    """Seconds of each stage and memory in GiB, in a new process."""
     seconds, gib = fresh(point, axis, value)
     return seconds | {"GiB": gib}
 
@@ -124,7 +123,7 @@ def draw(results: dict[str, tuple[list[int], list[dict[str, float]]]], path: Pat
             axes.loglog(values, seconds, marker=marker, ms=4, lw=1.2, color=colour, label=label)
         axes.loglog(values, [point["GiB"] for point in points], "s:", ms=3, lw=1, color="#555555", label="memory (GiB)")
         low, high = axes.get_ylim()
-        axes.set_ylim(low, high * (high / low) ** 0.45)  # room for the legend
+        axes.set_ylim(low, high * (high / low) ** 0.45)  # space for the legend
         axes.set_xlabel(AXES[name][0])
         axes.set_ylabel("seconds, GiB")
         axes.set_xticks(values, [str(value) for value in values], fontsize=7)
@@ -148,9 +147,9 @@ def main() -> None:
         results[name] = values, points
         print(f"\n{AXES[name][0]:36}" + "".join(f"{value:>9}" for value in values) + "   exponent")
         for stage in points[0]:
-            own = [point[stage] for point in points]
-            power = "" if stage == "GiB" else f"{exponent(values, own):11.2f}"
-            print(f"  {stage:34}" + "".join(f"{each:9.3f}" for each in own) + power, flush=True)
+            series = [point[stage] for point in points]
+            power = "" if stage == "GiB" else f"{exponent(values, series):11.2f}"
+            print(f"  {stage:34}" + "".join(f"{value:9.3f}" for value in series) + power, flush=True)
     if options.out:
         draw(results, options.out)
 

@@ -1,9 +1,9 @@
-"""How many evaluations an interval takes: an even grid with more sensors, against rounds that put work near the minimum.
+"""Evaluations for a confidence interval: an even grid with more sensors, against adaptive rounds near the minimum.
 
     python tests/benchmarks/interval_against_evaluations.py [--studies 100] [--jobs 2] [--out docs/pictures/half_width.svg]
 
-Simulated studies of a known curve, that of chen2000 at 0.35 µm. The grid is 16 pitches, evenly in their logarithm, with 2 to 32
-sensors each. The rounds are those of a study with target_ci_um, from other even grids. Half widths are of the interval of
+Simulated studies of the known curve of chen2000 at 0.35 µm. The grid has 16 pitches, evenly spaced in log pitch, with 2 to 32
+sensors each. The rounds are those of a study with target_ci_um, from other grids. Half widths are those of the interval of
 `pixsim.studies.optimum`; both curves are medians over the studies.
 """
 
@@ -25,26 +25,26 @@ from pixsim.studies.study import load_study
 
 CURVE = "chen2000_0.35um"
 GRID_PITCHES, GRID_SENSORS = 16, (2, 3, 4, 6, 8, 12, 16, 24, 32)
-AT = 8  # sensors of the grid, whose half width the rounds have to reach: chen2000 before rounds
+TARGET_SENSORS = 8  # sensors of the grid whose half width is the target of the rounds
 STARTS = ((7, 2), (9, 2), (10, 2), (12, 2), (14, 2), (16, 2), (8, 3), (10, 3), (12, 3))
 MAX_COUNT = 192  # evaluations of a study with rounds
 
 
-def even(study: Study, count: int) -> list[float]:
-    """The range of chen2000 at 0.35 µm, as `pixsim.studies.evaluations` divides it."""
+def even_pitches_um(study: Study, count: int) -> list[float]:
+    """`count` pitches in the range of chen2000 at 0.35 µm."""
     table = study.model_dump(mode="json", exclude={"quick"})
     table["pitch"]["count"] = count
     return study_pitches_um(Study.model_validate(table), "0.35um").tolist()
 
 
 def grid_half_widths(number: int, pitches_um: list[float]) -> list[float]:
-    """Of one simulated study, for each number of sensors."""
+    """Half widths of a simulated study for each number of sensors."""
     study, _ = simulated(CURVE, number, GRID_PITCHES, 0)
     return [study.fit(dict.fromkeys(pitches_um, sensors)).optimum.half_width_um for sensors in GRID_SENSORS]
 
 
 def round_half_widths(number: int, pitches_um: list[float], sensors: int, max_sensors: int) -> list[tuple[int, float, bool]]:
-    """Of one simulated study, after each round: evaluations, half width, and whether the interval holds the minimum."""
+    """Evaluations, half width, and whether the interval covers the minimum, after each round of a simulated study."""
     study, _ = simulated(CURVE, number, len(pitches_um), sensors)
     points = []
     for now, fit in study.rounds(dict.fromkeys(pitches_um, sensors), max_sensors):
@@ -56,7 +56,7 @@ def round_half_widths(number: int, pitches_um: list[float], sensors: int, max_se
 
 
 def medians(studies: list[list[tuple[int, float, bool]]]) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluations after each round, and the median half width there; rounds that every study has."""
+    """Median evaluations and half width after each round that all studies have."""
     rounds = min(map(len, studies))
     table = np.array([[point[:2] for point in points[:rounds]] for points in studies])
     return np.median(table[:, :, 0], axis=0), np.median(table[:, :, 1], axis=0)
@@ -68,12 +68,12 @@ def draw(grid: tuple[np.ndarray, np.ndarray], rounds: tuple[np.ndarray, np.ndarr
     label = f"{GRID_PITCHES} pixel sizes, {GRID_SENSORS[0]} to {GRID_SENSORS[-1]} sensors each"
     axes.loglog(*grid, ms=4, lw=1.2, label=label, **LOOKS[0].line)
     axes.loglog(*rounds, ms=4, lw=1.2, label=f"{start[0]} pixel sizes × {start[1]} sensors, then rounds", **LOOKS[1].line)
-    axes.axhline(float(np.interp(GRID_PITCHES * AT, *grid)), color="#777777", lw=0.8, ls=":")
+    axes.axhline(float(np.interp(GRID_PITCHES * TARGET_SENSORS, *grid)), color="#777777", lw=0.8, ls=":")
     axes.set_xlabel("evaluations")
     axes.set_ylabel("half of the 95 % interval (µm)")
     ticks, widths = (20, 50, 100, 200, 500), (0.05, 0.1, 0.2)
-    axes.set_xticks(ticks, [str(each) for each in ticks])
-    axes.set_yticks(widths, [str(each) for each in widths])
+    axes.set_xticks(ticks, [str(tick) for tick in ticks])
+    axes.set_yticks(widths, [str(tick) for tick in widths])
     axes.minorticks_off()
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
@@ -84,14 +84,14 @@ def main() -> None:
     options = simulation_options(100, None)
     study = load_study("chen2000")
     with parallel_config(backend="loky", n_jobs=options.jobs, inner_max_num_threads=1):
-        pitches_um = even(study, GRID_PITCHES)
+        pitches_um = even_pitches_um(study, GRID_PITCHES)
         widths = Parallel()(delayed(grid_half_widths)(number, pitches_um) for number in range(options.studies))
         grid = GRID_PITCHES * np.array(GRID_SENSORS, float), np.median(widths, axis=0)
         print("evaluations and half width (µm) of the grid: " + ", ".join(f"{n:g} {w:.4f}" for n, w in zip(*grid, strict=True)))
-        target_um = float(np.interp(GRID_PITCHES * AT, *grid))
-        own = len(study_pitches := even(study, study.pitch.count)), study.repeats
-        for start in dict.fromkeys((own, *STARTS)):
-            begin_um = study_pitches if start == own else even(study, start[0])
+        target_um = float(np.interp(GRID_PITCHES * TARGET_SENSORS, *grid))
+        default = len(study_pitches := even_pitches_um(study, study.pitch.count)), study.repeats
+        for start in dict.fromkeys((default, *STARTS)):
+            begin_um = study_pitches if start == default else even_pitches_um(study, start[0])
             studies = Parallel()(
                 delayed(round_half_widths)(number, begin_um, start[1], study.max_repeats) for number in range(options.studies)
             )
@@ -100,11 +100,11 @@ def main() -> None:
             needed = [point[0] for point in met]
             print(
                 f"{start[0]:2} × {start[1]}: {target_um:.4f} µm after {np.median(needed):g} evaluations in the median, after "
-                f"{np.quantile(needed, 0.9, method='higher'):g} in nine of ten studies (grid: {GRID_PITCHES * AT}); the interval "
-                f"then holds the minimum in {np.mean([point[2] for point in met]):.3f}",
+                f"{np.quantile(needed, 0.9, method='higher'):g} in nine of ten studies (grid: {GRID_PITCHES * TARGET_SENSORS}); "
+                f"the interval then covers the minimum in {np.mean([point[2] for point in met]):.3f}",
                 flush=True,
             )
-            if start == own and options.out:
+            if start == default and options.out:
                 draw(grid, rounds, start, options.out)
 
 

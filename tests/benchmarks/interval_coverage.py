@@ -1,11 +1,11 @@
-"""How often the 95 % interval of the optimum holds the true one, by simulation: tests/data/interval_coverage.csv.
+"""Coverage of the 95 % interval of the optimum by simulation: tests/data/interval_coverage.csv.
 
     python tests/benchmarks/interval_coverage.py [--studies 1000] [--jobs 2] [--out FILE]
 
-Known curves, fits to the dense sweeps of dense_sweeps.py, are measured anew in each simulated study: other pitches, one from
-each equal part of the range in log pitch, other residuals and other noise. Three blocks: `fixed` numbers of pitches and
-sensors; the same of a curve that falls to the end of the range (`at_the_end`), whose interval has to be open there; and
-`rounds`, with pitches and sensors added as a study with target_ci_um adds them, which stops when its interval is short enough.
+The known curves are fits to the data of dense_sweeps.py. Each simulated study samples them with other pitches (one from each
+equal part of the range in log pitch), residuals and noise. Three blocks: `fixed` numbers of pitches and sensors; the same for a
+curve that falls to the end of the range (`at_the_end`), whose interval must be open there; and `rounds`, which add pitches and
+sensors, as a study with target_ci_um does, until the interval is short enough.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ ROUNDS_OF = ("chen2000_0.35um", "evening", "skewed")
 STARTS = ((9, 2), (12, 4))
 TARGET_OF = (16, 8)  # pitches and sensors of the fixed study whose median half width is the target of the rounds
 MAX_SENSORS, MAX_EVALUATIONS = 32, 256
-ROUNDS_SHARE = 0.3  # of the studies of a fixed cell: each takes ten fits
+ROUNDS_SHARE = 0.3  # relative to the fixed block, because each study takes ten fits
 
 
 def record_of(study: SimulatedStudy, sensors: Sensors, fit: FittedCurve) -> dict[str, float]:
-    """One simulated study as numbers."""
+    """Results of one simulated study."""
     truth, best, pitch_um = study.truth, fit.optimum, np.array(list(sensors))
     low, high = best.interval_um
     least = truth.least_between(pitch_um[0], pitch_um[-1])
@@ -53,8 +53,8 @@ def record_of(study: SimulatedStudy, sensors: Sensors, fit: FittedCurve) -> dict
 
 
 def row_of(kind: str, curve: str, pitches: int, repeats: int, records: list[dict[str, float]], seconds: float) -> dict[str, Any]:
-    """A cell of the table."""
-    column = {name: np.array([each[name] for each in records]) for name in records[0]}
+    """A row of the table from the results of its studies."""
+    column = {name: np.array([record[name] for record in records]) for name in records[0]}
     return {
         "block": kind,
         "curve": curve,
@@ -81,7 +81,7 @@ def fixed_cell(curve: str, pitches: int, repeats: int, studies: int) -> dict[str
 
 
 def rounds_cell(curve: str, pitches: int, repeats: int, studies: int, target_um: float) -> dict[str, Any]:
-    """Rounds until the target is met, or the next one would exceed the largest number of evaluations."""
+    """Rounds until the target is met, or the next one would exceed MAX_EVALUATIONS."""
     truth_of(curve)
     records, fits, start = [], 0, time.perf_counter()
     for number in range(studies):
@@ -98,11 +98,11 @@ def rounds_cell(curve: str, pitches: int, repeats: int, studies: int, target_um:
 
 
 def pooled(rows: Iterable[dict[str, Any]]) -> str:
-    """Coverage of some cells together."""
+    """Text on the coverage of several cells."""
     rows = list(rows)
     coverages = [float(row["coverage"]) for row in rows]
     delta_e = np.mean([float(row["delta_e_coverage"]) for row in rows])
-    over = sum(each > 0.97 for each in coverages)
+    over = sum(coverage > 0.97 for coverage in coverages)
     return (
         f"{np.mean(coverages):.3f} pooled, {min(coverages):.3f} to {max(coverages):.3f}, {over} of {len(rows)} cells above 0.97; "
         f"of ΔE {delta_e:.3f} pooled"
@@ -113,7 +113,7 @@ def main() -> None:
     options = simulation_options(1000, OUT)
     cells = list(product((*CURVES, AT_THE_END), PITCHES, REPEATS))
     few = max(1, round(ROUNDS_SHARE * options.studies))
-    # BLAS with threads of its own takes several times as long for matrices this small.
+    # Multi-threaded BLAS is several times slower for matrices of this size.
     with parallel_config(backend="loky", n_jobs=options.jobs, inner_max_num_threads=1):
         fixed = Parallel()(delayed(fixed_cell)(*cell, options.studies) for cell in cells)
         wide = {row["curve"]: float(row["median_half_width_um"]) for row in fixed if (row["pitches"], row["repeats"]) == TARGET_OF}
@@ -126,7 +126,7 @@ def main() -> None:
     print(options.out.read_text(encoding="utf-8"))
     print("fixed:     ", pooled(row for row in fixed if row["curve"] != AT_THE_END))
     closed = [1 - float(row["coverage"]) for row in fixed if row["curve"] == AT_THE_END]
-    print(f"at the end: upper end closed, falsely, in {np.mean(closed):.3f} of the studies, in the worst cell {max(closed):.3f}")
+    print(f"at the end: interval wrongly closed in {np.mean(closed):.3f} of the studies, in the worst cell {max(closed):.3f}")
     print("rounds:    ", pooled(rounds))
 
 

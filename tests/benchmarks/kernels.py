@@ -1,11 +1,11 @@
-"""Time of the kernels after the render: their targets, how much faster they are than plain ones, and what cannot be saved.
+"""Time of the kernels after the render, against targets, plain NumPy/SciPy code, and the unavoidable operations.
 
     python tests/benchmarks/kernels.py
 
-Medians of wall times in one process, plain and own side by side, so that ratios hold on a busy machine. The plain side is
-what NumPy and SciPy give a newcomer: convolutions by padded FFT, one a Gaussian, channel, picture or band; a noise stage
-after the other; an interpolator for the display. The unavoidable parts of an evaluation (one sensor at one pitch) are its
-random numbers, transforms and cube roots alone, of the same sizes, in the fastest way known here: padded planes, in place.
+Medians of wall times in one process, with both versions side by side, so that ratios hold on a busy machine. The plain version
+uses NumPy and SciPy directly: one padded FFT convolution per Gaussian, channel, picture or band; one noise stage after another;
+an interpolator for the display. The unavoidable operations of an evaluation (one sensor at one pitch) are its random numbers,
+transforms and cube roots, of the same sizes, in padded planes and in place.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ DIE_MM = 2.7136
 CAMERA, DISPLAY, EXPOSURE = Camera(die_mm=DIE_MM), Display(), Exposure()
 PITCHES_UM = (5.3, 6.5, 15.0)
 MAX_TIMES_PARTS = 2.0
-SPREADS = 3  # of the widest Gaussian that a sampled kernel reaches
+KERNEL_SPREADS = 3  # half width of a sampled kernel, in spreads
 
 
 def chart(n: int) -> SpectralImage:
-    """The CSF chart under D65, white at 1000 cd/m²."""
+    """The CSF chart under D65 with a white of 1000 cd/m²."""
     at = (np.arange(n) + 0.5) / n
     picture = csf_value(at, at[:, None]).astype(np.float32)
     one = SpectralImage(NM, 10.0, 1.0, factors=(d65(NM), np.ones((1, 1, 1))))
@@ -60,14 +60,11 @@ def bands(n: int) -> SpectralImage:
     return SpectralImage(NM, 10.0, 1e3 * DIE_MM / n, data=data)
 
 
-# --- Plain implementations ---
-
-
 def plain_blur(plane: np.ndarray, gaussians: tuple[tuple[float, float], ...], samples_per_deg: float) -> np.ndarray:
-    """Sampled kernels of unit sum, one convolution each, reflected at the borders."""
+    """One convolution per Gaussian with sampled kernels of unit sum, reflected at the borders."""
     total = np.zeros(plane.shape)
     for weight, spread_deg in gaussians:
-        reach = min(int(np.ceil(SPREADS * spread_deg * samples_per_deg)), min(plane.shape))
+        reach = min(int(np.ceil(KERNEL_SPREADS * spread_deg * samples_per_deg)), min(plane.shape))
         position = np.arange(-reach, reach + 1) / (spread_deg * samples_per_deg)
         kernel = np.exp(-(position[:, None] ** 2 + position**2))
         total += weight * fftconvolve(np.pad(plane, reach, mode="symmetric"), kernel / kernel.sum(), mode="valid")
@@ -83,13 +80,13 @@ def plain_lab(xyz: np.ndarray, white: np.ndarray, samples_per_deg: float) -> np.
 
 
 def plain_delta_e(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """S-CIELAB of a pair."""
-    labs = [plain_lab(each, WHITE_XYZ, DISPLAY.samples_per_deg) for each in (reference, test)]
+    """S-CIELAB map of a pair."""
+    labs = [plain_lab(image, WHITE_XYZ, DISPLAY.samples_per_deg) for image in (reference, test)]
     return np.sqrt(((labs[0] - labs[1]) ** 2).sum(axis=-1))
 
 
 def plain_optics(image: SpectralImage) -> np.ndarray:
-    """A padded FFT convolution a band."""
+    """One padded FFT convolution per band."""
     total = np.zeros(image.shape)
     for k, nm in enumerate(image.wavelength_nm):
         margin = image.shape[0] // 2
@@ -101,7 +98,7 @@ def plain_optics(image: SpectralImage) -> np.ndarray:
 
 
 def plain_frame(mean_e: np.ndarray, p: PixelPhysics, seconds: float, rng: np.random.Generator) -> np.ndarray:
-    """A stage after the other, each with a new picture."""
+    """One noise stage after another, each with a new array."""
     gain = np.clip(rng.normal(1, p.prnu, mean_e.shape), 0, None)
     dark = p.dark_current_e_per_s * seconds * rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape)
     level = np.clip(rng.poisson(mean_e * gain + dark), 0, p.full_well_e)
@@ -112,7 +109,7 @@ def plain_frame(mean_e: np.ndarray, p: PixelPhysics, seconds: float, rng: np.ran
 
 
 def plain_display(picture: np.ndarray, dots: int) -> np.ndarray:
-    """Two by two interpolated points a dot."""
+    """2 × 2 interpolated points per dot."""
     n = len(picture)
     lines = RegularGridInterpolator((np.arange(n) + 0.5,) * 2, picture, bounds_error=False, fill_value=None)
     at = (np.arange(2 * dots) + 0.5) * n / (2 * dots)
@@ -120,22 +117,19 @@ def plain_display(picture: np.ndarray, dots: int) -> np.ndarray:
     return lines(points).reshape(dots, 2, dots, 2).mean(axis=(1, 3))
 
 
-def plain_evaluation(bench: ImagingChain, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
-    """Sensor, display and S-CIELAB of one frame; the ideal picture filtered anew."""
-    dn = plain_frame(mean_e, bench.physics, seconds, np.random.default_rng(1))
-    rows, columns = bench.ideal.shape  # the edge above and to the left is not scored
-    shown = plain_display(dn / bench.physics.dn_per_e / white_e, DISPLAY.dots)[-rows:, -columns:]
+def plain_evaluation(chain: ImagingChain, mean_e: np.ndarray, white_e: float, seconds: float) -> np.ndarray:
+    """Sensor, display and S-CIELAB of one frame and of the ideal picture."""
+    dn = plain_frame(mean_e, chain.physics, seconds, np.random.default_rng(1))
+    rows, columns = chain.screen.ideal.shape  # the edges at the top and left are not scored
+    shown = plain_display(dn / chain.physics.dn_per_e / white_e, DISPLAY.dots)[-rows:, -columns:]
     image = (np.rint(255 * np.clip(shown, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
-    return plain_delta_e(bench.screen.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
-
-
-# --- Tables ---
+    return plain_delta_e(chain.screen.ideal[..., None] * WHITE_XYZ, image[..., None] * WHITE_XYZ)
 
 
 def row(name: str, target_s: float | None, work: Work, plain: Work, repeats: int = 11) -> None:
-    own, plain_s = median_s(work, repeats), seconds_of(plain)
-    met = "" if target_s is None else f"{target_s:7.3f} {'yes' if own <= target_s else 'NO':>4}"
-    print(f"{name:48} {own:8.4f} {met:12} {plain_s:8.3f} {plain_s / own:7.1f}", flush=True)
+    seconds, plain_s = median_s(work, repeats), seconds_of(plain)
+    met = "" if target_s is None else f"{target_s:7.3f} {'yes' if seconds <= target_s else 'NO':>4}"
+    print(f"{name:48} {seconds:8.4f} {met:12} {plain_s:8.3f} {plain_s / seconds:7.1f}", flush=True)
 
 
 def targets() -> None:
@@ -157,35 +151,35 @@ def targets() -> None:
         3,
     )
     light = prepare_scene(film, CAMERA, physics, DISPLAY)
-    bench = chain_at_pitch(light, physics, EXPOSURE)
-    shape, signal = bench.signal_e_per_s.shape, bench.signal_e_per_s
-    frame = bench.score(0).frame
-    white_e = bench.white_e_per_s * frame.integration_s
+    chain = chain_at_pitch(light, physics, EXPOSURE)
+    shape, signal = chain.signal_e_per_s.shape, chain.signal_e_per_s
+    frame = chain.score(0).frame
+    white_e = chain.white_e_per_s * frame.integration_s
 
     def noise() -> None:
         capture_from_rates(signal, sample_sensor(physics, shape, stream(1)), EXPOSURE, stream(2))
 
-    chain = partial(plain_frame, frame.mean_e, physics, frame.integration_s, np.random.default_rng(1))
-    row("noise of a sensor and a frame, 512²", 0.03, noise, chain)
-    show = partial(frame_luminance, frame, bench.screen.size_um, white_e, DISPLAY, bench.screen.dot_edges_um)
+    plain = partial(plain_frame, frame.mean_e, physics, frame.integration_s, np.random.default_rng(1))
+    row("noise of a sensor and a frame, 512²", 0.03, noise, plain)
+    show = partial(frame_luminance, frame, chain.screen.size_um, white_e, DISPLAY, chain.screen.dot_edges_um)
     row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
 
     def evaluation() -> None:
         chain_at_pitch(light, physics, EXPOSURE).score(1).statistics()
 
-    plain = partial(plain_evaluation, bench, frame.mean_e, white_e, frame.integration_s)
+    plain = partial(plain_evaluation, chain, frame.mean_e, white_e, frame.integration_s)
     row("sense, display, score of a 512² frame", 0.08, evaluation, plain)
 
 
-def unavoidable(bench: ImagingChain) -> dict[str, float]:
-    """Seconds of the draws, the transforms and the cube roots of one evaluation."""
-    p, rng = bench.physics, np.random.default_rng(0)
-    mean_e = bench.score(0).frame.mean_e
-    dots = bench.screen.ideal.shape
+def unavoidable(chain: ImagingChain) -> dict[str, float]:
+    """Seconds of random numbers, transforms and cube roots of one evaluation."""
+    p, rng = chain.physics, np.random.default_rng(0)
+    mean_e = chain.score(0).frame.mean_e
+    dots = chain.screen.ideal.shape
     grey, planes = empty_planes(*dots), empty_planes(3, *dots)
-    grey[...] = planes[...] = bench.screen.ideal
+    grey[...] = planes[...] = chain.screen.ideal
     relative, roots = np.full((3, *dots), 0.5), np.empty((3, *dots))
-    # PRNU, offset, and reset with read noise: three normals a pixel; the dark current's spread; the photons.
+    # Three normals per pixel for PRNU, offset, and reset with read noise; a gamma for DSNU; a Poisson for photons.
     return {
         "normals": 3 * median_s(lambda: rng.standard_normal(mean_e.shape)),
         "gamma": median_s(lambda: rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape)),
@@ -199,11 +193,11 @@ def parts() -> None:
     print(f"\nan evaluation, ms: {'whole':>8} {'parts':>8} {'ratio':>6}  at most {MAX_TIMES_PARTS:g}")
     light = prepare_scene(chart(1024), CAMERA, derive(Pixel()), DISPLAY)
     for pitch_um in PITCHES_UM:
-        bench = chain_at_pitch(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
-        found = unavoidable(bench)
-        whole, sum_ = median_s(lambda bench=bench: bench.score(1).statistics(), 21), sum(found.values())
-        told = ", ".join(f"{name} {1e3 * each:.1f}" for name, each in found.items())
-        print(f"{pitch_um:15.1f} µm: {1e3 * whole:8.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {told}", flush=True)
+        chain = chain_at_pitch(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
+        seconds = unavoidable(chain)
+        whole, sum_ = median_s(lambda chain=chain: chain.score(1).statistics(), 21), sum(seconds.values())
+        text = ", ".join(f"{name} {1e3 * time_s:.1f}" for name, time_s in seconds.items())
+        print(f"{pitch_um:15.1f} µm: {1e3 * whole:8.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {text}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""The tables of docs/studies.md, from summary.json of `pixsim study chen2000` and, if given, of `chen2000-sensitivity`.
+"""The tables of docs/studies.md from summary.json of `pixsim study chen2000` and optionally of `chen2000-sensitivity`.
 
 python tests/benchmarks/paper_table.py pixsim-out/chen2000/summary.json [pixsim-out/chen2000-sensitivity/summary.json]
 
-With both: what would turn each verdict, the range of the optimum at 0.35 µm for each assumption, and how many cases agree.
+With both: the cases that change each verdict, the range of the optimum at 0.35 µm for each assumption, and how many cases agree.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pixsim.studies.sensitivity import turned_words
 
 
 def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
-    """The statements; with cases, what would turn each verdict."""
+    """The claims table; with cases, it lists those that change each verdict."""
     ends = ("what would turn it |", "---|") if cases else ("", "")
     lines = ["| the paper says | given | pixsim finds | agrees |" + f" {ends[0]}".rstrip(), "|---|---|---|---|" + ends[1]]
     for row in rows:
@@ -36,19 +36,19 @@ def is_reference_at_the_end(technology: dict[str, Any]) -> bool:
 
 
 def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str]:
-    """The range of the reference's optimum and least mean ΔE for each assumption, widest first; the base is in each."""
+    """Range of the reference's optimum and minimum mean ΔE for each assumption, including the base case, widest first."""
 
     def optimum(technologies: list[dict[str, Any]]) -> tuple[float, float]:
-        (own,) = [each["optimum"] for each in technologies if each["technology"] == REFERENCE_TECHNOLOGY]
-        return own["pitch_um"], own["mean_delta_e"]
+        (optimum_,) = [technology["optimum"] for technology in technologies if technology["technology"] == REFERENCE_TECHNOLOGY]
+        return optimum_["pitch_um"], optimum_["mean_delta_e"]
 
     ranges: dict[str, list[tuple[float, float]]] = {}
     for case in cases:
         if not case["alone"]:
             ranges.setdefault(case["variation"], [optimum(base["curves"])]).append(optimum(case["technologies"]))
-    ends = {name: [(min(each), max(each)) for each in zip(*found, strict=True)] for name, found in ranges.items()}
+    ends = {name: [(min(values), max(values)) for values in zip(*optima, strict=True)] for name, optima in ranges.items()}
     widest_first = sorted(ends.items(), key=lambda item: item[1][0][0] - item[1][0][1])
-    at_the_end = {case["variation"] for case in cases for each in case["technologies"] if is_reference_at_the_end(each)}
+    at_the_end = {case["variation"] for case in cases for technology in case["technologies"] if is_reference_at_the_end(technology)}
     lines = [
         f"| {name} | {size[0]:.2f} to {size[1]:.2f}{' (largest or smallest tried)' if name in at_the_end else ''} | "
         f"{least[0]:.3f} to {least[1]:.3f} |"
@@ -58,7 +58,7 @@ def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str
 
 
 def counts(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
-    """How many cases agree with each statement that depends on the study, and how many have every verdict of the table."""
+    """Number of cases that agree with each statement, and that have every verdict of the table."""
     verdicts = {row["statement"]: row["agrees"] for row in rows}
     same = sum(case["agrees"] == verdicts for case in cases)
     lines = [f"{sum(case['agrees'][name] for case in cases)} of {len(cases)} agree: {name}" for name in verdicts]

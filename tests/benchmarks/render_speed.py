@@ -1,12 +1,11 @@
-"""How much faster the pruned render reaches an error than a plain Mitsuba render: both in one run, on one machine.
+"""Speed of the pruned render relative to plain Mitsuba at equal error, in one run on one machine.
 
     python tests/benchmarks/render_speed.py [SCENE ...] [--resolution 512]
 
-The error is the RMS of the QE-weighted irradiance (0.35 µm pixel) over its mean, from pairs of independent renders; what is
-systematic in the pruned one is its plan's bound, printed beside it. The plain side: the scene's own XML and `path`, a
-specfilm of 31 bands of 10 nm, a box filter, `independent` or `multijitter`. Times are of the render alone, warm, medians
-of pairs. A side that does not reach the target within the ladder is extrapolated with the slope of its last rungs, and the
-table says so. Memory: the largest resident set of a process of its own, with few and with many samples.
+The error is the RMS of the QE-weighted irradiance (0.35 µm pixel) over its mean, from pairs of independent renders; the plan's
+bound on the systematic error of pruning is printed too. Plain Mitsuba renders the scene's XML with `path`, a specfilm of 31
+bands of 10 nm, a box filter, and `independent` or `multijitter`. Times are medians of the render alone, after a warm-up. If the
+largest number of samples misses the target, the time is extrapolated, as the table states. Memory is the peak of a new process.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import ideal_rate
 from pixsim.sensor.pixel import derive
 
-TARGETS = {"csf": (1e-3, 100.0, 3.0), "macbeth": (1e-3, 50.0, 2.0), "still_life": (5e-2, 1.5, 1.0)}  # error, ratios asked for
+TARGETS = {"csf": (1e-3, 100.0, 3.0), "macbeth": (1e-3, 50.0, 2.0), "still_life": (5e-2, 1.5, 1.0)}  # error, target ratios
 BANDS_NM = np.arange(400.0, 701.0, 10.0)
 PHYSICS = derive(Pixel())
 LADDER = tuple(4**k for k in range(1, 7))
@@ -44,7 +43,7 @@ Picture = Callable[[int, int], tuple[np.ndarray, float]]  # (samples, seed) -> Q
 
 
 def plain(name: str, resolution: int, sampler: str) -> Picture:
-    """Mitsuba's own render of the XML in 31 bands."""
+    """Plain Mitsuba render of the XML in 31 bands."""
     scene = pixsim.load_scene(name, resolution=resolution)
     weight = PHYSICS.quantum_efficiency(BANDS_NM) * photons_per_joule(BANDS_NM)
     film = {
@@ -74,7 +73,7 @@ def plain(name: str, resolution: int, sampler: str) -> Picture:
 
 
 def pruned(name: str, resolution: int) -> tuple[Picture, Plan]:
-    """pixsim's render, as planned, with other numbers of samples."""
+    """pixsim's planned render, with other numbers of samples."""
     scene = pixsim.load_scene(name, resolution=resolution)
     camera = scene.camera()
     plan = pixsim.make_plan(scene, camera)
@@ -91,11 +90,11 @@ def pruned(name: str, resolution: int) -> tuple[Picture, Plan]:
 
 
 def rungs(picture: Picture) -> Iterator[tuple[int, float, float]]:
-    """(samples, seconds, RMS error) up the ladder, until a rung takes too long."""
+    """(samples, seconds, RMS error) for increasing samples, until a rung takes too long."""
     for spp in LADDER:
         picture(spp, 9)  # compile
         pairs = [[picture(spp, 2 * k), picture(spp, 2 * k + 1)] for k in range(2)]
-        seconds = statistics.median(each[1] for pair in pairs for each in pair)
+        seconds = statistics.median(render_[1] for pair in pairs for render_ in pair)
         error = statistics.fmean(float(np.sqrt(np.mean((a - b) ** 2) / 2) / a.mean()) for (a, _), (b, _) in pairs)
         yield spp, seconds, error
         if seconds * (4 + 1) > SECONDS_A_RUNG:
@@ -103,8 +102,8 @@ def rungs(picture: Picture) -> Iterator[tuple[int, float, float]]:
 
 
 def seconds_to(target: float, ladder: list[tuple[int, float, float]]) -> tuple[float, str]:
-    """Seconds at which the error is met, between rungs or beyond them on a line in logarithms."""
-    t, e = (np.log([each[k] for each in ladder]) for k in (1, 2))
+    """Seconds to reach the error, by log-log inter- or extrapolation, and a description of the method."""
+    t, e = (np.log([rung[k] for rung in ladder]) for k in (1, 2))
     goal = math.log(target)
     if e[0] <= goal:
         return float(np.exp(t[0])), f"at the first rung, {ladder[0][0]} samples"
@@ -126,9 +125,9 @@ def main() -> None:
     options = parser.parse_args()
     for name in options.scenes or TARGETS:
         target, asked_independent, asked_multijitter = TARGETS[name]
-        own, plan = pruned(name, options.resolution)
-        ladders = {"pruned": list(rungs(own))}
-        ladders |= {each: list(rungs(plain(name, options.resolution, each))) for each in ("independent", "multijitter")}
+        picture, plan = pruned(name, options.resolution)
+        ladders = {"pruned": list(rungs(picture))}
+        ladders |= {sampler: list(rungs(plain(name, options.resolution, sampler))) for sampler in ("independent", "multijitter")}
         print(f"{name}, {options.resolution}², target {target:.1%} RMS; {plan}")
         reached = {}
         for side, ladder in ladders.items():
@@ -138,7 +137,7 @@ def main() -> None:
             print(f"  {side:12} {seconds:10.2f} s  {how:60} {steps}")
         for sampler, asked in (("independent", asked_independent), ("multijitter", asked_multijitter)):
             ratio = reached[sampler] / reached["pruned"]
-            print(f"  {ratio:8.1f} times faster than plain {sampler} (asked for {asked:g}): {'yes' if ratio >= asked else 'NO'}")
+            print(f"  {ratio:8.1f} times faster than plain {sampler} (target {asked:g}): {'yes' if ratio >= asked else 'NO'}")
         few, many = (fresh(render, name, options.resolution, spp)[1] for spp in (4, 256))
         print(f"  memory of a process: {few:.2f} GiB with 4 samples, {many:.2f} GiB with 256")
 

@@ -1,10 +1,9 @@
-"""What a study costs beside its work: 10 000 evaluations of a small study on 1 and 2 processes, from an empty folder.
+"""Overhead of a study: 10 000 evaluations of a small study on 1 and 2 processes, from an empty folder.
 
     python tests/benchmarks/study_engine.py [--repeats 2000] [--scheduler tcp://host:8786]
 
-The work is `ImagingChain.score(...).statistics()` in a loop in this process, in the same run; what a study takes beyond it, over
-the number of evaluations, is its overhead: keys, tasks, workers, frames and rows. On several processes the work is shared
-out, so that their own start counts too.
+The work is `ImagingChain.score(...).statistics()` in a loop in this process. The overhead is the study's additional time per
+evaluation: keys, tasks, workers, frames and rows, and the start of the processes.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from pixsim.studies.study import render_for
 from pixsim.viewer.score import Lights
 
 PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
-TIMED = 100  # evaluations of each pitch that tell what the work costs
+TIMED = 100  # evaluations of each pitch, to time the work
 TARGET_MS = 2.0
 
 
@@ -48,9 +47,9 @@ def work_s(study: pixsim.Study) -> float:
 
     def evaluations() -> None:
         for pitch_um in PITCHES_UM:
-            bench = chain_at(study, light, camera, "0.35um", pitch_um)
+            chain = chain_at(study, light, camera, "0.35um", pitch_um)
             for repeat in range(TIMED):
-                bench.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
+                chain.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
 
     return seconds_of(evaluations) / (TIMED * len(PITCHES_UM))
 
@@ -62,22 +61,22 @@ def main() -> None:
     options = parser.parse_args()
     study = small_study(options.repeats)
     count = options.repeats * len(PITCHES_UM)
-    own_ms = 1e3 * work_s(study)
-    print(f"{count} evaluations of {own_ms:.2f} ms; overhead asked for: {TARGET_MS:g} ms each")
+    work_ms = 1e3 * work_s(study)
+    print(f"{count} evaluations of {work_ms:.2f} ms; target overhead: {TARGET_MS:g} ms each")
     ways: list[tuple[str, dict[str, object], int]] = [("1 process", {"jobs": 1}, 1), ("2 processes", {"jobs": 2}, 2)]
     if options.scheduler:
         ways.append(("cluster", {"scheduler": options.scheduler}, 2))
-    for kept in ("frames kept", "frames found", "nothing kept"):
+    for cache in ("frames stored", "frames cached", "cache off"):
         for name, how, processes in ways:
             with tempfile.TemporaryDirectory() as folder:
-                os.environ["PIXSIM_CACHE_GIB"] = "0" if kept == "nothing kept" else "4"
+                os.environ["PIXSIM_CACHE_GIB"] = "0" if cache == "cache off" else "4"
                 os.environ["PIXSIM_CACHE_DIR"] = str(Path(folder) / "cache")
-                if kept == "frames found":
+                if cache == "frames cached":
                     pixsim.study(study, Path(folder) / "before", **how)
                 taken_ms = 1e3 * seconds_of(partial(pixsim.study, study, Path(folder) / "out", **how))
             each_ms = taken_ms / count
-            beyond_ms = each_ms - own_ms / processes
-            print(f"{name:12} {kept:13} {taken_ms / 1e3:6.1f} s, {each_ms:5.2f} ms each, beyond the work {beyond_ms:5.2f} ms")
+            beyond_ms = each_ms - work_ms / processes
+            print(f"{name:12} {cache:13} {taken_ms / 1e3:6.1f} s, {each_ms:5.2f} ms each, overhead {beyond_ms:5.2f} ms")
 
 
 if __name__ == "__main__":

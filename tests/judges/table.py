@@ -1,9 +1,9 @@
-"""The table of docs/judges.md: which outside standard, which gate, what was measured, whether it is met.
+"""The table of docs/judges.md: outside standard, gate, measured result, and whether the gate is met.
 
 python tests/judges/table.py [--full] [--short]
 
-Runs `rows` of every test_*.py here that has one; --full is passed on to those that take it. --short tells the same quantity of
-several pixels, lenses and edges in one row, with the range of what was measured. Exit status 1 if one is not met.
+Runs `rows` of every test_*.py here that has it, with `full` for --full. --short merges rows of the same quantity for several
+pixels, lenses and edges into one, with the range of the measured values. The exit status is 1 if a gate is not met.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]  # as pytest does; and the package beside these tests
+sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]  # as in pytest, and the package of this repository
 
 from pixsim.base.files import FOLDER_VARIABLE  # noqa: E402
 
@@ -26,75 +26,75 @@ COLUMNS = ("judge", "standard", "gate", "measured", "met")
 
 
 def judges(folder: Path = HERE) -> list[str]:
-    """Names of the modules that look like judges."""
+    """Names of the modules that may be judges."""
     return [path.stem for path in sorted(folder.glob("test_*.py"))]
 
 
 def verdicts(name: str, full: bool) -> list[dict[str, object]]:
-    """Rows of one judge; none for a module without `rows`."""
+    """Rows of one judge; empty for a module without `rows`."""
     rows = getattr(importlib.import_module(name), "rows", None)
     if rows is None:
         return []
     return list(rows(full=full) if "full" in inspect.signature(rows).parameters else rows())
 
 
-def told(cell: object) -> str:
-    """A cell; bare numbers to three digits."""
+def cell_text(cell: object) -> str:
+    """The text of a cell, with three digits for floats."""
     return f"{cell:.3g}" if isinstance(cell, float) else str(cell)
 
 
 def markdown(rows: list[dict[str, object]]) -> str:
-    """The table; what fails stays in it, in bold."""
+    """The table in Markdown; failed rows are bold."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
-    for each in rows:
-        cells = [told(each[column]).replace("|", "\\|") for column in COLUMNS[:-1]]
-        lines.append("| " + " | ".join([*cells, "yes" if each["met"] else "**no**"]) + " |")
+    for row in rows:
+        cells = [cell_text(row[column]).replace("|", "\\|") for column in COLUMNS[:-1]]
+        lines.append("| " + " | ".join([*cells, "yes" if row["met"] else "**no**"]) + " |")
     return "\n".join(lines)
 
 
-def quantity(each: dict[str, object]) -> str:
-    """What a row judges, without the pixel, lens and level that it was judged on."""
-    name = str(each["judge"])
-    if str(each["standard"]).startswith("ISO 12233"):
+def quantity(row: dict[str, object]) -> str:
+    """The quantity of a row, without its pixel, lens and light level."""
+    name = str(row["judge"])
+    if str(row["standard"]).startswith("ISO 12233"):
         return name.partition(",")[0]
-    return re.sub(r" at \d+ % of the well", "", name.partition(":")[0]) if str(each["standard"]).startswith(GROUPED) else name
+    return re.sub(r" at \d+ % of the well", "", name.partition(":")[0]) if str(row["standard"]).startswith(GROUPED) else name
 
 
 def numbers(rows: list[dict[str, object]]) -> str:
-    """The range of what rows measured, in the unit of the first, to two digits after its leading zeros."""
-    texts = [str(each["measured"]) for each in rows]
-    found = [float(text) for each in texts for text in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", each)[:1]]
+    """The range of the rows' measured values, with two significant digits and the unit of the first."""
+    texts = [str(row["measured"]) for row in rows]
+    values = [float(text) for text_ in texts for text in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?", text_)[:1]]
     unit = re.sub(r"^[-+]?\d+\.?\d*(?:e[-+]?\d+)?", "", texts[0])
-    low, high = (f"{each:+.2g}" for each in (min(found), max(found)))
+    low, high = (f"{end:+.2g}" for end in (min(values), max(values)))
     return f"{low}{unit}" if low == high else f"{low} … {high}{unit}"
 
 
 def condensed(rows: list[dict[str, object]]) -> list[dict[str, object]]:
-    """One row for each quantity, standard and gate; met where all are."""
+    """One row for each quantity, standard and gate; met if all its rows are."""
     groups: dict[tuple[object, ...], list[dict[str, object]]] = {}
-    for each in rows:
-        groups.setdefault((quantity(each), each["standard"], each["gate"]), []).append(each)
-    told = []
-    for (name, standard, gate), own in groups.items():
-        if len(own) == 1:
-            told += own
+    for row in rows:
+        groups.setdefault((quantity(row), row["standard"], row["gate"]), []).append(row)
+    merged = []
+    for (name, standard, gate), group in groups.items():
+        if len(group) == 1:
+            merged += group
         else:
-            met = all(each["met"] for each in own)
-            told.append(
-                {"judge": f"{name}, {len(own)} cases", "standard": standard, "gate": gate, "measured": numbers(own), "met": met}
+            met = all(row["met"] for row in group)
+            merged.append(
+                {"judge": f"{name}, {len(group)} cases", "standard": standard, "gate": gate, "measured": numbers(group), "met": met}
             )
-    return told
+    return merged
 
 
 def main(arguments: list[str]) -> int:
     if not set(arguments) <= {"--full", "--short"}:
-        print(f"got {arguments}; allowed: --full, --short", file=sys.stderr)
+        print(f"got {arguments}; expected: --full, --short", file=sys.stderr)
         return 2
-    with tempfile.TemporaryDirectory() as folder:  # as tests/conftest.py: the user's cache is neither read nor written
+    with tempfile.TemporaryDirectory() as folder:  # do not use the user's cache, as in tests/conftest.py
         os.environ[FOLDER_VARIABLE] = folder
-        rows = [each for name in judges() for each in verdicts(name, "--full" in arguments)]
+        rows = [row for name in judges() for row in verdicts(name, "--full" in arguments)]
     print(markdown(condensed(rows) if "--short" in arguments else rows))
-    return int(not rows or not all(each["met"] for each in rows))
+    return int(not rows or not all(row["met"] for row in rows))
 
 
 if __name__ == "__main__":

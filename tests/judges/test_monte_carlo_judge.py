@@ -1,19 +1,18 @@
-"""Mitsuba's variants give one image, and so do pruned and full: pixel by pixel, as Mitsuba tests its own renders.
+"""Renders by different Mitsuba variants, and pruned and full ones, agree pixel by pixel in Mitsuba's own test.
 
 Source: the test of src/render/tests/test_renders.py (Mitsuba 3), which Eradiate uses too: p-values of each pixel's difference,
 a significance of 0.01 with Šidák's correction for the number of pixels, and 99.75 % of the pixels must pass. Variances are
-estimated on both sides, so that the p-values are those of Welch's t: a z-test with variances from 16 renders would reject more
-than it says. What is tested are pixsim's mean electrons of two sensors.
+estimated on both sides, so the p-values are those of Welch's t: a z-test with variances from 16 renders would reject too
+many. The test compares pixsim's mean electrons of two sensors.
 
 Gates:
-* 99.75 to 100 % accepted: the source's. Without a difference all pixels should be accepted (Šidák: one test in a hundred has
-  one pixel of 1152 that is not).
-* 1 to 12 % of the pixels, without any correction, at p < 0.05: the other side. Less means that the two are more alike than
-  independent renders can be (one seed for both, or noise overestimated), more that many pixels differ a little; 5 % is expected.
-  Two sensors see one render, and glints make noise with long tails, so that it scatters by 1 % and more: 3 to 8 % over 48
-  pairs of seeds.
-* Each picture must be able to fail: an error of the whole of 7 standard errors of a pixel (3 % of the chart, 1 % of the
-  ColorChecker, 20 % of the still life, whose paths are noisy), up or down, is noticed.
+* 99.75 to 100 % accepted, as in the source. Without a difference all pixels should be accepted (Šidák: one test in a hundred
+  rejects one pixel of 1152).
+* 1 to 12 % of the pixels at p < 0.05 without correction, where 5 % are expected. Fewer mean that the two are more alike than
+  independent renders can be (one seed for both, or noise overestimated), more that many pixels differ a little. Two sensors
+  share one render, and glints have heavy-tailed noise, so that the fraction scatters: 3 to 8 % over 48 pairs of seeds.
+* Each picture can fail: the test detects a scaling by 7 standard errors of a pixel, up or down (3 % for the chart, 1 % for the
+  ColorChecker, 20 % for the still life, whose paths are noisy).
 """
 
 from __future__ import annotations
@@ -36,14 +35,14 @@ from pixsim.sensor.pixel import derive
 
 SIGNIFICANCE, PASSING = 0.01, 0.9975
 LIKELY = (0.01, 0.12)  # of the pixels at p < 0.05, where 0.05 is expected
-FLOAT32 = 1e-5  # of the mean electrons: rounding, where there is no noise
+FLOAT32 = 1e-5  # of the mean electrons: rounding in noiseless pixels
 RENDERS = 16
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 HAS_LLVM = find_llvm()[0] is not None
-# Samples, and an error of the whole picture that the test must notice: 7 standard errors of a pixel.
+# Samples, and a scaling that the test must detect: 7 standard errors of a pixel.
 SCENES = {"csf": (16, 0.03), "macbeth": (4, 0.01), "still_life": (16, 0.2)}
-LONG = {"still_life"}  # variants
-LONG_IN_FULL = {"macbeth", "still_life"}  # all passes, of many bands
+LONG = {"still_life"}  # to compare between variants
+LONG_IN_FULL = {"macbeth", "still_life"}  # to render without pruning
 SIZE = 24
 
 
@@ -62,8 +61,8 @@ def renders(name: str, variant: str, full: bool = False, seed: int = 1, stops: f
 
 
 def p_values(one: np.ndarray, other: np.ndarray, bound: float = 0.0) -> np.ndarray:
-    """Of each pixel's difference beyond a bound, by Welch's t."""
-    means, deviations = zip(*((each.mean(axis=0), each.std(axis=0, ddof=1)) for each in (one, other)), strict=True)
+    """p-values of each pixel's difference beyond a bound, by Welch's t-test."""
+    means, deviations = zip(*((images.mean(axis=0), images.std(axis=0, ddof=1)) for images in (one, other)), strict=True)
     beyond = np.maximum(np.abs(means[0] - means[1]) - bound * means[1], 0.0)
     least = FLOAT32 * means[1] * len(one) ** 0.5
     return ttest_ind_from_stats(
@@ -88,17 +87,17 @@ def assert_one_image(one: np.ndarray, other: np.ndarray) -> None:
 
 
 def bound_of(name: str) -> float:
-    """What the plan says that leaving out can cost, of the mean electrons."""
+    """The plan's bound on the pruning error, relative to the mean electrons."""
     return make_plan(pixsim.load_scene(name, variant=VARIANT)).bound_e
 
 
 def rows(full: bool = False) -> list[dict[str, object]]:
-    found = []
+    table = []
 
     def compare(judge: str, one: np.ndarray, other: np.ndarray, bound: float = 0.0) -> None:
         form, test = "{:.4f}", "z-test per pixel, Šidák (Mitsuba 3)"
-        found.append(row(f"{judge}: accepted", test, PASSING, 1, passing(one, other, bound), form))
-        found.append(row(f"{judge}: at p < 0.05", test, *LIKELY, unlikely(one, other), form))
+        table.append(row(f"{judge}: accepted", test, PASSING, 1, passing(one, other, bound), form))
+        table.append(row(f"{judge}: at p < 0.05", test, *LIKELY, unlikely(one, other), form))
 
     for name in SCENES:
         if HAS_LLVM and (full or name not in LONG):
@@ -106,26 +105,22 @@ def rows(full: bool = False) -> list[dict[str, object]]:
         if full or name not in LONG_IN_FULL:
             whole = renders(name, VARIANT, full=True, seed=2)
             compare(f"`{name}`, pruned and full", renders(name, VARIANT), whole, bound_of(name))
-    return found
+    return table
 
 
-def test_rows():
-    assert not_met(rows()) == []
-
-
-@pytest.mark.judges_full
-def test_rows_in_full():
-    assert not_met(rows(full=True)) == []
+@pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.judges_full)])
+def test_rows_pass(full):
+    assert not_met(rows(full)) == []
 
 
 def scenes(long: set[str]) -> pytest.MarkDecorator:
-    names = [pytest.param(each, marks=pytest.mark.judges_full) if each in long else each for each in SCENES]
+    names = [pytest.param(name, marks=pytest.mark.judges_full) if name in long else name for name in SCENES]
     return pytest.mark.parametrize("name", names)
 
 
 @pytest.mark.skipif(ctypes.util.find_library("cuda") is None, reason="no libcuda here: no NVIDIA driver, so no GPU")
 @scenes(LONG)
-def test_a_gpu_gives_the_same_image(name):
+def test_cuda_variant_matches_scalar(name):
     try:
         pixsim.load_scene(name, variant="cuda_ad_spectral").parse()
     except pixsim.PixsimError as error:
@@ -134,32 +129,32 @@ def test_a_gpu_gives_the_same_image(name):
 
 
 @scenes(LONG_IN_FULL)
-def test_an_error_of_the_whole_picture_is_noticed(name):
+def test_scaled_picture_fails(name):
     one, other, bound = renders(name, VARIANT), renders(name, VARIANT, full=True, seed=2), bound_of(name)
     for wrong in (1 + SCENES[name][1], 1 - SCENES[name][1]):
         assert passing(one * wrong, other, bound) < PASSING
 
 
-def test_other_images_fail():
-    """A shift by one pixel, and two scenes of the same mean."""
+def test_shifted_or_uniform_picture_fails():
+    """A shift by one pixel, and a uniform picture of the same mean."""
     csf = renders("csf", VARIANT)
     shifted = np.roll(csf.reshape(RENDERS, -1, SIZE), 1, axis=2).reshape(csf.shape)
     assert passing(shifted, csf) < 0.9
     assert passing(csf.mean(axis=1, keepdims=True) * np.random.default_rng(0).normal(1, 1e-3, csf.shape), csf) < 0.9
 
 
-def test_another_lens_fails():
-    """f/4.1 instead of f/4 is 5 % less light."""
+def test_other_f_number_fails():
+    """f/4.1 gives 5 % less light than f/4."""
     for stops in (4.1 / 4, 3.9 / 4):
         assert passing(renders("csf", VARIANT, seed=2, stops=stops), renders("csf", VARIANT)) < 0.1
 
 
-def test_one_seed_for_both_is_too_good():
+def test_same_seed_fails():
     csf = renders("csf", VARIANT)
-    assert passing(csf, csf) == 1  # the standard alone would take it
+    assert passing(csf, csf) == 1  # the first gate alone does not reject it
     assert unlikely(csf, csf) < LIKELY[0]
 
 
-def test_independent_renders_of_one_scene_pass():
+def test_independent_renders_pass():
     for name in ("csf", "macbeth"):
         assert_one_image(renders(name, VARIANT, seed=3), renders(name, VARIANT))

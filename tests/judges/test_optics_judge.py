@@ -1,4 +1,4 @@
-"""The lens against a camera simulator, a path tracer, the textbook and plain quadrature.
+"""The lens against a camera simulator, a path tracer, the Airy pattern and numerical quadrature.
 
 Sources:
 * ISETCam (Stanford; tests/data/isetcam_optics/README.md): illuminance at the centre, MTF of a diffraction-limited lens;
@@ -8,16 +8,16 @@ Sources:
 * a Mitsuba render of a luminous disc over a white plane (path tracer, depth 2): E = π times the plane's radiance.
 
 Gates:
-* Illuminance, ISETCam short by 1.07e-4 a stop number ±5 %, +0 ± 3e-5, and no more than 1e-5 from that line: it pads with black,
-  and the light that an Airy pattern sends beyond a radius grows as λN. So its distance is explained, not allowed for; |m| of
-  the wrong sign would be 2 % to 25 %.
+* Illuminance: ISETCam is lower by 1.07e-4 per unit of f-number ±5 %, with an intercept of 0 ± 3e-5 and residuals up to 1e-5.
+  It pads with black, and the light of an Airy pattern beyond a radius is proportional to λN, which explains the difference.
+  The wrong sign of m would be an error of 2 % to 25 %.
 * MTF ±1e-14: the same closed form on both sides.
-* First zero ±2e-4 and encircled light ±1e-4, relative: the picture's borders reflect the far wings (7e-5, 3e-5 with 801²
-  samples, four times less at each doubling). N 0.1 % off shows in the first, another shape of the pupil in both.
-* Quadrature ±1e-9: both sides hold 13 digits.
+* First zero ±2e-4 and encircled light ±1e-4, relative: the borders reflect the far wings (7e-5 and 3e-5 with 801² samples, a
+  quarter at each doubling). An error of 0.1 % in N changes the first, another shape of the pupil both.
+* Quadrature ±1e-9: both sides are accurate to 13 digits.
 * Mitsuba ±1e-4 at f/4 (noise 3e-5 or less, float32 geometry 3e-6), ±3e-4 at f/0.5 (noise 5e-5; a cone of 45°). cos⁴ instead
   of Foote is 0.3 % off at f/4 and 12°.
-* pixsim's own picture of a flat field ±1e-4 of the same disc: its bands cost 3e-5 of the luminance at most (measured 4e-6).
+* pixsim's picture of a flat field ±1e-4 of the same disc: its bands have an error up to 3e-5 of the luminance (measured 4e-6).
 """
 
 from __future__ import annotations
@@ -45,22 +45,19 @@ Law = Callable[[float, float], float]  # E/L of f-number and tangent of the fiel
 NM = np.array([550.0])
 ONE = np.array([1.0])
 FIRST_ZERO, INSIDE_IT = 1.2196699, 0.8377850  # j₁₁/π in units of λN; 1 - J₀²(j₁₁)
-# f-number and tangent of the field angle. "full" adds a lens so fast that only the exact form holds.
+# f-number and tangent of the field angle. "full" adds a lens so fast that only the exact formula holds.
 DISCS, FAST_DISCS = [(4.0, 0.0), (4.0, 0.3), (4.0, 1.0)], [(0.5, 0.0), (0.5, 0.6)]
 QUADRATURE = [(n, a) for n in (0.5, 0.7, 1.4, 4.0, 32.0, 1000.0) for a in (0.0, 1e-3, 12.0, 45.0, 60.0)]
 
 
-# --- Radiance to irradiance ---
-
-
 def from_quadrature(f_number: float, angle_deg: float, law: Law = optics.irradiance_factor) -> float:
-    """Relative difference of a law from the integral."""
+    """Relative difference of a formula from the integral."""
     tangent = float(np.tan(np.radians(angle_deg)))
     return float(law(f_number, tangent)) / solid_angle_integral(0.5 / f_number, tangent) - 1
 
 
 def cosine_fourth(f_number: float, tan_field: float) -> float:
-    """What lens-makers' rule of thumb says, π cos⁴θ/(1 + 4N²): right on the axis, wrong off it."""
+    """The approximation π cos⁴θ/(1 + 4N²), exact only on the axis."""
     return np.pi / (1 + 4 * f_number**2) / (1 + tan_field**2) ** 2
 
 
@@ -101,13 +98,13 @@ def disc_irradiance(f_number: float, tan_field: float) -> float:
             }
             return float(np.array(mi.render(mi.load_dict(scene), seed=1), float)[..., 0].mean())
 
-        plane = radiance([0, -2, 0.5], [0, 0, 0], 4096)  # from the side, so that the camera is not under the disc
+        plane = radiance([0, -2, 0.5], [0, 0, 0], 4096)  # from the side, so that the camera is not below the disc
         disc = radiance([tan_field, 0, 0.5], [tan_field, 0, 1], 16)
     return np.pi * plane / disc
 
 
 def from_disc(f_number: float, tan_field: float, law: Law = optics.irradiance_factor) -> float:
-    """Relative difference of a law from the render."""
+    """Relative difference of a formula from the render."""
     return float(law(f_number, tan_field)) / disc_irradiance(f_number, tan_field) - 1
 
 
@@ -121,15 +118,15 @@ def flat_field() -> tuple[np.ndarray, pixsim.Camera, float]:
 
 
 def picture_from_disc(luminance_cd_per_m2: float = 100.0, magnification: float | None = None) -> np.ndarray:
-    """Relative difference of pixsim's picture, centre and border, from Mitsuba's disc as large as the lens seen from there."""
+    """Relative difference of pixsim's picture, at centre and border, from Mitsuba's disc of the size of the lens."""
     lux, camera, tan_border = flat_field()
     working = 4.0 * (1 + (camera.magnification if magnification is None else magnification))
-    found = {0.0: lux[16, 16], tan_border: lux[16, 32]}
-    return np.array([each / (luminance_cd_per_m2 * disc_irradiance(working, tan)) - 1 for tan, each in found.items()])
+    lux_at = {0.0: lux[16, 16], tan_border: lux[16, 32]}
+    return np.array([value / (luminance_cd_per_m2 * disc_irradiance(working, tan)) - 1 for tan, value in lux_at.items()])
 
 
 def isetcam_short(magnification_sign: float = 1.0, stops: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """(f-numbers, how much darker ISETCam's centre is than Foote's, relative)."""
+    """(f-numbers, relative difference of ISETCam's illuminance at the centre from Foote's)."""
     with np.load(ISETCAM) as file:
         data = dict(file)
     nm = data["optics_wave"].astype(float)
@@ -147,9 +144,6 @@ def isetcam_line(**wrong: float) -> tuple[np.ndarray, float, float, np.ndarray]:
     return short, float(slope), float(at_zero), short - (slope * f_number + at_zero)
 
 
-# --- Diffraction ---
-
-
 def from_isetcam_mtf(nm: int, f_number: float = 4.0) -> np.ndarray:
     with np.load(ISETCAM) as file:
         frequency, mtf = file["optics_mtf_freq_cycmm"], file[f"optics_mtf_f4_{nm}nm"]
@@ -165,7 +159,7 @@ def airy(f_number: float = 4.0, samples: int = 801, pitch_um: float = 0.1) -> tu
     x_um = pitch_um * (np.arange(samples) - middle)
     along = psf[middle, middle:]
     lowest = int(np.argmin(along[: round(1.5 * 0.55 * f_number / pitch_um)]))
-    # The amplitude, √ with its sign, goes straight through zero; the sign of the darkest sample itself is unknown.
+    # The signed amplitude, √ of the intensity, is linear at its zero; the sign of the darkest sample is unknown.
     near = middle + np.r_[lowest - 4 : lowest, lowest + 1 : lowest + 5]
     amplitude = np.sqrt(np.maximum(psf[middle, near], 0)) * np.repeat([1, -1], 4)
     dark_um = brentq(CubicSpline(x_um[near], amplitude), x_um[middle + lowest - 1], x_um[middle + lowest + 1])
@@ -180,52 +174,45 @@ def airy(f_number: float = 4.0, samples: int = 801, pitch_um: float = 0.1) -> tu
 def rows(full: bool = False) -> list[dict[str, object]]:
     short, slope, at_zero, left = isetcam_line()
     zero, inside = airy()
-    mtf = np.concatenate([from_isetcam_mtf(each) for each in (450, 550, 650)])
-    integral = [from_quadrature(*each) for each in QUADRATURE]
+    mtf = np.concatenate([from_isetcam_mtf(nm) for nm in (450, 550, 650)])
+    integral = [from_quadrature(*lens) for lens in QUADRATURE]
     path = "Mitsuba: disc over a white plane"
-    found = [
-        row("illuminance, ISETCam short of it", "ISETCam", 1e-4, 9e-4, short),
-        row("… a stop number (border padding)", "ISETCam", 1.0165e-4, 1.1235e-4, slope, "{:.3e}"),
-        row("… at N = 0", "ISETCam", -3e-5, 3e-5, at_zero),
-        row("… besides", "ISETCam", -1e-5, 1e-5, left),
+    table = [
+        row("1 - ISETCam's illuminance/pixsim's", "ISETCam", 1e-4, 9e-4, short),
+        row("… slope per unit of f-number (border padding)", "ISETCam", 1.0165e-4, 1.1235e-4, slope, "{:.3e}"),
+        row("… intercept at N = 0", "ISETCam", -3e-5, 3e-5, at_zero),
+        row("… residuals", "ISETCam", -1e-5, 1e-5, left),
         row("diffraction MTF, 450, 550, 650 nm", "ISETCam", -1e-14, 1e-14, mtf),
-        row("first dark ring over 1.21967 λN, less 1", "Airy", -2e-4, 2e-4, zero / FIRST_ZERO - 1),
-        row("light within it over 83.78 %, less 1", "Airy", -1e-4, 1e-4, inside / INSIDE_IT - 1),
+        row("radius of the first dark ring / 1.21967 λN - 1", "Airy", -2e-4, 2e-4, zero / FIRST_ZERO - 1),
+        row("encircled light / 83.78 % - 1", "Airy", -1e-4, 1e-4, inside / INSIDE_IT - 1),
         row("E/L, f/0.5 to f/1000, 0 to 60°", "solid angle, quadrature", -1e-9, 1e-9, integral),
-        row("E/L, f/4, 0 to 45°", path, -1e-4, 1e-4, [from_disc(*each) for each in DISCS]),
+        row("E/L, f/4, 0 to 45°", path, -1e-4, 1e-4, [from_disc(*disc) for disc in DISCS]),
         row("picture of a flat field, f/4, centre and border", path, -1e-4, 1e-4, picture_from_disc()),
     ]
     if full:
-        found.append(row("E/L, f/0.5, 0 and 31°", path, -3e-4, 3e-4, [from_disc(*each) for each in FAST_DISCS]))
-    return found
+        table.append(row("E/L, f/0.5, 0 and 31°", path, -3e-4, 3e-4, [from_disc(*disc) for disc in FAST_DISCS]))
+    return table
 
 
-def test_rows():
-    assert not_met(rows()) == []
-
-
-@pytest.mark.judges_full
-def test_rows_in_full():
-    assert not_met(rows(full=True)) == []
-
-
-# --- Each can fail ---
+@pytest.mark.parametrize("full", [False, pytest.param(True, marks=pytest.mark.judges_full)])
+def test_rows_pass(full):
+    assert not_met(rows(full)) == []
 
 
 @pytest.mark.parametrize(("f_number", "angle_deg"), QUADRATURE)
-def test_another_lens_misses_the_integral_over_it(f_number, angle_deg):
-    for stops in (1.0001, 1 / 1.0001)[: 1 if f_number == 0.5 else 2]:  # nothing is faster than f/0.5
+def test_quadrature_other_f_number_fails(f_number, angle_deg):
+    for stops in (1.0001, 1 / 1.0001)[: 1 if f_number == 0.5 else 2]:  # the limit is f/0.5
         assert abs(from_quadrature(f_number, angle_deg, lambda n, t, s=stops: optics.irradiance_factor(n * s, t))) > 1e-5
 
 
-def test_the_rule_of_thumb_misses_the_integral():
-    # Its next term is of the order of tan²α tan²θ: seen even at f/32.
+def test_quadrature_cosine_fourth_fails():
+    # The next term is of the order of tan²α tan²θ, detectable even at f/32.
     for f_number in (0.5, 4.0, 32.0):
         assert abs(from_quadrature(f_number, 45.0, cosine_fourth)) > 1e-6
 
 
 @pytest.mark.parametrize("disc", DISCS)
-def test_another_lens_misses_the_irradiance_under_a_disc(disc):
+def test_disc_other_lens_fails(disc):
     for stops in (1.0002, 1 / 1.0002):  # 0.02 % in N is 0.04 % in E
         assert abs(from_disc(*disc, lambda n, t, s=stops: optics.irradiance_factor(n * s, t))) > 1e-4
     if disc[1]:
@@ -235,17 +222,17 @@ def test_another_lens_misses_the_irradiance_under_a_disc(disc):
 
 @pytest.mark.judges_full
 @pytest.mark.parametrize("disc", FAST_DISCS)
-def test_another_lens_misses_the_irradiance_under_a_disc_as_wide_as_it_is_far(disc):
+def test_fast_disc_other_lens_fails(disc):
     assert abs(from_disc(*disc, lambda n, t: optics.irradiance_factor(n * 1.001, t))) > 3e-4
 
 
-def test_another_picture_of_a_flat_field_is_not_lit_as_under_a_disc():
-    assert 0.6 < flat_field()[2] < 0.8  # so that the border means something
+def test_flat_field_other_luminance_fails():
+    assert 0.6 < flat_field()[2] < 0.8  # far enough off the axis
     for wrong in ({"luminance_cd_per_m2": 100.02}, {"luminance_cd_per_m2": 99.98}, {"magnification": 0.0}):
         assert np.abs(picture_from_disc(**wrong)).min() > 1e-4
 
 
-def test_the_magnification_counts_whatever_its_sign():
+def test_irradiance_factor_ignores_sign_of_magnification():
     with np.load(ISETCAM) as file:
         expected = optics.irradiance_factor(file["optics_irr_fnumber"], 0.0, file["optics_irr_mag"])
         working = file["optics_irr_fnumber"] * (1 + np.abs(file["optics_irr_mag"]))
@@ -253,27 +240,27 @@ def test_the_magnification_counts_whatever_its_sign():
 
 
 @pytest.mark.parametrize("wrong", [{"magnification_sign": -1.0}, {"magnification_sign": 0.0}, {"stops": 1.001}, {"stops": 0.999}])
-def test_another_lens_misses_isetcams_illuminance(wrong):
+def test_isetcam_illuminance_other_lens_fails(wrong):
     short, _, at_zero, left = isetcam_line(**wrong)
     assert not np.all((short > 1e-4) & (short < 9e-4))
     assert abs(at_zero) > 3e-5 or np.abs(left).max() > 1e-5
 
 
 @pytest.mark.parametrize("nm", [450, 550, 650])
-def test_another_lens_misses_isetcams_mtf(nm):
+def test_isetcam_mtf_other_f_number_fails(nm):
     # Half a percent in N would be 3e-3.
     for wrong in (4.02, 3.98):
         assert 1e-3 < np.abs(from_isetcam_mtf(nm, wrong)).max() < 1e-2
 
 
 @pytest.mark.parametrize("stops", [1.001, 1 / 1.001])
-def test_another_lens_has_another_airy_disc(stops):
+def test_airy_other_f_number_fails(stops):
     assert abs(airy(4.0 * stops)[0] / FIRST_ZERO - 1) > 2e-4
-    # A ring that is dark has the same light within it a little further in or out: third order, so only a far lens shows.
+    # Encircled light is stationary at a dark ring (third order), so only a very different lens changes it.
     assert abs(airy(4.0 * stops**100)[1] / INSIDE_IT - 1) > 1e-4
 
 
-def test_a_square_pupil_has_no_airy_disc(monkeypatch):
+def test_airy_square_pupil_fails(monkeypatch):
     def along_x_and_y(frequency, wavelength_nm, f_number):
         return np.maximum(1 - np.abs(frequency) / optics.cutoff_cy_per_mm(wavelength_nm, f_number), 0)
 

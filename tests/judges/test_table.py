@@ -1,4 +1,4 @@
-"""The table of judges: what its gates refuse, and that it fails when one judge does."""
+"""The table of judges: its gates, and that it fails if a judge fails."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from judges import table
 from judges.gates import not_met, row
 
 
-def test_a_gate_has_two_sides():
-    assert [row("j", "s", -1, 2, each)["met"] for each in (-1.1, -1, 0, 2, 2.1, np.nan, [0, 3], [0, np.nan])] == [
+def test_row_gate_has_two_sides():
+    assert [row("j", "s", -1, 2, value)["met"] for value in (-1.1, -1, 0, 2, 2.1, np.nan, [0, 3], [0, np.nan])] == [
         False, True, True, True, False, False, False, False
     ]  # fmt: skip
 
 
-def test_a_row_tells_its_gate_and_both_ends():
-    found = row("map", "code", -1e-9, 1e-9, [-2e-13, 1e-13])
-    assert (found["gate"], found["measured"]) == ("±1e-09", "-2.0e-13 … 1.0e-13")
+def test_row_states_gate_and_range():
+    line = row("map", "code", -1e-9, 1e-9, [-2e-13, 1e-13])
+    assert (line["gate"], line["measured"]) == ("±1e-09", "-2.0e-13 … 1.0e-13")
     assert row("map", "code", 0.9975, 1, 1.0, "{:.4f}")["measured"] == "1.0000"
 
 
-def test_a_judge_without_a_verdict_does_not_pass():
+def test_not_met_without_rows_raises():
     with pytest.raises(AssertionError):
         not_met([])
 
 
-def test_the_table_holds_every_judge_and_fails_with_one(tmp_path, monkeypatch, capsys):
+def test_main_prints_all_judges_and_fails_with_one(tmp_path, monkeypatch, capsys):
     for name, body in {
         "fine": "def rows(): return [row('a|b', 's', 0, 1, 0.5)]",
         "deep": "def rows(full=False): return [row('deep' if full else 'quick', 's', 0, 1, 0.5)]",
@@ -38,11 +38,11 @@ def test_the_table_holds_every_judge_and_fails_with_one(tmp_path, monkeypatch, c
     monkeypatch.setenv(table.FOLDER_VARIABLE, str(tmp_path))
     monkeypatch.setattr(table, "judges", lambda: ["test_made_up_fine", "test_made_up_deep", "test_made_up_silent"])
     assert table.main([]) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert told[0] == "| judge | standard | gate | measured | met |"
-    assert told[2] == "| a\\|b | s | 0 … 1 | 5.0e-01 | yes |"
-    assert len(told) == 4
-    assert "| quick |" in told[3]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "| judge | standard | gate | measured | met |"
+    assert lines[2] == "| a\\|b | s | 0 … 1 | 5.0e-01 | yes |"
+    assert len(lines) == 4
+    assert "| quick |" in lines[3]
     assert table.main(["--full"]) == 0
     assert "| deep |" in capsys.readouterr().out
     monkeypatch.setattr(sys.modules["test_made_up_fine"], "rows", lambda: [row("a", "s", 0, 1, 1.5)])
@@ -51,19 +51,23 @@ def test_the_table_holds_every_judge_and_fails_with_one(tmp_path, monkeypatch, c
     assert table.main(["--quick"]) == 2
 
 
-def test_every_judge_here_is_found():
+def test_judges_lists_modules():
     names = table.judges()
     assert {"test_scielab_judge", "test_optics_judge", "test_monte_carlo_judge"} <= set(names)
     assert names == sorted(names)
 
 
-def test_the_short_table_tells_the_worst_of_each_quantity():
-    """A range that leaves out its ends, or a failure that is averaged away, would make the table of docs/judges.md worthless."""
+def test_condensed_keeps_extremes_and_failures():
+    """The range includes its extremes, and one failed row makes the merged row fail."""
 
-    def own(judge, measured, met=True):
+    def entry(judge, measured, met=True):
         return {"judge": judge, "standard": "ISO 15739", "gate": "within 0.5 %", "measured": measured, "met": met}
 
-    rows = [own("noise at 2 % of the well: a", "+0.10 %"), own("noise at 60 % of the well: b", "-0.30 %"), own("other: a", "7 %")]
+    rows = [
+        entry("noise at 2 % of the well: a", "+0.10 %"),
+        entry("noise at 60 % of the well: b", "-0.30 %"),
+        entry("other: a", "7 %"),
+    ]
     short = table.condensed(rows)
-    assert [(each["judge"], each["measured"]) for each in short] == [("noise, 2 cases", "-0.3 … +0.1 %"), ("other: a", "7 %")]
-    assert not table.condensed([*rows, own("noise at 13 % of the well: c", "+0.9 %", met=False)])[0]["met"]
+    assert [(line["judge"], line["measured"]) for line in short] == [("noise, 2 cases", "-0.3 … +0.1 %"), ("other: a", "7 %")]
+    assert not table.condensed([*rows, entry("noise at 13 % of the well: c", "+0.9 %", met=False)])[0]["met"]

@@ -1,4 +1,4 @@
-"""The data sheet: estimators against closed forms, the experiment, the command, and what it says where it cannot measure."""
+"""The data sheet: estimators against closed forms, the experiment, and the command with its error messages."""
 
 import json
 import math
@@ -22,14 +22,12 @@ from pixsim.measure.estimators import (
     Series,
     Stack,
     doubling_k,
-    dsnu_e,
     exposure_at_snr,
     linearity,
     noise_15739,
     pair,
     parts,
     photon_transfer,
-    prnu,
     saturation_index,
     signal_at_snr_e,
     slope_through_origin,
@@ -50,41 +48,37 @@ def sheet() -> DataSheet:
 
 
 def by_symbol(sheet: DataSheet) -> dict[str, Entry]:
-    return {each.symbol: each for each in entries(sheet)}
+    return {entry.symbol: entry for entry in entries(sheet)}
 
 
-# --- frames ---
-
-
-def test_a_pair_tells_the_temporal_variance_and_no_pattern_or_drift() -> None:
+def test_pair_with_pattern_and_drift_gives_temporal_variance() -> None:
     rng = stream("test pair")
     pattern = 100 * rng.standard_normal((300, 300))
     first, second = (np.rint(5000 + pattern + drift + 7 * rng.standard_normal(pattern.shape)).astype(np.int32) for drift in (0, 20))
-    found = pair(first, second)
-    assert found.variance_dn2 == pytest.approx(49 + 1 / 12, rel=5 * math.sqrt(2 / pattern.size))
-    assert found.frame_variance_dn2 == pytest.approx(pattern.var() + 49, rel=0.02)
+    result = pair(first, second)
+    assert result.variance_dn2 == pytest.approx(49 + 1 / 12, rel=5 * math.sqrt(2 / pattern.size))
+    assert result.frame_variance_dn2 == pytest.approx(pattern.var() + 49, rel=0.02)
 
 
-def test_a_stack_is_the_mean_and_variance_of_its_frames() -> None:
+def test_stack_matches_numpy_mean_and_variance() -> None:
     frames = stream("test stack").integers(0, 2**24, (5, 3, 4)).astype(np.int32)
-    found = stack(frames)
-    np.testing.assert_allclose(found.mean_dn, frames.mean(axis=0), rtol=1e-14)
-    np.testing.assert_allclose(found.variance_dn2, frames.var(axis=0, ddof=1), rtol=1e-12)
+    result = stack(frames)
+    np.testing.assert_allclose(result.mean_dn, frames.mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(result.variance_dn2, frames.var(axis=0, ddof=1), rtol=1e-12)
     with pytest.raises(PixsimError, match="frames of a stack: got 1"):
         stack(frames[:1])
+    with pytest.raises(PixsimError, match="frames: got 5"):
+        noise_15739(frames)
 
 
-def test_spatial_variance_splits_into_columns_rows_and_pixels() -> None:
+def test_parts_of_known_maps_recovers_variances() -> None:
     rng = stream("test parts")
     rows, columns = 400, 300
     maps = 3 * rng.standard_normal(columns), 2 * rng.standard_normal((rows, 1)), 5 * rng.standard_normal((rows, columns))
-    found = [each.value for each in parts(Stack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
-    assert found[:2] == pytest.approx([maps[0].var(), maps[1].var()], rel=0.03)
-    assert found[2] == pytest.approx(25, rel=0.02)
-    assert sum(found) == pytest.approx(sum(maps).var(ddof=1), rel=1e-2)
-
-
-# --- estimators, without noise ---
+    variances = [estimate.value for estimate in parts(Stack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
+    assert variances[:2] == pytest.approx([maps[0].var(), maps[1].var()], rel=0.03)
+    assert variances[2] == pytest.approx(25, rel=0.02)
+    assert sum(variances) == pytest.approx(sum(maps).var(ddof=1), rel=1e-2)
 
 
 def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, full_e: float = 9000.0) -> Series:
@@ -94,34 +88,34 @@ def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, ful
     return Series(photons, 50 + gain * electrons, variance, variance)
 
 
-def test_photon_transfer_of_ideal_frames() -> None:
+def test_photon_transfer_ideal_frames_gives_parameters() -> None:
     gain, eta, dark_e2, full_e = 0.4, 0.5, 100.0, 9000.0
-    found = photon_transfer(ideal_light(gain, eta, dark_e2, full_e), 50.0, gain**2 * dark_e2 + 1 / 12, 10_000)
+    result = photon_transfer(ideal_light(gain, eta, dark_e2, full_e), 50.0, gain**2 * dark_e2 + 1 / 12, 10_000)
     threshold_p = (math.sqrt(100 + 1 / 12 / gain**2) + 0.5) / eta
     expected = {
         "gain_dn_per_e": gain, "responsivity_dn_per_p": gain * eta, "efficiency": eta, "dark_noise_e": 10, "saturation_p": 17_600,
         "snr_max": math.sqrt(0.5 * 17_600), "threshold_p": threshold_p, "dynamic_range": 17_600 / threshold_p,
     }  # fmt: skip
-    assert {name: getattr(found, name).value for name in expected} == pytest.approx(expected, rel=1e-12)
-    assert not found.limited
+    assert {name: getattr(result, name).value for name in expected} == pytest.approx(expected, rel=1e-12)
+    assert not result.limited
 
 
-def test_below_a_quarter_of_a_code_squared_the_dark_noise_is_an_upper_bound() -> None:
+def test_photon_transfer_below_quantisation_limit_is_limited() -> None:
     """EMVA 1288: σ_d < 0.40/K, since √(0.24 - 1/12) = 0.396."""
-    found = photon_transfer(ideal_light(), 50.0, 0.2399, 10_000)
-    assert found.limited
-    assert found.dark_noise_e.value * found.gain_dn_per_e.value == pytest.approx(0.3958, abs=1e-4)
+    result = photon_transfer(ideal_light(), 50.0, 0.2399, 10_000)
+    assert result.limited
+    assert result.dark_noise_e.value * result.gain_dn_per_e.value == pytest.approx(0.3958, abs=1e-4)
     assert not photon_transfer(ideal_light(), 50.0, 0.2401, 10_000).limited
 
 
 @pytest.mark.parametrize(
     ("variance", "index"), [([1, 2, 3, 4, 2, 0], 3), ([1, 2, 5, 4.9, 5.2, 4, 0.1, 0.2, 0.1], 4), ([1, 2, 3], 2)]
 )
-def test_saturation_is_the_peak_seen_from_the_bright_side(variance: list[float], index: int) -> None:
+def test_saturation_index_finds_peak_from_bright_side(variance: list[float], index: int) -> None:
     assert saturation_index(np.array(variance)) == index
 
 
-def test_noise_beyond_saturation_is_no_peak() -> None:
+def test_photon_transfer_noise_beyond_saturation_is_ignored() -> None:
     light = ideal_light()
     light.variance_dn2[-4] = 0.02
     light.variance_dn2[-5] = 0.011
@@ -129,8 +123,8 @@ def test_noise_beyond_saturation_is_no_peak() -> None:
     assert photon_transfer(light, 50.0, 16.1, 10_000).saturation_p.value == 17_600
 
 
-def test_linearity_of_a_known_curve() -> None:
-    """y = ax(1 + c·x): the least relative deviations are those of x from its own line, and none for c = 0."""
+def test_linearity_known_curve_gives_its_errors() -> None:
+    """A straight line has no linearity error; y = x(1 - 0.04 x) has a known range of deviations."""
     x = np.arange(1, 51) / 50
     assert linearity(x, 3 * x + 0.2, 49).error < 1e-14
     bent = linearity(x, x * (1 - 0.04 * x), 49)
@@ -139,75 +133,50 @@ def test_linearity_of_a_known_curve() -> None:
     assert bent.within.sum() == 45
 
 
-def test_slopes_and_their_errors_are_those_of_many_repeats() -> None:
+def test_line_fits_standard_errors_match_repeats() -> None:
     rng, x = stream("test slopes"), np.linspace(1, 10, 12)
     error = 0.1 * x
     lines = [(2 * x + error * rng.standard_normal(x.size)) for _ in range(4000)]
     through = [slope_through_origin(x, y, error) for y in lines]
     free = [straight_line(x, y, error) for y in lines]
-    for estimates, true in ((through, 2.0), ([each[0] for each in free], 2.0), ([each[1] for each in free], 0.0)):
-        values = np.array([each.value for each in estimates])
+    for estimates, true in ((through, 2.0), ([estimate[0] for estimate in free], 2.0), ([estimate[1] for estimate in free], 0.0)):
+        values = np.array([estimate.value for estimate in estimates])
         assert values.mean() == pytest.approx(true, abs=4 * values.std() / math.sqrt(values.size))
         assert estimates[0].error == pytest.approx(values.std(), rel=0.05)
 
 
-def test_doubling_temperature_of_an_exact_law() -> None:
+def test_doubling_k_exact_law_is_recovered() -> None:
     kelvin = np.linspace(300, 325, 6)
     current = 7 * 2 ** ((kelvin - 300) / 8)
     assert doubling_k(kelvin, current, 0.01 * current).value == pytest.approx(8, rel=1e-12)
     assert math.isnan(doubling_k(kelvin, current - 8, current).value)
 
 
-def test_a_ratio_carries_both_errors() -> None:
+def test_estimate_ratio_propagates_both_errors() -> None:
     ratio = Estimate(6.0, 0.3) / Estimate(2.0, 0.2)
     assert ratio.value == 3
     assert ratio.error == pytest.approx(3 * math.hypot(0.05, 0.1))
 
 
-def test_stacks_without_temporal_noise_give_the_maps() -> None:
-    rng = stream("test maps")
-    offset, gain = 5 * rng.standard_normal((80, 80)), 1 + 0.02 * rng.standard_normal((80, 80))
-    still = np.zeros((80, 80))
-    dark, bright = Stack(16, 100 + offset, still), Stack(16, 100 + offset + 1000 * gain, still)
-    together = 2 * np.cov(offset.ravel(), 1000 * gain.ravel())[0, 1]
-    assert dsnu_e(dark, Estimate(0.5)).value == pytest.approx(offset.std(ddof=1) / 0.5, rel=1e-12)
-    assert prnu(dark, bright).value == pytest.approx(math.sqrt(1e6 * gain.var(ddof=1) + together) / 1000 / gain.mean(), rel=1e-9)
-
-
-def test_iso_noise_of_known_frames() -> None:
-    rng = stream("test iso")
-    pattern = 3 * rng.standard_normal((200, 200))
-    frames = pattern + 4 * rng.standard_normal((8, 200, 200))
-    temporal, fixed, total = noise_15739(frames)
-    assert temporal.value == pytest.approx(4, abs=4 * temporal.error)
-    assert fixed.value == pytest.approx(pattern.std(ddof=1), abs=4 * fixed.error)
-    assert total.value == pytest.approx(math.hypot(temporal.value, fixed.value), rel=1e-12)
-    with pytest.raises(PixsimError, match="frames: got 7"):
-        noise_15739(frames[:7])
-
-
 @pytest.mark.parametrize("wanted", [10.0, 40.0])
-def test_the_exposure_of_a_signal_to_noise_ratio(wanted: float) -> None:
+def test_exposure_at_snr_matches_closed_form(wanted: float) -> None:
     signal = np.geomspace(1, 1e5, 4000)
     noise = np.sqrt(signal + 500 + (0.01 * signal) ** 2)
-    found = exposure_at_snr(signal / 7, signal, noise, wanted, 0.01)
-    assert found.value * 7 == pytest.approx(signal_at_snr_e(wanted, 500, 0.01), rel=1e-5)
+    result = exposure_at_snr(signal / 7, signal, noise, wanted, 0.01)
+    assert result.value * 7 == pytest.approx(signal_at_snr_e(wanted, 500, 0.01), rel=1e-5)
     assert math.isnan(exposure_at_snr(signal, signal, noise, 99.99, 0.01).value)
     assert math.isnan(signal_at_snr_e(100.0, 500, 0.01))
 
 
-# --- what frames are expected to be ---
-
-
-def test_moments_of_a_clipped_normal() -> None:
-    """Clipped in the middle: mean -σ/√(2π), second moment σ²/2."""
+def test_clipped_moments_at_the_mean_closed_form() -> None:
+    """Clipped at the mean: first moment -σ/√(2π), second moment σ²/2."""
     first, second = clipped_moments(np.zeros(1), 3.0, 0.0)
     assert first[0] == pytest.approx(-3 / math.sqrt(2 * math.pi))
     assert second[0] == pytest.approx(4.5)
     assert clipped_moments(np.array([2.0]), 0.0, 1.0) == (1.0, 1.0)
 
 
-def test_expected_moments_are_the_closed_forms_away_from_the_well() -> None:
+def test_expected_moments_below_full_well_closed_form() -> None:
     physics = derive(Pixel(pitch_um=6.5, bits=14, black_level_dn=300))
     mean, variance = expected_moments(3e4, 0.03, physics)
     assert mean == pytest.approx(frame_mean_dn(3e4, 0.03, physics), rel=1e-9)
@@ -216,38 +185,35 @@ def test_expected_moments_are_the_closed_forms_away_from_the_well() -> None:
 
 @pytest.mark.parametrize("share", [0.94, 0.97, 1.0, 1.02])
 @pytest.mark.parametrize("options", [{}, {"well_limit": "diode"}, {"conversion": "junction"}])
-def test_expected_moments_are_those_of_frames_at_the_well(share: float, options: dict[str, str]) -> None:
+def test_expected_moments_near_full_well_match_frames(share: float, options: dict[str, str]) -> None:
     pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 14, "black_level_dn": 400} | options)
     physics = derive(pixel)
     mean_e = share * physics.full_well_e
     sensor = sample_sensor(physics, (400, 400), stream("test moments"))
     frames = [read_out(np.full(sensor.shape, mean_e), 0.03, sensor, stream("test moments", share, index)) for index in range(2)]
     mean, variance = expected_moments(mean_e, 0.03, physics)
-    found = pair(*frames)
-    assert found.mean_dn == pytest.approx(mean, rel=3e-4)
-    assert found.variance_dn2 == pytest.approx(variance, rel=0.05)
+    result = pair(*frames)
+    assert result.mean_dn == pytest.approx(mean, rel=3e-4)
+    assert result.variance_dn2 == pytest.approx(variance, rel=0.05)
 
 
-# --- the experiment ---
-
-
-def test_the_black_level_leaves_six_sigma_and_is_kept_where_it_does() -> None:
+def test_make_experiment_black_level_is_at_least_six_sigma() -> None:
     made = make_experiment(Pixel(pitch_um=5.3, bits=12))
     physics = made.physics
     black_e = physics.pixel.black_level_dn / physics.dn_per_e
     assert 6 * dark_spread_e(physics, 0.03) <= black_e < 6.5 * dark_spread_e(physics, 0.03)
-    own = make_experiment(Pixel(pitch_um=5.3, bits=12, black_level_dn=100.5))
-    assert own.physics.pixel.black_level_dn == 100.5
-    assert least_black_level_dn(own.physics, 0.03) < 100
+    given = make_experiment(Pixel(pitch_um=5.3, bits=12, black_level_dn=100.5))
+    assert given.physics.pixel.black_level_dn == 100.5
+    assert least_black_level_dn(given.physics, 0.03) < 100
 
 
 @pytest.mark.parametrize("pixel", [{"bits": 1}, {"bits": 2}, {"bits": 12, "read_noise_e": 1e7}])
-def test_no_room_for_a_black_level_is_told(pixel: dict[str, float]) -> None:
+def test_make_experiment_too_few_bits_raises(pixel: dict[str, float]) -> None:
     with pytest.raises(PixsimError, match=r"pixel\.bits: got .*black level of 6 σ"):
         make_experiment(Pixel.model_validate(pixel))
 
 
-def test_the_light_is_where_the_response_peaks_and_seen_by_the_whole_pixel() -> None:
+def test_make_experiment_default_wavelength_is_peak_response() -> None:
     for technology in ("0.35um", "4t-bsi"):
         physics = derive(Pixel(technology=technology, infrared_cut_nm=650))
         peak = peak_wavelength_nm(physics)
@@ -257,7 +223,7 @@ def test_the_light_is_where_the_response_peaks_and_seen_by_the_whole_pixel() -> 
         make_experiment(Pixel(), wavelength_nm=900)
 
 
-def test_exposures_pass_saturation_and_too_much_dark_charge_is_refused() -> None:
+def test_make_experiment_exposures_exceed_saturation() -> None:
     made = make_experiment(Pixel(pitch_um=5.3))
     assert made.photons.size == EXPOSURES >= 40
     assert 1.05 < made.photons[-1] * made.efficiency / made.physics.full_well_e < 1.15
@@ -267,9 +233,9 @@ def test_exposures_pass_saturation_and_too_much_dark_charge_is_refused() -> None
         make_experiment(Pixel(), Exposure(integration_s=1000))
 
 
-def test_one_individual_and_a_stream_for_each_frame() -> None:
+def test_experiment_frames_depend_on_seed_and_key_only() -> None:
     made, again, other = (make_experiment(Pixel(), seed=seed, shape=(20, 20)) for seed in (3, 3, 4))
-    frames = [each.frame(1e4, 0.03, "a") for each in (made, again, other)]
+    frames = [experiment.frame(1e4, 0.03, "a") for experiment in (made, again, other)]
     np.testing.assert_array_equal(frames[0], frames[1])
     assert (frames[0] != frames[2]).any()
     assert (made.frame(1e4, 0.03, "b") != frames[0]).any()
@@ -278,45 +244,42 @@ def test_one_individual_and_a_stream_for_each_frame() -> None:
     assert warm.physics.dark_current_e_per_s == pytest.approx(2 * made.physics.dark_current_e_per_s, rel=1e-6)
 
 
-def test_a_quiet_pixel_in_the_cold_can_be_measured() -> None:
-    """Nothing varies but photons: no maps, no dark charge, no read noise."""
+def test_make_datasheet_noiseless_pixel_is_finite() -> None:
+    """A pixel with shot noise alone: no fixed pattern, dark charge or read noise."""
     pixel = Pixel.model_validate({"technology": "4t-bsi", "pitch_um": 2.0, "read_noise_e": 0, "dark_current_e_per_s": 0} | QUIET)
     sheet = make_datasheet(pixel, shape=(60, 60), stack_frames=8)
-    found = by_symbol(sheet)
+    lines = by_symbol(sheet)
     assert sheet.transfer.limited
-    assert found["K"].measured == pytest.approx(found["K"].true, rel=0.02)
-    assert "ϑ_d" not in found
-    assert found["η"].measured > MIN_FRACTION
+    assert lines["K"].measured == pytest.approx(lines["K"].true, rel=0.02)
+    assert "ϑ_d" not in lines
+    assert lines["η"].measured > MIN_FRACTION
 
 
-# --- the sheet ---
+def test_entries_measured_within_standard_errors(sheet: DataSheet) -> None:
+    for entry in entries(sheet):
+        assert math.isfinite(entry.measured), entry.symbol
+        assert abs(entry.measured - entry.true) <= 4.5 * entry.standard_error, entry
 
 
-def test_what_is_measured_is_true_within_its_error(sheet: DataSheet) -> None:
-    for each in entries(sheet):
-        assert math.isfinite(each.measured), each.symbol
-        assert abs(each.measured - each.true) <= 4.5 * each.standard_error, each
-
-
-def test_standard_errors_are_those_of_repeats() -> None:
-    """Individuals and frames from ten seeds: the scatter of what is measured about what is true, in its own errors."""
+def test_entries_standard_errors_match_repeats() -> None:
+    """Devices from ten seeds: the deviations from the true values in units of the standard errors."""
     sheets = [make_datasheet(Pixel(pitch_um=5.3, bits=12), seed=seed, shape=(60, 60), stack_frames=16) for seed in range(10)]
-    tables = [by_symbol(each) for each in sheets]
+    tables = [by_symbol(sheet_) for sheet_ in sheets]
     for symbol in ("K", "η", "σ_d", "μ_I.mean", "μ_I.var", "DSNU_1288", "PRNU_1288", "σ_temp", "σ_fp", "σ_total", "ϑ_d"):
         pulls = np.array([(t[symbol].measured - t[symbol].true) / t[symbol].standard_error for t in tables])
         assert 0.4 < math.sqrt(np.mean(pulls**2)) < 1.8, (symbol, pulls)
 
 
-def test_junction_conversion_shows_in_the_linearity() -> None:
+def test_make_datasheet_junction_conversion_raises_linearity_error() -> None:
     pixel = Pixel(pitch_um=6.5, bits=12, conversion="junction")
     bent = make_datasheet(pixel, shape=(60, 60), stack_frames=8)
-    found = by_symbol(bent)
-    assert found["LE"].measured == pytest.approx(found["LE"].true, rel=0.05)
-    assert found["LE"].measured > 0.5
+    lines = by_symbol(bent)
+    assert lines["LE"].measured == pytest.approx(lines["LE"].true, rel=0.05)
+    assert lines["LE"].measured > 0.5
     assert any("linear model" in note for note in bent.notes)
 
 
-def test_a_spectrogram_of_white_noise_is_level_at_its_variance() -> None:
+def test_spectrogram_white_noise_is_flat() -> None:
     white = 3 * stream("test spectrogram").standard_normal((400, 300))
     for axis in (0, 1):
         frequency, power = spectrogram(white, axis)
@@ -324,41 +287,38 @@ def test_a_spectrogram_of_white_noise_is_level_at_its_variance() -> None:
         assert power[1:].mean() == pytest.approx(9, rel=0.02)
 
 
-def test_the_peak_of_the_variance_is_below_the_well_by_the_spread_of_the_gain() -> None:
+def test_variance_peak_e_gain_spread_lowers_peak() -> None:
     even = derive(Pixel.model_validate({"pitch_um": 15.0, "bits": 14, "black_level_dn": 300} | QUIET))
     uneven = derive(Pixel(pitch_um=15.0, bits=14, black_level_dn=300))
-    peaks = [variance_peak_e(each, 0.03, 1.1 * each.full_well_e) / each.full_well_e for each in (even, uneven)]
+    peaks = [variance_peak_e(physics, 0.03, 1.1 * physics.full_well_e) / physics.full_well_e for physics in (even, uneven)]
     assert 0.99 < peaks[0] < 1
     assert 1 - 4 * uneven.prnu < peaks[1] < 1 - uneven.prnu
 
 
-# --- the command ---
-
-
-def test_the_command_writes_the_same_sheet_from_options_and_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = partial(datasheet.make_datasheet, shape=(100, 100), stack_frames=16)  # a quarter of the pixels, of the stacks' frames
+def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = partial(datasheet.make_datasheet, shape=(100, 100), stack_frames=16)  # a quarter of the pixels and frames, for speed
     monkeypatch.setattr(datasheet, "make_datasheet", few)
     file, folders = tmp_path / "sensor.toml", [tmp_path / "a", tmp_path / "b"]
     file.write_text("[pixel]\ntechnology = '0.35um'\npitch_um = 6.5\n", encoding="utf-8")
     code, out, err = command(f"datasheet 0.35um --pixel.pitch-um 15 --seed 3 --json --out {folders[0]}")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["quantisation_limited"]
-    assert any("quantisation-limited" in note for note in told["notes"])
-    assert any("black level raised from 0" in note for note in told["notes"])
+    summary = json.loads(out)
+    assert summary["quantisation_limited"]
+    assert any("quantisation-limited" in note for note in summary["notes"])
+    assert any("black level raised from 0" in note for note in summary["notes"])
     code, out, err = command(f"datasheet {file} --pixel.pitch-um 15 --seed 3 --out {folders[1]}")
     assert code == 0, err
     assert out.startswith("0.35um, 15 µm pixels, 10 bits")
     assert "DSNU_1288" in out
-    assert {each.name for each in folders[0].iterdir()} == FILES
+    assert {path.name for path in folders[0].iterdir()} == FILES
     names = [path.relative_to(folders[0]) for path in folders[0].rglob("*") if path.is_file()]
     assert len(names) == 3 + 2 * 8
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name
 
 
-def test_a_folder_that_cannot_be_is_refused_before_the_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(datasheet, "make_datasheet", lambda *_, **__: pytest.fail("measured"))
+def test_datasheet_command_bad_folder_fails_before_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(datasheet, "make_datasheet", lambda *_, **__: pytest.fail("measured before the check of the folder"))
     (tmp_path / "file").touch()
     code, out, err = command(f"datasheet 0.35um --out {tmp_path / 'file'}")
     assert (code, out) == (2, "")
@@ -366,7 +326,7 @@ def test_a_folder_that_cannot_be_is_refused_before_the_measurement(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "message"),
     [
         ("datasheet 0.35um --pixel.technology 4t-bsi", "give one of them"),
         ("datasheet nothing", "technology: got 'nothing'"),
@@ -376,28 +336,28 @@ def test_a_folder_that_cannot_be_is_refused_before_the_measurement(tmp_path: Pat
         ("datasheet --exposure.integration-s 1e6", "exposure.integration_s"),
     ],
 )
-def test_what_cannot_be_measured_is_told_in_one_message(
-    line: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_datasheet_command_invalid_input_prints_one_message(
+    line: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     code, out, err = command(line)
     assert (code, out) == (2, "")
-    assert told in err
+    assert message in err
     assert not list(tmp_path.iterdir())
 
 
 @needs_browser
-def test_a_browser_shows_and_prints_it(sheet: DataSheet, tmp_path: Path) -> None:
+def test_datasheet_report_fits_browser_and_print(sheet: DataSheet, tmp_path: Path) -> None:
     page = write_datasheet(sheet, tmp_path / "out")
     assert_fits(page, tmp_path)
-    told = ["Data sheet", sheet_name(sheet).split("-")[1], "μ_p.sat", "Data (CSV)"]
-    assert_prints(page, tmp_path, range(4, 9), told, ["Measured and true", "Figures", "How it was made"])
+    texts = ["Data sheet", sheet_name(sheet).split("-")[1], "μ_p.sat", "Data (CSV)"]
+    assert_prints(page, tmp_path, range(4, 9), texts, ["Measured and true", "Figures", "How it was made"])
 
 
-def test_lines_of_its_figures_are_told_apart_in_grey(sheet: DataSheet) -> None:
+def test_datasheet_plates_lines_differ_in_greyscale(sheet: DataSheet) -> None:
     for plate in datasheet_plates(sheet):
         for axes in plate.figure.axes:
             assert axes.get_xlabel()
             assert axes.get_ylabel()
-            looks = [grey_look(each) for each in axes.get_legend().get_lines()] if axes.get_legend() else []
+            looks = [grey_look(line) for line in axes.get_legend().get_lines()] if axes.get_legend() else []
             assert len(set(looks)) == len(looks), plate.name

@@ -1,4 +1,4 @@
-"""Light from none to more than any well holds: electrons and codes against closed forms and exact sums over counts."""
+"""Light from zero to far beyond saturation: electrons and codes against closed forms and exact sums over counts."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from pixsim.sensor.pixel import PixelPhysics, derive
 STORED = 2e-7  # the irradiance is stored in float32
 LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
 ELECTRON_MEANS = np.array([1e-6, 1e-3, 1.0, 30.0, 1e4, 0.99e9, 1.01e9, 1e12, 1e15])
-# One band at 555 nm, where the closed form needs no table: 683.002 lm/W by definition, λ/hc photons a joule.
+# One band at 555 nm, where the closed form needs no table: 683.002 lm/W by definition, λ/hc photons per joule.
 GREEN_NM, WIDTH_NM, LM_PER_W = 555.0, 10.0, 683.002
 PHOTONS_PER_J = 555e-9 / (6.62607015e-34 * 299792458.0)
 PITCH_UM, TIME_S = 5.0, 0.01
 CAMERA = Camera(die_mm=0.08)
-# No noise but that of photons, QE ½, photodiode of half the pixel, a code for each of 2^16 - 1 electrons.
+# Shot noise alone, QE 0.5, fill factor 0.5, one code per electron up to 2^16 - 1.
 CLEAN: dict[str, Any] = QUIET | {
     "quantum_efficiency": 0.5,
     "fill_factor": 0.5,
@@ -37,12 +37,12 @@ CLEAN: dict[str, Any] = QUIET | {
 
 
 def cases() -> Iterator[Case]:
-    for each in (_shot_noise, _levels, _automatic_exposure, _contrast, _darkness, _saturation):
-        yield from each()
+    for group in (_shot_noise, _levels, _automatic_exposure, _contrast, _darkness, _saturation):
+        yield from group()
 
 
 def scene(picture: Array, luminance_cd_per_m2: float, diffraction: bool = False) -> SpectralImage:
-    """A picture of green light of which 1 is that luminance, behind `CAMERA` without fall-off."""
+    """A picture in green light behind `CAMERA` without fall-off; 1 is the given luminance."""
     radiance = luminance_cd_per_m2 / LM_PER_W / WIDTH_NM
     spectrum = [[radiance * float(irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))]]
     header = {"diffraction": diffraction}
@@ -50,13 +50,13 @@ def scene(picture: Array, luminance_cd_per_m2: float, diffraction: bool = False)
 
 
 def electrons(luminance_cd_per_m2: Any, time_s: float = TIME_S) -> Any:
-    """Mean electrons of a pixel of `CLEAN`, by hand: L · π sin²α · A · t · λ/hc · QE / K(λ)."""
+    """Mean electrons of a pixel of `CLEAN`: L · π sin²α · A · t · λ/hc · QE / K(λ)."""
     sin2 = 1 / (1 + 4 * (CAMERA.f_number * (1 + CAMERA.magnification)) ** 2)
     watts = luminance_cd_per_m2 / LM_PER_W * math.pi * sin2 * 0.5 * (PITCH_UM * 1e-6) ** 2
     return watts * PHOTONS_PER_J * 0.5 * time_s
 
 
-def taken(image: SpectralImage, physics: PixelPhysics, exposure: Exposure, seed: int = 0) -> sensors.Frame:
+def captured(image: SpectralImage, physics: PixelPhysics, exposure: Exposure, seed: int = 0) -> sensors.Frame:
     rate = mean_signal_rate(image, CAMERA, physics)
     sensor = sensors.sample_sensor(physics, rate.shape, np.random.default_rng(seed))
     return sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(seed + 1))
@@ -68,87 +68,81 @@ def _shot_noise() -> Iterator[Case]:
     for seed, mean_e in enumerate(ELECTRON_MEANS):
         counts = sensors.shot_noise(np.full(n, mean_e), np.random.default_rng(seed))
         means.append((counts.mean() - mean_e) / math.sqrt(mean_e / n))
-        # Fourth moment of a Poisson count: m + 3m². Its variance then is spread by √((m + 2m²)/n).
+        # The fourth moment of a Poisson count is m + 3m², so its sample variance has the standard error √((m + 2m²)/n).
         variances.append((np.mean((counts - mean_e) ** 2) - mean_e) / math.sqrt((mean_e + 2 * mean_e**2) / n))
     name = "electrons 1e-6 … 1e15, 200 000 pixels each: {}, in standard errors"
-    # A mean of 1e-6 gives 0.2 electrons in all pixels together: three or more of them are beyond the gate.
+    # A mean of 1e-6 gives 0.2 electrons in all pixels together; three or more exceed the limit.
     rare = ", 1e-3 at a mean of 1e-6"
     yield compare_drawn(name.format("mean"), 0.0, means, 1.0, "the Poisson mean", rare)
     yield compare_drawn(name.format("variance"), 0.0, variances, 1.0, "the Poisson variance is the mean", rare)
     counts = sensors.shot_noise(np.full(n, 3.0), np.random.default_rng(77))
-    found = np.array([np.mean(counts == k) for k in range(12)])
+    shares = np.array([np.mean(counts == k) for k in range(12)])
     exact = poisson.pmf(np.arange(12), 3.0)
     error = np.sqrt(exact * (1 - exact) / n)
-    yield compare_drawn("shares of 0 … 11 electrons at a mean of 3", exact, found, error, "exp(-3) 3^k / k!", ", each of 12")
+    yield compare_drawn("shares of 0 … 11 electrons at a mean of 3", exact, shares, error, "exp(-3) 3^k / k!", ", each of 12")
 
 
 def _levels() -> Iterator[Case]:
-    """An even field, from starlight through dust to a laser in focus."""
+    """A uniform field from 1e-9 to 1e12 cd/m²."""
     physics = derive(Pixel(**CLEAN))
     exposure = Exposure(integration_s=TIME_S)
-    frames = [taken(scene(np.ones((16, 16)), each), physics, exposure) for each in LUMINANCES_CD_PER_M2]
+    frames = [captured(scene(np.ones((16, 16)), luminance), physics, exposure) for luminance in LUMINANCES_CD_PER_M2]
     expected = electrons(LUMINANCES_CD_PER_M2)
     got = [frame.mean_e[7, 7] for frame in frames]
-    yield compare("mean electrons of an even field of 1e-9 … 1e12 cd/m²", expected, got, STORED, "L π sin²α A t QE λ/hc; float32")
-    # Counts beyond the well read the top code; the mean of min(n, well) is summed over all counts, or is the well.
-    clipped = np.array([_mean_of_clipped(mean_e, 65_535) for mean_e in expected])
+    yield compare("mean electrons of a uniform field of 1e-9 … 1e12 cd/m²", expected, got, STORED, "L π sin²α A t QE λ/hc; float32")
+    # Counts beyond the full well read the top code: E min(n, well) = Σ_{k<well} P(n > k) for Poisson counts.
+    clipped = np.array([poisson.sf(np.arange(65_535), mean_e).sum() for mean_e in expected])
     spread = np.sqrt(np.minimum(expected, 65_535) / 256) + 1e-9
-    name, source = "mean code of the same, one code an electron", "Σ min(n, well) P(n) over Poisson counts"
+    name, source = "mean code of a uniform field, one code per electron", "Σ min(n, well) P(n) over Poisson counts"
     yield compare_drawn(name, clipped, [f.dn.mean() for f in frames], spread, source, ", each of 22")
 
 
-def _mean_of_clipped(mean_e: float, top: int) -> float:
-    """E min(n, top) = Σ_{k<top} P(n > k) of a Poisson count, summed over k."""
-    if mean_e > 2 * top:
-        return float(top)
-    return float(poisson.sf(np.arange(top), mean_e).sum())
-
-
 def _automatic_exposure() -> Iterator[Case]:
-    physics = derive(Pixel(**CLEAN | {"full_well_e": 1000}))  # which 1e-9 cd/m² fill in 25 years
+    physics = derive(Pixel(**CLEAN | {"full_well_e": 1000}))  # filled by 1e-9 cd/m² in 25 years
     exposure = Exposure(max_integration_s=1e9, well_target=0.95)
-    frames = [taken(scene(np.ones((16, 16)), each), physics, exposure) for each in LUMINANCES_CD_PER_M2]
-    source = "well_target · well; rounding of one product"
+    frames = [captured(scene(np.ones((16, 16)), luminance), physics, exposure) for luminance in LUMINANCES_CD_PER_M2]
+    source = "well_target; rounding of one product"
     full = [frame.mean_e.max() / 1000 for frame in frames]
-    yield compare("automatic exposure: the brightest pixel of 1e-9 … 1e12 cd/m²", 0.95, full, ROUNDING, source)
+    yield compare("automatic exposure: brightest pixel over full well, 1e-9 … 1e12 cd/m²", 0.95, full, ROUNDING, source)
     times = [frame.integration_s for frame in frames]
     expected = 0.95 * 1000 / electrons(LUMINANCES_CD_PER_M2, 1.0)
-    source = "well_target · well / electrons a second; float32"
-    yield compare("automatic exposure: the time it takes", expected, times, STORED, source)
-    capped = [taken(scene(np.ones((16, 16)), each), physics, Exposure(max_integration_s=0.1)) for each in (0.0, 1e-9, 1.0)]
-    found = [frame.integration_s for frame in capped]
-    yield compare("automatic exposure: dim or no light takes the longest time", 0.1, found, 0.0, "max_integration_s, exactly")
+    source = "well_target · full well / electrons per second; float32"
+    yield compare("automatic exposure: integration time", expected, times, STORED, source)
+    exposure = Exposure(max_integration_s=0.1)
+    capped = [captured(scene(np.ones((16, 16)), luminance), physics, exposure) for luminance in (0.0, 1e-9, 1.0)]
+    times = [frame.integration_s for frame in capped]
+    yield compare("automatic exposure: maximum integration time for dim or no light", 0.1, times, 0.0, "exactly max_integration_s")
 
 
 def _contrast() -> Iterator[Case]:
     """A bright and a dark half in one picture, 1e10 : 1."""
     halves = np.repeat([[1.0, 1e-10]], [8, 8], axis=1) * np.ones((16, 1))
     physics = derive(Pixel(**CLEAN | {"full_well_e": 1e15}))
-    signal = taken(scene(halves, 1e12), physics, Exposure(integration_s=1.0)).mean_e
+    signal = captured(scene(halves, 1e12), physics, Exposure(integration_s=1.0)).mean_e
     got = [signal[:, :5].max(), signal[:, :5].min(), signal[:, 11:].max(), signal[:, 11:].min()]
     expected = electrons(np.array([1e12, 1e12, 1e2, 1e2]), 1.0)
-    # The quintic spline through the running sum rounds at 1e-16 of the bright half's charge, 1e-6 of the dark one's.
-    source = "each half's own luminance; 1e10 · rounding of the running sum of light"
+    # The rounding of the quintic spline is 1e-16 of the bright half's charge, which is 1e-6 of the dark half's.
+    source = "luminance of each half; 1e10 · rounding of the running sum"
     yield compare("1e10 : 1 in one picture: both halves, 3 pixels from the edge", expected, got, 3e-5, source)
     whole = derive(Pixel(**CLEAN | {"full_well_e": 1e15, "fill_factor": 1.0}))
-    both = [taken(scene(halves, 1e12, each), whole, Exposure(integration_s=1.0)).mean_e.sum() for each in (False, True)]
-    name = "the same behind diffraction, FF 1: all electrons"
+    both = [captured(scene(halves, 1e12, blur), whole, Exposure(integration_s=1.0)).mean_e.sum() for blur in (False, True)]
+    name = "1e10 : 1 with diffraction, FF 1: all electrons"
     yield compare(name, both[0], both[1], ROUNDING, "conservation: OTF(0) = 1; rounding of a transform")
-    blurred = taken(scene(halves, 1e12, diffraction=True), physics, Exposure(integration_s=1.0)).mean_e
-    yield compare("the same: fewest electrons of a pixel", 0.0, min(blurred.min(), 0.0), 0.0, "no count below zero")
-    # Averaged over its rings, the Airy pattern falls as λN/(π³ r³), so a bright strip from a to b away gives
-    # (2 λN/π³)(1/a - 1/b). Mirrored at the borders the bright strips are 80 µm wide, each 160 µm from the next.
+    blurred = captured(scene(halves, 1e12, diffraction=True), physics, Exposure(integration_s=1.0)).mean_e
+    yield compare("1e10 : 1 with diffraction: minimum electrons of a pixel", 0.0, min(blurred.min(), 0.0), 0.0, "not negative")
+    # Averaged over its rings, the Airy pattern decays as λN/(π³ r³), so a bright strip at distances a to b gives
+    # (2 λN/π³)(1/a - 1/b). Mirrored at the borders, the bright strips are 80 µm wide and repeat every 160 µm.
     n_w, at_um = CAMERA.f_number * (1 + CAMERA.magnification), 6 * PITCH_UM
     strips = [at_um + 160 * k for k in range(1000)] + [80 - at_um + 160 * k for k in range(1000)]
     tail = 2e-3 * GREEN_NM * n_w / math.pi**3 * sum(1 / near - 1 / (near + 80) for near in strips)
-    found = blurred[:, 13:15].mean() / electrons(1e12, 1.0)
-    source = "Airy tails of the bright strips and their mirror images; to the size of a ring over the distance, 5 %"
-    yield compare("the same: what diffraction spreads 6 pixels into the dark half", tail, found, 0.1, source)
+    got = blurred[:, 13:15].mean() / electrons(1e12, 1.0)
+    source = "Airy tails of the bright strips and their mirror images; accurate to ring width over distance, 5 %"
+    yield compare("1e10 : 1 with diffraction: light 6 pixels inside the dark half", tail, got, 0.1, source)
 
 
 def _darkness() -> Iterator[Case]:
-    black = taken(scene(np.zeros((16, 16)), 1.0), derive(Pixel(**CLEAN | {"black_level_dn": 7})), Exposure())
-    yield compare("total darkness, no noise: every code", 7.0, black.dn, 0.0, "the black level, exactly")
+    black = captured(scene(np.zeros((16, 16)), 1.0), derive(Pixel(**CLEAN | {"black_level_dn": 7})), Exposure())
+    yield compare("total darkness, no noise: every code", 7.0, black.dn, 0.0, "exactly the black level")
     physics = derive(Pixel(**CLEAN | {"read_noise_e": 40.0, "black_level_dn": 1000, "full_well_e": 64_535}))
     sensor = sensors.sample_sensor(physics, (400, 500), np.random.default_rng(3))
     dn = sensors.read_out(np.zeros(sensor.shape), TIME_S, sensor, np.random.default_rng(4))
@@ -164,6 +158,6 @@ def _darkness() -> Iterator[Case]:
 
 def _saturation() -> Iterator[Case]:
     for bits in (1, 8, 24):
-        frame = taken(scene(np.ones((16, 16)), 1e12), derive(Pixel(**CLEAN | {"bits": bits})), Exposure(integration_s=10.0))
-        yield compare(f"everything saturated, {bits} bits: every code", 2**bits - 1, frame.dn, 0.0, "the top code, exactly")
-    yield compare("everything saturated: share of pixels", 1.0, frame.saturated_fraction, 0.0, "all of them")
+        frame = captured(scene(np.ones((16, 16)), 1e12), derive(Pixel(**CLEAN | {"bits": bits})), Exposure(integration_s=10.0))
+        yield compare(f"everything saturated, {bits} bits: every code", 2**bits - 1, frame.dn, 0.0, "exactly the top code")
+    yield compare("everything saturated: fraction of saturated pixels", 1.0, frame.saturated_fraction, 0.0, "all pixels")

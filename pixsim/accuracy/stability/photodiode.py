@@ -1,4 +1,4 @@
-"""The stiff one: a photodiode from hours of darkness to picoseconds in the forward bias, 77 to 400 K, four processes."""
+"""The stiff discharge of a photodiode, from hours in the dark to picoseconds in forward bias; 77 to 400 K, four processes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def cases() -> Iterator[Case]:
 
 
 def closed_form_e(total_e_per_s: Array, time_s: Array, capacitance_e_per_v: float, diode: Diode) -> Array:
-    """C(V_0 - V) with e^(V/V_T) = I_s/a + (e^(V_0/V_T) - I_s/a) e^(-at/CV_T), in long double; small charges by log1p."""
+    """C(V_0 - V) with e^(V/V_T) = I_s/a + (e^(V_0/V_T) - I_s/a) e^(-at/CV_T), in long double; log1p for small charges."""
     v_t = np.longdouble(diode.thermal_v)
     reset = np.exp(np.longdouble(diode.reset_voltage_v) / v_t)
     ratio = np.longdouble(diode.saturation_current_e_per_s) / total_e_per_s.astype(np.longdouble)
@@ -64,7 +64,7 @@ def constant_capacitance() -> Iterator[Case]:
 
 
 def spice_ff(diode: Diode, bias_v: float) -> float:
-    """C(V) as SPICE writes it, for the forward voltage -V."""
+    """C(V) of the SPICE model, for the forward voltage -V."""
     total = diode.node_capacitance_ff
     for zero_bias_ff, built_in_v, grading in diode.junctions:
         ratio = -bias_v / built_in_v
@@ -74,14 +74,14 @@ def spice_ff(diode: Diode, bias_v: float) -> float:
 
 
 def charge_to_e(diode: Diode, low_v: float) -> float:
-    """∫C dV/q from the reset down to a bias, by Simpson's rule between the corners of `spice_ff`."""
+    """∫C dV/q from the reset voltage down to a bias, by Simpson's rule between the corners of `spice_ff`."""
     ends = sorted({diode.reset_voltage_v, low_v, *(knee for knee in diode.knees_v if knee > low_v)})
     total = 0.0
     for low, high in pairwise(ends):
         v = np.linspace(low, high, 4001)
         weight = np.where(np.arange(v.size) % 2, 4.0, 2.0)
         weight[[0, -1]] = 1.0
-        total += float((weight * np.array([spice_ff(diode, each) for each in v])).sum()) * (high - low) / 12000
+        total += float((weight * np.array([spice_ff(diode, bias_v) for bias_v in v])).sum()) * (high - low) / 12000
     return E_PER_FC * total
 
 
@@ -91,21 +91,22 @@ def limits() -> Iterator[Case]:
         bright = np.array([1e6, 1e11, 1e17])
         expected = [charge_to_e(diode, -diode.thermal_v * math.log1p(i / diode.saturation_current_e_per_s)) for i in bright]
         got = collected_charge_e(bright, HOURS_S, diode)
-        yield compare(f"{technology}: 10 h end at V_oc = -V_T ln(1 + i/I_s)", expected, got, 1e-9, "SPICE's C(V), Simpson")
+        source = "SPICE's C(V), Simpson"
+        yield compare(f"{technology}: after 10 h V = V_oc = -V_T ln(1 + i/I_s)", expected, got, 1e-9, source)
         got_dark = collected_charge_e(0.0, 1e3 * HOURS_S, diode)
-        yield compare(f"{technology}: dark charge ends at V = 0", charge_to_e(diode, 0.0), got_dark, 1e-9, "SPICE's C(V), Simpson")
+        yield compare(f"{technology}: dark charge saturates at V = 0", charge_to_e(diode, 0.0), got_dark, 1e-9, source)
         half_e = charge_to_e(diode, diode.reset_voltage_v / 2)
         current, time_s = np.meshgrid(CURRENTS_E_PER_S, TIMES_S)
         generated = (current + diode.saturation_current_e_per_s) * time_s
-        kept = np.where(generated < half_e, collected_charge_e(current, time_s, diode), 0.0)
-        expected_kept = np.where(generated < half_e, generated, 0.0)
-        # At 0.18 µm the diode takes 1e-12 even there: e^(-V/V_T) of half the reset voltage, 0.58 V, over hours.
-        yield compare(f"{technology}: all is kept before saturation", expected_kept, kept, 1e-11, "conservation of charge")
+        collected = np.where(generated < half_e, collected_charge_e(current, time_s, diode), 0.0)
+        expected_e = np.where(generated < half_e, generated, 0.0)
+        # At 0.18 µm the diode loses 1e-12 even there: e^(-V/V_T) at half of the reset voltage, 0.58 V, over hours.
+        yield compare(f"{technology}: no loss before saturation", expected_e, collected, 1e-11, "conservation of charge")
 
 
 def implicit_solver() -> Iterator[Case]:
     pixels = [(Pixel(technology=name, pitch_um=pitch), *FORWARD) for name, pitch in PITCHES_UM.items()]
-    pixels += [(Pixel(temperature_k=each), 7e6, 0.03) for each in (77.0, 400.0)]
+    pixels += [(Pixel(temperature_k=temperature_k), 7e6, 0.03) for temperature_k in (77.0, 400.0)]
     pixels += [(Pixel(), 1e17, HOURS_S)]
     for pixel, current, time_s in pixels:
         diode = diode_of(pixel)
@@ -115,7 +116,7 @@ def implicit_solver() -> Iterator[Case]:
 
 
 def without_diode_current() -> Iterator[Case]:
-    for saturation, name in ((0.0, "no diode current: all light is kept"), (1e-300, "a diode current of 1e-300 e-/s")):
+    for saturation, name in ((0.0, "no diode current: no charge is lost"), (1e-300, "a diode current of 1e-300 e-/s")):
         diode = replace(default_diode(), saturation_current_e_per_s=saturation)
         current = CURRENTS_E_PER_S[CURRENTS_E_PER_S < 1e6] if saturation else CURRENTS_E_PER_S
         yield compare(name, current * 0.03, collected_charge_e(current, 0.03, diode), 1e-12, "conservation of charge")
@@ -128,13 +129,13 @@ def tables() -> Iterator[Case]:
             physics = derive(Pixel.model_validate({"technology": technology, "pitch_um": pitch_um, **options}))
             diode, well_e = diode_of(physics), physics.full_well_e
             generated = np.concatenate([np.linspace(0, 2 * well_e, 1501), well_e * np.logspace(-4, 15, 301)])
-            kept = stored_charge_e(generated, time_s, diode)
-            expected = converted_e(kept, well_e, diode) if conversion == "junction" else kept
+            stored_e = stored_charge_e(generated, time_s, diode)
+            expected = converted_e(stored_e, well_e, diode) if conversion == "junction" else stored_e
             got = stored_signal_e(generated, time_s, physics)
             name = f"{technology}, {temperature_k:g} K, {time_s:g} s, {conversion}"
             yield compare(f"table: {name}", expected, got, 1e-6, "quadrature", scale=well_e)
-            fall = float(np.diff(level_table(diode, well_e, time_s, conversion == "junction").level_e).min())
-            yield compare(f"table never falls: {name}", 0.0, min(fall, 0.0), 0.0, "f_t is monotone")
+            min_step = float(np.diff(level_table(diode, well_e, time_s, conversion == "junction").level_e).min())
+            yield compare(f"table is monotone: {name}", 0.0, min(min_step, 0.0), 0.0, "f_t is monotone")
             below = np.linspace(0, 1 - 1e-9, 65) * linear_limit_e(diode, well_e, time_s)
-            lost = below - stored_charge_e(below, time_s, diode)
-            yield compare(f"linear law below its limit: {name}", 0.0, lost, LINEAR_WITHIN, "quadrature", scale=well_e)
+            lost_e = below - stored_charge_e(below, time_s, diode)
+            yield compare(f"linear response below its limit: {name}", 0.0, lost_e, LINEAR_WITHIN, "quadrature", scale=well_e)

@@ -21,14 +21,14 @@ from pixsim.sensor.technology import Junction, Technology, load_technology
 PITCHES_UM = (0.3, 1.0, 6.5, 40.0, 100.0)
 TIMES_S = 10.0 ** np.array([-9.0, -6.0, -3.0, 0.0, 3.0, math.log10(36_000)])
 TEMPERATURES_K = np.array([77.0, 150.0, 250.0, 300.15, 350.0, 400.0])
-# SI 2019, exact; by hand, not pixsim's constants.
+# SI 2019, exact; independent of pixsim's constants.
 BOLTZMANN_J_PER_K, ELECTRON_C = 1.380649e-23, 1.602176634e-19
 
 
 def cases() -> Iterator[Case]:
     physical = _pitches, _fill_factors, _grids, _times, _dark_current, _saturated
-    for each in (*physical, _converters, _temperatures, _fixed_patterns):
-        yield from each()
+    for group in (*physical, _converters, _temperatures, _fixed_patterns):
+        yield from group()
 
 
 def physics_of(**options: Any) -> PixelPhysics:
@@ -38,7 +38,7 @@ def physics_of(**options: Any) -> PixelPhysics:
 def frame(
     physics: PixelPhysics, mean_e: Array | float, time_s: float = 1.0, shape: tuple[int, int] = (200, 500), seed: int = 0
 ) -> Array:
-    """Codes under even light."""
+    """Codes under uniform light."""
     sensor = sensors.sample_sensor(physics, shape, np.random.default_rng(seed))
     return sensors.read_out(np.broadcast_to(mean_e, shape), time_s, sensor, np.random.default_rng(seed + 1)).astype(float)
 
@@ -47,17 +47,17 @@ def _pitches() -> Iterator[Case]:
     got = [integrate_pixels(np.full((8, 8), 3.0), pitch / 2, pitch, math.sqrt(0.4) * pitch).sum() for pitch in PITCHES_UM]
     expected = [16 * 3 * 0.4 * pitch**2 for pitch in PITCHES_UM]
     source = "16 pixels · 3 · FF · pitch²; rounding"
-    yield compare("electrons of even light, pitch 0.3 … 100 µm", expected, got, ROUNDING, source)
-    # A pinned photodiode's well goes with its area, a junction's capacitance is a sum of area, sidewall and node.
+    yield compare("electrons of uniform light, pitch 0.3 … 100 µm", expected, got, ROUNDING, source)
+    # The full well of a pinned photodiode is proportional to its area; a junction has area, sidewall and node capacitance.
     pinned = load_technology("4t-bsi").full_well_e_per_um2 or 0.0
     wells = [physics_of(technology="4t-bsi", pitch_um=pitch).full_well_e for pitch in PITCHES_UM]
     expected = [pinned * 0.5 * p**2 for p in PITCHES_UM]
-    yield compare("well of a pinned photodiode, pitch 0.3 … 100 µm", expected, wells, ROUNDING, "density · area")
+    yield compare("full well of a pinned photodiode, pitch 0.3 … 100 µm", expected, wells, ROUNDING, "density · area")
     junction = load_technology("0.35um")
     wells = [physics_of(pitch_um=pitch).full_well_e for pitch in PITCHES_UM]
     expected = [_junction_well_e(0.5 * pitch**2, junction) for pitch in PITCHES_UM]
     source = "∫C dV/q over the swing by 2000 trapezoids, 1e-7"
-    yield compare("well of a junction, pitch 0.3 … 100 µm", expected, wells, 1e-6, source)
+    yield compare("full well of a junction, pitch 0.3 … 100 µm", expected, wells, 1e-6, source)
 
 
 def _junction_well_e(area_um2: float, technology: Technology) -> float:
@@ -75,19 +75,19 @@ def _junction_ff(j: Junction, area_um2: float, v: Any) -> Any:
 def _fill_factors() -> Iterator[Case]:
     picture = np.random.default_rng(0).uniform(0.5, 1.5, (60, 60))
     full = integrate_pixels(picture, 1.0, 2.5, 2.5)
-    yield compare("FF 1: electrons of all pixels", picture.sum(), full.sum(), ROUNDING, "conservation: each counted once")
-    # The picture's value at the pixel's centre is that of the limit; a plane is its own mean.
+    yield compare("FF 1: electrons of all pixels", picture.sum(), full.sum(), ROUNDING, "conservation")
+    # The limit is the picture's value at the pixel's centre, which for a linear picture is also the mean.
     rows, columns = np.mgrid[0:60, 0:60] + 0.5
     plane = 1 + rows / 60 + 2 * columns / 60
     centres = (np.arange(24) + 0.5) * 2.5
     values = 1 + centres[:, None] / 60 + 2 * centres / 60
     fills = (1e-2, 1e-4, 1e-6, 1e-8)
     got = [integrate_pixels(plane, 1.0, 2.5, 2.5 * math.sqrt(fill)) / fill for fill in fills]
-    # A running sum of up to 60 · 4 rounds at 5e-14, of a side of 2.5e-4 µm: 2e-10 relative, on both axes.
+    # The rounding of a running sum up to 60 · 4 is 5e-14, relative to a side of 2.5e-4 µm 2e-10, along both axes.
     source = "limit FF → 0: value at the centre · FF · pitch²; rounding of the running sum over a side of 2.5e-4 µm"
-    yield compare("FF 1e-2 … 1e-8: electrons go to 0 with FF", np.stack([values * 6.25] * 4), np.stack(got), 1e-8, source)
+    yield compare("FF 1e-2 … 1e-8: electrons proportional to FF", np.stack([values * 6.25] * 4), np.stack(got), 1e-8, source)
     wells = [physics_of(technology="4t-bsi", fill_factor=fill).full_well_e / fill for fill in (1e-12, 1e-6, 1.0)]
-    yield compare("FF 1e-12 … 1: well over FF of a pinned photodiode", wells[-1], wells, ROUNDING, "proportional")
+    yield compare("FF 1e-12 … 1: full well over FF of a pinned photodiode", wells[-1], wells, ROUNDING, "proportional")
 
 
 def _grids() -> Iterator[Case]:
@@ -96,16 +96,16 @@ def _grids() -> Iterator[Case]:
     physics = physics_of(pitch_um=0.3, technology="4t-bsi", full_well_e=1000, bits=12)
     codes = frame(physics, 500.0, shape=(1, 1))
     spread = math.sqrt(500.0) * physics.dn_per_e
-    yield compare_drawn("1 × 1 pixel: its code", 4095 / 2, codes, spread, "half the well ± shot noise")
+    yield compare_drawn("1 × 1 pixel: its code", 4095 / 2, codes, spread, "half of the full well ± shot noise")
     strip = np.random.default_rng(1).uniform(0.5, 1.5, (20_000, 3))
     got = integrate_pixels(strip, 0.3, 0.3, 0.3)
-    source = "the samples themselves, at pixels of a sample; a running sum of 20 000 rounds at 4e-12"
+    source = "the samples themselves, one per pixel; rounding of a running sum of 20 000, 4e-12"
     yield compare("20 000 × 3 pixels of 0.3 µm", strip * 0.09, got, 1e-10, source)
     column = frame(replace(physics, column_fpn_e=20.0), 500.0, shape=(20_000, 3)).mean(axis=0)
     alone = np.random.default_rng(0).standard_normal((1, 3))[0] * 20.0
     expected = (500 + alone) * physics.dn_per_e
     error = math.sqrt(500.0 / 20_000) * physics.dn_per_e
-    yield compare_drawn("20 000 × 3 pixels: mean of each column", expected, column, error, "its own offset")
+    yield compare_drawn("20 000 × 3 pixels: mean of each column", expected, column, error, "offset of the column")
 
 
 def _times() -> Iterator[Case]:
@@ -113,24 +113,24 @@ def _times() -> Iterator[Case]:
     sensor = sensors.sample_sensor(physics, (2, 2), np.random.default_rng(0))
     rate = np.full((2, 2), 1e9)
     exposures = [Exposure(integration_s=float(time_s)) for time_s in TIMES_S]
-    got = [sensors.capture_from_rates(rate, sensor, each, np.random.default_rng(0)).mean_e.mean() for each in exposures]
+    got = [sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(0)).mean_e.mean() for exposure in exposures]
     yield compare("mean electrons, 1 ns … 10 h", 1e9 * TIMES_S, got, ROUNDING, "rate · time")
     dark = physics_of(full_well_e=1e15, dark_current_e_per_s=250.0)
     sensor = sensors.sample_sensor(dark, (2, 2), np.random.default_rng(0))
-    frames = [sensors.capture_from_rates(rate * 0, sensor, each, np.random.default_rng(0)) for each in exposures]
+    frames = [sensors.capture_from_rates(rate * 0, sensor, exposure, np.random.default_rng(0)) for exposure in exposures]
     yield compare("mean dark electrons, 1 ns … 10 h", 250 * TIMES_S, [f.mean_dark_e for f in frames], ROUNDING, "current · time")
 
 
 def _dark_current() -> Iterator[Case]:
     physics = physics_of(full_well_e=1000, bits=10, dark_current_e_per_s=1e6)
-    yield compare("dark charge a thousand wells: every code", 1023.0, frame(physics, 0.0), 0.0, "the top code, exactly")
+    yield compare("dark charge of a thousand full wells: every code", 1023.0, frame(physics, 0.0), 0.0, "exactly the top code")
     lowered = replace(sensors.sample_sensor(physics, (4, 4), np.random.default_rng(0)), offset_e=np.full((4, 4), -400.0))
     moved = sensors.read_out(np.zeros((4, 4)), 1.0, lowered, np.random.default_rng(1))
-    source = "0.6 · 1023, rounded: the well clips before the offset"
-    yield compare("the same, offset by -0.4 wells: every code", 614.0, moved, 0.0, source)
+    source = "0.6 · 1023, rounded: the full well clips before the offset is added"
+    yield compare("dark charge of a thousand full wells, offset -0.4 full wells: every code", 614.0, moved, 0.0, source)
     exposed = sensors.integration_time_s(Exposure(max_integration_s=10.0), physics, 0.0)
-    yield compare("automatic exposure in the dark: dark charge over the well", 0.95, exposed * 1e6 / 1000, ROUNDING, "well_target")
-    # Dark charge at the well: codes are min(n, well) of Poisson counts, one code each with a gain of 1.
+    yield compare("automatic exposure in the dark: charge over full well", 0.95, exposed * 1e6 / 1000, ROUNDING, "well_target")
+    # Dark charge at full well, gain 1: codes are min(n, full well) of Poisson counts.
     brim = physics_of(full_well_e=1023, bits=10, dark_current_e_per_s=1023)
     codes = frame(brim, 0.0)
     counts = np.arange(1023)
@@ -138,14 +138,14 @@ def _dark_current() -> Iterator[Case]:
     square = float(((2 * counts + 1) * poisson.sf(counts, 1023)).sum())
     error = math.sqrt((square - mean**2) / codes.size)
     source = "Σ P(n > k) over Poisson counts"
-    yield compare_drawn("dark charge that just fills the well: mean code", mean, codes.mean(), error, source)
+    yield compare_drawn("dark charge equal to the full well: mean code", mean, codes.mean(), error, source)
     full = poisson.sf(1022, 1023)
     share, error = np.mean(codes == 1023), math.sqrt(full * (1 - full) / codes.size)
-    yield compare_drawn("the same: share of saturated pixels", full, share, error, "P(n ≥ well)")
+    yield compare_drawn("dark charge equal to the full well: fraction of saturated pixels", full, share, error, "P(n ≥ full well)")
 
 
 def _saturated() -> Iterator[Case]:
-    """Fractions of saturated pixels behind noise of every kind: kTC, read noise, offsets, and light that is not even."""
+    """Fractions of saturated pixels with all kinds of noise."""
     sheet = {"technology": "none", "pitch_um": 3.75, "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3}
     sheet |= {"quantum_efficiency": 0.62, "bits": 12, "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.002}
     pixels = {
@@ -158,30 +158,30 @@ def _saturated() -> Iterator[Case]:
     }
     for wells, expected, where in ((14.0, 1.0, "every one"), (0.5, 0.0, "none")):
         got = [_saturated_of(derive(pixel), wells * derive(pixel).full_well_e) for pixel in pixels.values()]
-        source = f"{where}: the well is 30 σ of shot noise and PRNU away"
-        yield compare(f"saturated pixels under {wells:g} wells, {', '.join(pixels)}", expected, got, 0.0, source)
-    # Offsets of -5 % of the well keep every pixel off the top code: the charge alone decides.
+        source = f"{where}: the full well is 30 σ of shot noise and PRNU away"
+        yield compare(f"saturated pixels under {wells:g} full wells, {', '.join(pixels)}", expected, got, 0.0, source)
+    # With offsets of -5 % no pixel reads the top code, so only the charge determines saturation.
     for name in ("default pixel", "data sheet"):
         physics = replace(derive(pixels[name]), prnu=0.0, dark_current_e_per_s=0.0)
         well_e = physics.full_well_e
         lowered = np.full((200, 500), -0.05 * well_e)
         share = float(poisson.sf(math.ceil(well_e) - 1, well_e))
         scale = math.sqrt(share * (1 - share) / lowered.size)
-        alone, source = _saturated_of(physics, well_e, lowered), "P(N ≥ well) of Poisson counts"
-        yield compare_drawn(f"{name}, light that just fills the well, below the top code", share, alone, scale, source)
-        # With the usual offsets, noise lifts some of the others to the top code.
+        alone, source = _saturated_of(physics, well_e, lowered), "P(N ≥ full well) of Poisson counts"
+        yield compare_drawn(f"{name}, light equal to the full well, below the top code", share, alone, scale, source)
+        # With the usual offsets, noise raises some of the other pixels to the top code.
         counts = np.arange(math.ceil(well_e))
         top_e = (2**physics.pixel.bits - 1.5 - physics.pixel.black_level_dn) / physics.dn_per_e
         noise_e = math.hypot(physics.reset_noise_e, physics.read_noise_e, physics.offset_fpn_e)
         share += float((poisson.pmf(counts, well_e) * norm.sf((top_e - counts) / noise_e)).sum())
         scale = math.sqrt(share * (1 - share) / lowered.size)
         both = _saturated_of(replace(physics, column_fpn_e=0.0), well_e)
-        source = "P(N ≥ well) + Σ P(N = n < well) P(noise lifts n to the top code)"
-        yield compare_drawn(f"{name}, light that just fills the well", share, both, scale, source)
+        source = "P(N ≥ full well) + Σ P(N = n < full well) P(noise raises n to the top code)"
+        yield compare_drawn(f"{name}, light equal to the full well", share, both, scale, source)
 
 
 def _saturated_of(physics: PixelPhysics, mean_e: float, offset_e: Array | None = None) -> float:
-    """Of 100 000 pixels under even light in 30 ms; `offset_e` in the place of the sensor's own."""
+    """Saturated fraction of 100 000 pixels under uniform light for 30 ms; `offset_e` replaces the sensor's offsets."""
     sensor = sensors.sample_sensor(physics, (200, 500), np.random.default_rng(0))
     if offset_e is not None:
         sensor = replace(sensor, offset_e=offset_e)
@@ -190,30 +190,30 @@ def _saturated_of(physics: PixelPhysics, mean_e: float, offset_e: Array | None =
 
 
 def _converters() -> Iterator[Case]:
-    """A level swept evenly over all codes, so that every rounding error is equally frequent."""
+    """A level swept uniformly over codes, so that all rounding errors are equally frequent."""
     bits = np.arange(1, 25)
     means, variances, tops = [], [], []
-    for each in bits:
-        top = 2 ** int(each) - 1
-        # 2^18 levels over whole codes in the middle of the range; their steps and the codes have no common divisor.
+    for count in bits:
+        top = 2 ** int(count) - 1
+        # 2^18 levels over a whole number of codes; the number of levels per code is not an integer.
         width = min(top, (1 << 16) - 1)
         level = (top - width) / 2 + width * ((np.arange(1 << 18) + 0.5) / (1 << 18))
-        error = sensors.quantise(level, int(each)) - level
+        error = sensors.quantise(level, int(count)) - level
         means.append(error.mean())
         variances.append(np.mean(error**2))
-        tops.append(sensors.quantise(np.array([-1e30, 1e30, top + 0.49]), int(each)))
-    source = "symmetry: rounding is unbiased over whole codes"
+        tops.append(sensors.quantise(np.array([-1e30, 1e30, top + 0.49]), int(count)))
+    source = "symmetry: rounding is unbiased over a whole number of codes"
     yield compare("ADC of 1 … 24 bits: mean error in codes", 0.0, means, 1e-9, source, scale=1.0)
-    source = "1/12: an even error of ± half a code; steps of the sweep"
+    source = "1/12: uniform error of ± half a code; steps of the sweep"
     yield compare("ADC of 1 … 24 bits: mean square error", 1 / 12, variances, 1e-8, source)
     ends = np.stack([np.zeros(24), 2.0**bits - 1, 2.0**bits - 1], axis=1)
-    yield compare("ADC of 1 … 24 bits: codes beyond both ends", ends, np.stack(tops), 0.0, "0 and 2^n - 1, exactly")
+    yield compare("ADC of 1 … 24 bits: codes beyond both ends", ends, np.stack(tops), 0.0, "exactly 0 and 2^n - 1")
     quiet = [frame(physics_of(full_well_e=2.0**n - 1, bits=int(n)), 0.0, shape=(4, 4)).max() for n in bits]
-    yield compare("no light and no noise, 1 … 24 bits", 0.0, quiet, 0.0, "0, exactly")
+    yield compare("no light and no noise, 1 … 24 bits", 0.0, quiet, 0.0, "exactly 0")
     wide = physics_of(full_well_e=1e12, bits=24, black_level_dn=1000)
     codes = frame(wide, 0.5e12)
     error = math.sqrt((0.5e12 * wide.dn_per_e**2 + 1 / 12) / codes.size)
-    mean, source = 1000 + (2**24 - 1001) / 2, "black + half of what is above it"
+    mean, source = 1000 + (2**24 - 1001) / 2, "black level + half of the codes above it"
     yield compare_drawn("zero read noise, 24 bits: mean code", mean, codes.mean(), error, source)
     variance = 0.5e12 * ((2**24 - 1001) / 1e12) ** 2 + 1 / 12
     error = variance * math.sqrt(2 / codes.size)
@@ -224,10 +224,10 @@ def _temperatures() -> Iterator[Case]:
     options = {"dark_current_e_per_s": None, "reset_noise_factor": 1.0}
     cold = [physics_of(temperature_k=float(t), **options) for t in TEMPERATURES_K]
     doubling_k = load_technology("0.35um").dark_doubling_k
-    # 300.15 K is where the process quotes it: nA/cm² · area / q.
+    # The technology gives the dark current at 300.15 K: nA/cm² · area / q.
     quoted = load_technology("0.35um").dark_current_na_per_cm2 * 1e-9 * 0.5 * (6.5e-4) ** 2 / ELECTRON_C
     expected = quoted * 2 ** ((TEMPERATURES_K - 300.15) / doubling_k)
-    source = f"doubles every {doubling_k:g} K; rounding"
+    source = f"doubling every {doubling_k:g} K; rounding"
     yield compare("dark current at 77 … 400 K", expected, [p.dark_current_e_per_s for p in cold], ROUNDING, source)
     noise = np.array([p.reset_noise_e for p in cold])
     yield compare("kTC noise at 77 … 400 K over that at 77 K", np.sqrt(TEMPERATURES_K / 77), noise / noise[0], ROUNDING, "√T")
@@ -239,7 +239,7 @@ def _temperatures() -> Iterator[Case]:
 
 
 def _fixed_patterns() -> Iterator[Case]:
-    """Non-uniformity from none to the most that a record takes: mean 1, the spread that was asked for."""
+    """Dark-current maps from DSNU near 0 to 1, the maximum: mean 1 and the given standard deviation."""
     n = 200_000
     spreads = (1e-300, 1e-9, 0.02, 0.3, 1.0)
     means, deviations = [], []
@@ -248,7 +248,7 @@ def _fixed_patterns() -> Iterator[Case]:
         drawn = sensors.sample_sensor(physics, (400, 500), np.random.default_rng(seed)).dark_gain
         gain = np.ones((400, 500)) if drawn is None else drawn
         means.append((gain.mean() - 1) / (dsnu / math.sqrt(n) + 1e-15))
-        # Fourth moment of a gamma variable of mean 1: (3 + 6 s²) s⁴.
+        # The fourth central moment of a gamma variable of mean 1 is (3 + 6 s²) s⁴.
         deviations.append((np.mean((gain - 1) ** 2) - dsnu**2) / (dsnu**2 * math.sqrt((2 + 6 * dsnu**2) / n) + 1e-25))
     name = "DSNU 1e-300 … 1, 200 000 pixels each: {}, in standard errors"
     yield compare_drawn(name.format("mean"), 0.0, means, 1.0, "1")
