@@ -1,7 +1,7 @@
 """Irradiance to digital numbers: `SpectralImage`, `Camera`, `Pixel` and a seed in, `Frame` out.
 
 In the order of the flow: `technology` (CMOS process), `pixel` (areas, well, QE, dark current), `integration` (light to mean
-electrons), `photodiode` (electrons to the level that is read), `readout` (noise, well and ADC), `raw` (files of a frame).
+electrons), `photodiode` (electrons to the signal level), `readout` (noise, well and ADC), `raw` (files of frames).
 May import: base, light, optics.
 """
 

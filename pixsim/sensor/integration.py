@@ -27,7 +27,7 @@ from pixsim.sensor.pixel import PixelPhysics
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
 EDGE_CONTRAST = 100.0  # ratio of neighbouring samples; a step rings by 1 % of its bright side, one sample and more away from it
-SPLINE_DEGREE = 5  # contrast error 0.02 % contrast error at 60 lp/mm on a 2.65 µm grid; cubic 0.55 %
+SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
 @dataclass(frozen=True)
