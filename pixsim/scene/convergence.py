@@ -85,7 +85,7 @@ def render_until(
     derived = [derive(pixel) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds])
-    in_time = job.kept.runs_in_time(limits) if job.kept else None
+    in_time = job.cache.runs_in_time(limits) if job.cache else None
     ended: Literal["target", "max_seconds", "runs"] | None = None
     while ended is None:
         step_start = time.perf_counter()
@@ -110,8 +110,8 @@ def render_until(
         elif runs >= MAX_RUNS:
             ended = "runs"
         noise = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
-    if ended == "max_seconds" and job.kept:
-        job.kept.keep_runs_in_time(limits, runs)
+    if ended == "max_seconds" and job.cache:
+        job.cache.store_runs_in_time(limits, runs)
     if ended != "target":
         limit = f"time limit of {max_seconds:g} s" if ended == "max_seconds" else f"limit of {runs} renders"
         stopped_early = ended == "max_seconds" and now - start < max_seconds

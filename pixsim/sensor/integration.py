@@ -140,9 +140,8 @@ def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
     lowest, highest = (extreme(samples, 3, axis=0, mode="nearest") for extreme in (minimum_filter1d, maximum_filter1d))
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
-    start, cell_light, least, most = (
-        values[cell] for values in (before, samples, np.maximum(lowest - slack, 0.0), highest + slack)
-    )
+    bounds = np.maximum(lowest - slack, 0.0), highest + slack
+    start, cell_light, least, most = (values[cell] for values in (before, samples, *bounds))
     from_below = np.maximum(part * least, cell_light - (1 - part) * most)
     from_above = np.minimum(part * most, cell_light - (1 - part) * least)
     return start + np.clip(running - start, from_below, from_above)
