@@ -195,7 +195,7 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
     """Return `pixel_count`. Raises PixsimError if not one pixel fits."""
     count = pixel_count(length_um, pitch_um)
     if count < 1:
-        raise invalid("pixel.pitch_um", f"{pitch_um:g}", f"at most the size of the die, {length_um:g} µm")
+        raise invalid("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm")
     return count
 
 

@@ -212,7 +212,7 @@ def technology_of(study: Study, name: str) -> Technology:
     if not values:
         return technology
     if name == NO_TECHNOLOGY:
-        hint = "Set them in [pixel]."
+        hint = "Put them into [pixel]."
         raise invalid(f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint)
     return technology.with_numbers(values, f"process.{name}")
 

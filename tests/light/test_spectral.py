@@ -184,6 +184,8 @@ def test_mitsuba_reads_the_file(make, tmp_path):
     pixels = np.array(bitmap)
     for band, nm in enumerate(range(370, 821, 10)):
         assert np.array_equal(pixels[:, :, names.index(f"S0.{nm},000000nm")], image.data[:, :, band])
+    for number, picture in enumerate(image.factors[1] if image.factors else ()):
+        assert np.array_equal(pixels[:, :, names.index(f"factor.{number}")], picture)
 
 
 def test_strided_arrays_are_written_as_they_look(tmp_path):
@@ -201,7 +203,7 @@ def test_strided_arrays_are_written_as_they_look(tmp_path):
 @pytest.mark.parametrize(
     ("content", "got"),
     [
-        (b"not an EXR", "does not begin as one"),
+        (b"not an EXR", "does not start like an EXR file"),
         (struct.pack("<II", 20000630, 2) + b"\xff" * 400, "damaged"),
         (None, "which does not exist"),
     ],
@@ -350,8 +352,8 @@ def test_factors_are_the_data_they_stand_for():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "made of data or of factors, one of them"),
-        ({"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))}, "one of them"),
+        ({}, "give either data or factors, not both or neither"),
+        ({"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))}, "not both or neither"),
         ({"data": np.ones((2, 2))}, r"data: got \(2, 2\); allowed: \(H, W, 1\)"),
         ({"data": np.ones((2, 2, 3))}, r"data: got \(2, 2, 3\); allowed: \(H, W, 1\)"),
         ({"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))}, r"factors: got \(2, 1\) and \(1, 2, 2\)"),
@@ -376,9 +378,9 @@ NO_TABLES = [([], []), ([500], [1]), ([500, 400, 600], [1, 0, 0]), ([400, 500], 
 @pytest.mark.parametrize(
     ("nodes", "values", "got"),
     [
-        *((nodes, values, "two nodes or more, in rising order") for nodes, values in NO_TABLES),
-        ([400, 500], [1.0, np.nan], "nan or infinity"),
-        ([400, 500], [np.inf, 1.0], "nan or infinity"),
+        *((nodes, values, "two nodes or more, in increasing order") for nodes, values in NO_TABLES),
+        ([400, 500], [1.0, np.nan], "NaN or infinity"),
+        ([400, 500], [np.inf, 1.0], "NaN or infinity"),
     ],
 )
 def test_what_is_no_spectrum_is_refused(nodes, values, got):

@@ -79,11 +79,11 @@ def test_pixsims_own_file_comes_back_bit_for_bit(tmp_path):
     assert np.array_equal(bits(back.data), bits(image.data))
     assert np.array_equal(back.factors[0], image.factors[0])
     assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
-    refused(tmp_path / "own.exr", "W.m^-2.um^-1 stated", "one unit", units="W.m^-2.um^-1", pitch_um=None)
+    refused(tmp_path / "own.exr", "W.m^-2.um^-1 given", "the same unit", units="W.m^-2.um^-1", pitch_um=None)
     refused(tmp_path / "own.exr", "0.333333333 µm by the file, 2.5 µm by pitch_um")
     dark = SpectralImage(NM, 10.0, 1.0, data=np.zeros((2, 2, 3)))
     pixsim.write_exr(tmp_path / "dark.exr", dark)
-    refused(tmp_path / "dark.exr", "black everywhere", pitch_um=None)
+    refused(tmp_path / "dark.exr", "a black picture", pitch_um=None)
     dark.data[1, 0, 2] = np.nan
     pixsim.write_exr(tmp_path / "nan.exr", dark)
     refused(tmp_path / "nan.exr", "nan at row 1, column 0 of the band at 520 nm", pitch_um=None)
@@ -165,14 +165,14 @@ def test_units_that_no_one_tells_are_asked_for(tmp_path, make):
 
 def test_stated_units_may_not_contradict_the_file(tmp_path):
     path = npz(tmp_path / "a.npz", units="mW/m2/nm")
-    refused(path, "mW/m2/nm in the file, W.m^-2.nm^-1 stated", "Leave the stated one out", units=UNIT)
+    refused(path, "mW/m2/nm in the file, W.m^-2.nm^-1 given", "Leave units (--units) out", units=UNIT)
     refused(path, "in the file", units="mW/m2/sr/nm", camera=CAMERA)
     same = pixsim.read_irradiance(path, units="W m^-2 um^-1")  # the same, spelled otherwise
     np.testing.assert_allclose(same.data, 1e-3 * light(), rtol=1e-6)
     # A unit without a wavelength leaves room for one, but stays a radiance; what is no unit says nothing.
     half = npz(tmp_path / "half.npz", units="W.m^-2.sr^-1", pitch_um=None)
-    refused(half, "W.m^-2.sr^-1, which names no wavelength", "State them", pitch_um=None, camera=pixsim.Camera())
-    refused(half, "one unit", pitch_um=None, camera=CAMERA, units=UNIT)
+    refused(half, "W.m^-2.sr^-1, which is not per wavelength", "State them", pitch_um=None, camera=pixsim.Camera())
+    refused(half, "the same unit", pitch_um=None, camera=CAMERA, units=UNIT)
     told = pixsim.read_irradiance(half, pixsim.Camera(die_mm=0.0125), units="W.m^-2.sr^-1.um^-1")
     assert told.header["units"] == "W.m^-2.sr^-1.um^-1"
     assert pixsim.read_irradiance(npz(tmp_path / "dn.npz", units="DN"), units=UNIT).header["units"] == UNIT
@@ -201,9 +201,9 @@ def test_pbrts_spectral_film(tmp_path):
     assert image.header["camera"] == camera.model_dump()
     assert image.header["units"] == "W.m^-2.sr^-1"
     refused(path, "radiance (W.m^-2.sr^-1) without a camera", "--camera.f-number")
-    refused(path, "stated", units=UNIT, camera=camera, pitch_um=None)
+    refused(path, "W.m^-2.nm^-1 given", units=UNIT, camera=camera, pitch_um=None)
     flux = exr(tmp_path / "flux.exr", channels, emissiveUnits="W.m^-2")  # not the layout's unit
-    refused(flux, "W.m^-2, which names no wavelength")
+    refused(flux, "W.m^-2, which is not per wavelength")
 
 
 def test_wavelengths_in_any_spelling_and_order(tmp_path):
@@ -228,9 +228,9 @@ def test_only_unpolarised_light_is_taken(tmp_path):
     image = pixsim.read_irradiance(exr(tmp_path / "a.exr", stokes(data) | zeros | {"A": dark + 1}, **units), pitch_um=1.0)
     assert np.array_equal(bits(image.data), bits(data))
     refused(exr(tmp_path / "b.exr", stokes(data) | zeros | {"S2.500nm": dark - 1}, **units), "polarised light", "S2.500nm")
-    refused(exr(tmp_path / "c.exr", {"T.500nm": dark + 1, **stokes(data)}, **units), "reflectances", "T.500nm", "render it")
+    refused(exr(tmp_path / "c.exr", {"T.500nm": dark + 1, **stokes(data)}, **units), "reflectances", "T.500nm", "Render the surface")
     rgb = exr(tmp_path / "d.exr", dict.fromkeys("RGB", dark + 1), **units)
-    refused(rgb, "the channels B, G, R", "S0.550,0nm", "RGB has no spectrum", 'Film "spectral"')
+    refused(rgb, "the channels B, G, R", "S0.550,0nm", "RGB is not a spectrum", 'Film "spectral"')
     many = exr(tmp_path / "e.exr", {f"layer.{index:02}": dark for index in range(40)})
     refused(many, "layer.11 … in")
 
@@ -240,8 +240,8 @@ def test_crops_and_oblong_samples_are_refused(tmp_path):
         return np.array([0, 0], np.int32), np.array([right, 3], np.int32)
 
     crop = exr(tmp_path / "a.exr", stokes(light()), emissiveUnits=UNIT, dataWindow=box(4), displayWindow=box(9))
-    refused(crop, "a crop", "the whole picture")
-    refused(exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT, pixelAspectRatio=2.0), "oblong", "square samples")
+    refused(crop, "a crop", "a full image")
+    refused(exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT, pixelAspectRatio=2.0), "non-square pixels", "with square pixels")
 
 
 def test_other_peoples_files(tmp_path):
@@ -258,7 +258,7 @@ def test_other_peoples_files(tmp_path):
     assert set(image.band_width_nm) == {5.0}
     refused(folder / "Polarised.exr", "polarised light")
     refused(folder / "BiSpectral.exr", "reflectances")
-    refused(folder / "CMS_Test_Pattern.exr", "RGB has no spectrum")
+    refused(folder / "CMS_Test_Pattern.exr", "RGB is not a spectrum")
 
 
 # --- Radiance to irradiance ---
@@ -331,12 +331,12 @@ def test_band_widths(tmp_path):
     nowhere = npz(tmp_path / "nan.npz", data=light((4, 5, 1)), wavelength_nm=[np.nan], band_width_nm=1.0)
     refused(nowhere, "nan nm for 1 bands")
     one = npz(tmp_path / "c.npz", data=light((4, 5, 1)), wavelength_nm=[633.0])
-    refused(one, "one band has no neighbour", "band_width_nm", "fwhm")
+    refused(one, "none, for a single band", "band_width_nm", "fwhm")
     assert pixsim.read_irradiance(npz(one, data=light((4, 5, 1)), wavelength_nm=[633.0], band_width_nm=2)).band_width_nm == [2]
     line = exr(tmp_path / "d.exr", {"S0.633nm": light()[:, :, 0]}, emissiveUnits=UNIT, band_width_nm=2.0)
     assert pixsim.read_irradiance(line, pitch_um=1.0).band_width_nm == [2]
     for widths in ([1.0, 2.0], [1.0, 2.0, 0.0], [1.0, np.nan, 1.0], ["a", "b", "c"], [1.0, np.inf, 1.0]):
-        refused(npz(tmp_path / "e.npz", band_width_nm=widths), "band widths", "one, or 3, positive, in nm")
+        refused(npz(tmp_path / "e.npz", band_width_nm=widths), "band widths", "one or 3 positive numbers, in nm")
 
 
 @pytest.mark.parametrize(
@@ -344,12 +344,12 @@ def test_band_widths(tmp_path):
 )
 def test_wavelengths_that_cannot_be_used_are_refused(tmp_path, nm):
     got = ", ".join(str(float(each)) for each in nm)
-    refused(npz(tmp_path / "a.npz", wavelength_nm=nm), f"{got} nm for 3 bands", "increasing, 300 to 1200 nm", "Leave out")
+    refused(npz(tmp_path / "a.npz", wavelength_nm=nm), f"{got} nm for 3 bands", "increasing, from 300 to 1200 nm", "Remove the bands")
 
 
 def test_the_pitch_has_one_value(tmp_path):
     path = npz(tmp_path / "a.npz", pitch_um=None)
-    refused(path, "none in the file", "Give pitch_um=, or a camera", pitch_um=None)
+    refused(path, "none in the file", "Give pitch_um, or a camera", pitch_um=None)
     assert pixsim.read_irradiance(path, pitch_um=7.0).pitch_um == 7
     assert pixsim.read_irradiance(path, CAMERA).pitch_um == 10
     refused(path, "10 µm by camera.die_mm / 5 columns, 7 µm by pitch_um", "camera.die_mm = 0.035", pitch_um=7, camera=CAMERA)
@@ -377,7 +377,7 @@ def test_what_is_not_light_is_refused_with_its_place(tmp_path, value):
     data = light().astype(float)
     data[2, 3, 1] = value
     refused(npz(tmp_path / "a.npz", data=data), f"got {value} at row 2, column 3 of the band at 510 nm", "0 to 3.4e+38")
-    refused(npz(tmp_path / "dark.npz", data=np.zeros((4, 5, 3))), "black everywhere", "some light")
+    refused(npz(tmp_path / "dark.npz", data=np.zeros((4, 5, 3))), "a black picture", "some light")
 
 
 def test_numbers_of_any_kind_are_taken(tmp_path):
@@ -391,14 +391,14 @@ def test_numbers_of_any_kind_are_taken(tmp_path):
     [{"data": np.ones((4, 5))}, {"data": np.ones((4, 5, 3), complex)}, {"data": np.full((4, 5, 3), "a")}, {"wavelength_nm": 500.0}],
 )
 def test_arrays_of_another_kind_are_refused(tmp_path, arrays):
-    refused(npz(tmp_path / "a.npz", **arrays), "real numbers, data (H, W, B) and wavelength_nm (B,)")
+    refused(npz(tmp_path / "a.npz", **arrays), "real numbers: data (H, W, B) and wavelength_nm (B,)")
 
 
 def test_names_in_an_npz_are_checked(tmp_path):
     listed = "allowed: data, wavelength_nm, units; optional: band_width_nm, pitch_um, white_cd_per_m2"
     refused(npz(tmp_path / "a.npz", data=None), "got wavelength_nm, units, pitch_um", listed)
     refused(npz(tmp_path / "b.npz", pitch_mm=1.0), "pitch_mm", listed)
-    refused(npz(tmp_path / "c.npz", units=np.array({}, object)), "readable file of numpy.savez, without pickled objects")
+    refused(npz(tmp_path / "c.npz", units=np.array({}, object)), "readable file from numpy.savez without pickled objects")
 
 
 def test_absurd_sizes_are_refused_before_they_are_read(tmp_path):
@@ -406,7 +406,7 @@ def test_absurd_sizes_are_refused_before_they_are_read(tmp_path):
         for name, shape in (("data", (1 << 20, 1 << 20, 3)), ("wavelength_nm", (3,))):
             with file.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array_header_1_0(member, {"descr": "<f4", "fortran_order": False, "shape": shape})
-    refused(tmp_path / "a.npz", "1048576 × 1048576 × 3 values", "a readable file of numpy.savez")
+    refused(tmp_path / "a.npz", "1048576 × 1048576 × 3 values", "a readable file from numpy.savez")
     whole = exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT).read_bytes()
     window = np.array([0, 0, 4, 3], "<i4").tobytes()
     assert whole.count(window) == 2  # of the data and of the display
@@ -451,7 +451,7 @@ def test_a_header_torn_anywhere_is_refused_or_whole(tmp_path):
 @pytest.mark.parametrize(
     ("name", "part"),
     [
-        ("a.png", "a file that ends in .exr, .npz or .hdr"),
+        ("a.png", "a name that ends in .exr, .npz or .hdr"),
         ("nowhere.npz", "which does not exist"),
         ("nowhere.hdr", "which does not exist"),
         ("nowhere.exr", "which does not exist"),
@@ -499,7 +499,7 @@ def test_fwhm_is_a_width_only_where_bands_do_not_overlap(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "parts"),
     [
-        ({"data_gain_values": [1, 2, 1]}, ("'data gain values'", "write the light itself")),
+        ({"data_gain_values": [1, 2, 1]}, ("'data gain values'", "Apply it")),
         ({"data_offset_values": [0, 0, 0.5]}, ("'data offset values'", "none, or 0 for each band")),
         ({"reflectance_scale_factor": 10000}, ("'reflectance scale factor'", "10000", "none, or 1")),
         ({"calibration_scale_factor": 0.1}, ("'calibration scale factor'", "0.1")),
@@ -508,7 +508,7 @@ def test_fwhm_is_a_width_only_where_bands_do_not_overlap(tmp_path):
         ({"wavelength_units": "Unknown"}, ("wavelength units", "Unknown", "Nanometers or Micrometers")),
         ({"wavelength_units": None}, ("wavelength units", "got none", "Nanometers or Micrometers")),
         ({"wavelength": None}, ("without wavelength",)),
-        ({"wavelength": ["a", "b", "c"]}, ("an ENVI header with its raw file beside it",)),
+        ({"wavelength": ["a", "b", "c"]}, ("an ENVI header with its raw file in the same folder",)),
         ({"data_units": "Reflectance"}, ("got 'Reflectance'", "--units")),
     ],
 )
@@ -540,6 +540,6 @@ def test_envi_headers_that_make_no_sense_are_refused(tmp_path, old, new, part):
 def test_envi_without_its_raw_file_or_spy(tmp_path, monkeypatch):
     path = cube(tmp_path / "a.hdr", light())
     (tmp_path / "a.raw").rename(tmp_path / "b.raw")
-    refused(path, "an ENVI header with its raw file beside it")
+    refused(path, "an ENVI header with its raw file in the same folder")
     monkeypatch.setitem(__import__("sys").modules, "spectral", None)
-    refused(path, "no SPy", "pip install 'pixsim[envi]'")
+    refused(path, "SPy is not installed", "pip install 'pixsim[envi]'")

@@ -152,7 +152,7 @@ def test_a_chart_for_another_die_keeps_its_frequencies_in_mm():
         ({"kind": "csf", "width": 1}, r"chart size: got .*1.*2 to 32768"),
         ({"kind": "flat", "height": 40_000}, r"chart size: got .*40000.*2 to 32768"),
         ({"kind": "csf", "die_mm": 0.0}, r"die_mm: got 0 for csf"),
-        ({"kind": "flat", "die_mm": 2.0}, r"die_mm: got 2 for flat.*scale with the die"),
+        ({"kind": "flat", "die_mm": 2.0}, r"die_mm: got 2 for flat.*for csf only"),
     ],
 )
 def test_charts_that_cannot_be_are_refused(arguments, message):

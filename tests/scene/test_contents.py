@@ -406,17 +406,17 @@ def test_nested_surfaces_are_all_found(tmp_path):
 # --- What is not known, what is short ---
 
 UNKNOWN = {
-    "principled": (bsdf("principled"), "a BSDF 'principled', whose spectra pixsim does not know"),
+    "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),
     "within another": (bsdf("twosided", bsdf("principled")), "a BSDF 'principled'"),
     "a mesh's colours": (
         bsdf("diffuse", '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>'),
-        "the texture of diffuse.reflectance",
+        "an unknown texture of diffuse.reflectance",
     ),
-    "a table out of order": (bsdf("diffuse", table("reflectance", "500, 400, 600", "1, 0, 0.5")), "the texture of diffuse.refl"),
-    "one node": (bsdf("diffuse", table("reflectance", "500", "1")), "the texture of diffuse.reflectance"),
+    "a table out of order": (bsdf("diffuse", table("reflectance", "500, 400, 600", "1, 0, 0.5")), "an unknown texture of diffuse.refl"),
+    "one node": (bsdf("diffuse", table("reflectance", "500", "1")), "an unknown texture of diffuse.reflectance"),
     "a picture of indices": (
         bsdf("conductor", bitmap("false").replace('name="reflectance"', 'name="eta"') + RAMP.format("k", 3, 2)),
-        "the index of conductor",
+        "an unknown refractive index of conductor",
     ),
 }
 

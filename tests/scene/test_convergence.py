@@ -200,16 +200,16 @@ def test_time_ends_it_and_says_what_to_do(monkeypatch):
     Noisy(monkeypatch, 0.1)
     now = iter(range(10**6))
     monkeypatch.setattr(convergence.time, "perf_counter", lambda: float(next(now)))  # a second from each look to the next
-    with pytest.warns(UserWarning, match="ended the render") as told:
+    with pytest.warns(UserWarning, match="ended rendering") as told:
         image, noise = until(1e-6, max_seconds=20)
     assert noise.ended_by == "max_seconds"
     assert image.header["render_noise"]["ended_by"] == "max_seconds"
     assert next(now) <= 24  # one more pair at most
     (warning,) = told
     for text in (
-        "its limit of 20 s",
-        f"a noise of {noise.fraction:.2g} of the sensor's",
-        "asked for 1e-06",
+        "the time limit of 20 s",
+        f"render noise is {noise.fraction:.2g} of the sensor noise",
+        "target 1e-06",
         "--max-seconds",
         "--render-noise",
     ):
@@ -288,7 +288,7 @@ def test_progress_rises_and_tells_the_noise():
         assert [done for done, _ in pair] == sorted(done for done, _ in pair)
         assert len({note for _, note in pair}) == 1
     assert pairs[0][0][1] == ""  # nothing is known yet
-    errors = [float(pair[0][1].removeprefix(", noise ").removesuffix(" of the sensor's")) for pair in pairs[1:]]
+    errors = [float(pair[0][1].removeprefix(", render noise ").removesuffix(" of sensor noise")) for pair in pairs[1:]]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] > target
 

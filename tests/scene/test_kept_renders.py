@@ -177,7 +177,7 @@ def test_one_job_keeps_a_share_of_the_cache_only(monkeypatch):
         job = CachedRenders("job")
         for index in range(6):
             if job.find(index, 0) is None:
-                job.keep(index, 0, [picture], 16)
+                job.store(index, 0, [picture], 16)
         assert len(cache.entries(kept_renders.KIND)) == 4
 
 
@@ -191,7 +191,7 @@ def test_the_clock_ends_a_kept_render_at_the_same_place(rendered, monkeypatch):
         camera = scene.camera()
         plan = make_render_plan(scene, camera)
         how = {"render_noise": 1e-6, "max_seconds": max_seconds, "keep": True}
-        with pytest.warns(UserWarning, match="ended the render"):
+        with pytest.warns(UserWarning, match="ended rendering"):
             image, noise = render_until(scene, camera, plan, [pixel], pixsim.Exposure(), **how)
         return noise.runs, image.factors[1].tobytes()
 

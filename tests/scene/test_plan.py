@@ -203,7 +203,7 @@ def test_oversampling_tells_photodiode_and_lens():
     pitch_um = 2713.6 / 512
     x = 1e3 / (2 * pitch_um) * 550e-6 * camera.effective_f_number
     otf = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
-    for told in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} a photodiode side", f"{otf:.0%}"):
+    for told in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} per photodiode side", f"{otf:.0%}"):
         assert told in reason
 
 
@@ -266,7 +266,7 @@ def test_the_command_prints_json():
 def test_the_table_warns_where_the_tolerance_is_missed():
     code, out, _ = command("plan still_life --variant scalar_spectral --tolerance-e 1e-6")
     assert code == 0
-    assert "warning: mean electrons" in out
+    assert "warning: the error of mean electrons" in out
 
 
 @pytest.mark.parametrize(

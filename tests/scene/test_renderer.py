@@ -340,7 +340,7 @@ def reflectance_of_band(centre_nm: np.ndarray) -> np.ndarray:
 def test_a_plane_under_a_uniform_sky(variant, tmp_path):
     scene = pixsim.load_scene(plane_scene(tmp_path, SKY), variant=variant)
     image, camera = pixsim.render(scene), scene.camera()
-    assert image.factors is not None  # one surface under one lamp: four pulses tell all bands
+    assert image.factors is not None  # one surface under one lamp: four pulses determine all bands
     assert camera.f_number == pytest.approx(2, rel=1e-5)
     # In a furnace a convex body's radiance is its reflectance times the sky; band means of D65 on a fine grid.
     centre_nm = image.wavelength_nm
@@ -417,7 +417,7 @@ def test_a_fitted_lamp_beside_one_whose_colours_vary(tmp_path):
 def test_a_black_picture_is_refused(tmp_path):
     pixsim.write_chart(tmp_path / "black.exr", np.zeros((4, 4), np.float32))
     scene = pixsim.load_scene("flat", chart=str(tmp_path / "black.exr"), resolution=8)
-    with pytest.raises(PixsimError, match=r"black everywhere.*turned away.*unlit"):
+    with pytest.raises(PixsimError, match=r"a black picture.*faces the camera.*is lit"):
         pixsim.render(scene)
 
 

@@ -358,7 +358,7 @@ def test_a_scene_without_light_is_refused(tmp_path):
     text = (FOLDER / "macbeth.xml").read_text(encoding="utf-8")
     lamp = text[text.index('<emitter type="directional"') : text.index("</emitter>") + len("</emitter>")]
     scene = load(edited(tmp_path, "macbeth", (lamp, "")))
-    with pytest.raises(PixsimError, match="no emitter that shines"):
+    with pytest.raises(PixsimError, match="no emitter with light"):
         make_plan(scene)
 
 
@@ -368,7 +368,7 @@ def test_a_scene_without_light_is_refused(tmp_path):
         ("macbeth", (PATH, '<integrator type="ptracer"/>'), "integrator: got 'ptracer'; allowed: path, direct"),
         ("macbeth", (PATH, '<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>'), "got 'aov'"),
         ("macbeth", (END, '<medium type="homogeneous" id="fog"/>'), "volpath"),
-        ("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>'), "a whole film"),
+        ("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>'), "an uncropped film"),
         ("csf", ('<film type="hdrfilm">', '<medium type="homogeneous"/><film type="hdrfilm">'), "volpath|camera in a medium"),
         ("still_life", ('<float name="int_ior" value="1.5"/>', '<spectrum name="int_ior" value="400:1.6,700:1.5"/>'), "dispersive"),
     ],

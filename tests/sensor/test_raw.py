@@ -105,19 +105,19 @@ def test_a_file_of_another_program_counts_the_top_code_only_and_says_so(tmp_path
     np.savez(path, dn=CODES, bits=12)
     other = pixsim.read_frame(path)
     assert (other.saturated_fraction, other.top_code_fraction) == (None, 1 / 12)
-    assert "0.0833 of the pixels at the top code; saturated ones below it cannot be counted" in repr(other)
+    assert "top_code_fraction=0.0833 (saturated pixels below the top code cannot be counted)" in repr(other)
     np.savez(path, dn=CODES)
     unknown = pixsim.read_frame(path)
     assert (unknown.saturated_fraction, unknown.top_code_fraction) == (None, None)
-    assert "saturation not known" in repr(unknown)
+    assert "saturation unknown" in repr(unknown)
 
 
 @pytest.mark.parametrize(
     ("name", "array", "told"),
     [
-        ("a.npz", np.array([[0.5]]), "whole numbers from 0 on"),
-        ("a.npz", np.array([[-1]]), "whole numbers from 0 on"),
-        ("a.npz", np.array([[np.nan]]), "whole numbers from 0 on"),
+        ("a.npz", np.array([[0.5]]), "whole numbers from 0 to"),
+        ("a.npz", np.array([[-1]]), "whole numbers from 0 to"),
+        ("a.npz", np.array([[np.nan]]), "whole numbers from 0 to"),
         ("a.npz", np.array(["a"]), "whole numbers, "),
         ("a.npz", np.zeros((0, 3)), "whole numbers, "),
         ("a.npz", np.zeros((2, 3, 3)), "whole numbers, "),

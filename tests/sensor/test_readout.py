@@ -385,7 +385,7 @@ def test_a_gain_that_would_lose_its_mean_is_refused():
             r"pixel\.pitch_um: got 0\.001, which makes 1e\+09 pixels; .*at most",
         ),
         ({"pitch_um": 3000}, {}, {}, r"pitch_um: got 3000; allowed: at most the die, 2713\.6"),
-        ({}, {}, {"seed": -1}, "seed: got -1; allowed: an integer of 0 and more"),
+        ({}, {}, {"seed": -1}, "seed: got -1; allowed: an integer of 0 or more"),
         *(({}, {}, {"aspect": each}, r"aspect: got .*; allowed: width over height") for each in (0.0, -1.0, math.nan, math.inf)),
     ],
 )

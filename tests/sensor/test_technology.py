@@ -107,7 +107,7 @@ def test_a_file_that_cannot_be_is_refused(written, instead, told, tmp_path):
         ({"fill_factor_inset_features": 20}, "fill_factor_inset_features = 20 exceeds"),
         ({"dark_doubling_k": 1e-3}, "dark_doubling_k"),
         ({"full_well_e_per_um2": 1000.0}, "either full_well_e_per_um2 or all of reset_voltage_v"),
-        (dict.fromkeys(("cj_ff_per_um2", "cjsw_ff_per_um", "node_capacitance_ff"), 0), "no capacitance keeps a charge"),
+        (dict.fromkeys(("cj_ff_per_um2", "cjsw_ff_per_um", "node_capacitance_ff"), 0), "one of cj_ff_per_um2, .* must be at least 1e-06"),
         ({"voltage_swing_v": 9.0}, r"voltage_swing_v = 9.*reset_voltage_v = 2\.2"),
     ],
 )
