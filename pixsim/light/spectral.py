@@ -31,7 +31,7 @@ LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
 def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
-    """Return λ/(hc), photons per joule, in the shape of the wavelengths; SI constants of 2019."""
+    """Return λ/(hc), photons per joule, in the shape (...) of the wavelengths; SI constants of 2019."""
     return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
 
 
@@ -41,13 +41,13 @@ def _photometric_table() -> Array:
 
 
 def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
-    """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) in the shape of the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
+    """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 1], left=0.0, right=0.0)
 
 
 def d65(wavelength_nm: ArrayLike) -> Array:
-    """Return the relative power of CIE D65 (CIE 15:2018) in the shape of the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
+    """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
 

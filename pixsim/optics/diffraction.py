@@ -15,7 +15,7 @@ OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is be
 
 
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
-    """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the shape of the wavelengths.
+    """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the shape (...) of the wavelengths.
 
     It is 0 for a pinhole, N_e = infinity. Goodman, Introduction to Fourier Optics, 3rd ed.
 
@@ -54,7 +54,7 @@ def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_
 
 
 def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
-    """Return Σ weight · `diffraction_otf` over wavelengths, in the shape of the frequencies.
+    """Return Σ weight · `diffraction_otf` over wavelengths, in the shape (...) of the frequencies.
 
     It is the white-light OTF if the weights add up to 1.
 
@@ -144,7 +144,7 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
 
 
 def square_aperture_mtf(frequency_cy_per_mm: ArrayLike, side_um: float) -> Array:
-    """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis, in the shape of the frequencies.
+    """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis, (...) as the frequencies.
 
     The geometric MTF of Chen et al. (2000), section 2.2.
 

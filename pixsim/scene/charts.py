@@ -28,7 +28,7 @@ STAR_CYCLES = 72
 
 
 def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
-    """Return the local frequency at x in [0, 1] across the die: exponential from 1 to 33.3 lp/mm (Chen et al. 2000).
+    """Return the local frequency (...) at x in [0, 1] across the die: exponential from 1 to 33.3 lp/mm (Chen et al. 2000).
 
     >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # at the right, the Nyquist frequency of 15 µm pixels
     [1.0, 33.333]
@@ -37,7 +37,7 @@ def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
 
 
 def csf_contrast(y: ArrayLike) -> Array:
-    """Return the Michelson contrast at y in [0, 1], 0 at the top: exponential from 1 % of the largest to the largest, 0.951.
+    """Return the Michelson contrast (...) at y in [0, 1], 0 at the top: exponential from 1 % of the largest to the largest, 0.951.
 
     The largest contrast is 25 to 1000 cd/m² (Chen et al. 2000).
     """
@@ -60,7 +60,7 @@ def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
 
 
 def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, die_mm: float = DIE_MM) -> Array:
-    """Return a sinusoidal grating of a Michelson contrast and mean 0.5 at x in [0, 1], as relative luminance."""
+    """Return a sinusoidal grating of a Michelson contrast and mean 0.5, (...) at x in [0, 1], as relative luminance."""
     return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
 
 

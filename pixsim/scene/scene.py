@@ -75,7 +75,7 @@ class Scene:
         return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
 
     def with_parameters(self, **more: object) -> Scene:
-        """Return the scene with other values of some parameters."""
+        """Return the scene with other values of some parameters, `more`."""
         return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
 
     @property

@@ -24,19 +24,7 @@ from pixsim.sensor.readout import (
 )
 
 __all__ = [
-    "Frame",
-    "Sensor",
-    "capture",
-    "capture_from_rates",
-    "dark_spread_e",
-    "frame_mean_dn",
-    "frame_variance_dn2",
-    "integration_time_s",
-    "least_black_level_dn",
-    "make_frame",
-    "make_sensor",
-    "quantise",
-    "read_out",
-    "sample_sensor",
+    "Frame", "Sensor", "capture", "capture_from_rates", "dark_spread_e", "frame_mean_dn", "frame_variance_dn2",
+    "integration_time_s", "least_black_level_dn", "make_frame", "make_sensor", "quantise", "read_out", "sample_sensor",
     "shot_noise",
 ]  # fmt: skip

@@ -90,7 +90,7 @@ def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike
 
 
 def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:
-    """Return the collected charge in e- for a = i_ph + I_s (e-/s, ≥ 0) and times of the same shape; see the module.
+    """Return the collected charge in e-, (...) as the arguments, for a = i_ph + I_s (e-/s, ≥ 0); see the module.
 
     diode : from `diode_of`
 

@@ -242,7 +242,7 @@ RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
 def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
-    """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape of the pitches; negative below the smallest pitch p0.
+    """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape (...) of the pitches; negative below the smallest pitch p0.
 
     s, a width lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²). It is fitted to the fill factors of Chen
     et al. (2000) at 0.35 µm: 5, 30 and 73 % at 5.3, 6.5 and 15 µm.
@@ -281,7 +281,7 @@ def _response_table(curve: str) -> Array:
 
 
 def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> Array:
-    """Return the QE of a generic silicon photodiode, scaled to a peak, in the shape of the wavelengths; 0 outside 359-1029 nm.
+    """Return the QE of a generic silicon photodiode, scaled to a peak, (...) as the wavelengths; 0 outside 359-1029 nm.
 
     The curve is ISETCam's cmosPhotodetectorQE (2008). `peak_quantum_efficiency` is in electrons per photon.
     """
@@ -290,7 +290,7 @@ def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> A
 
 
 def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficiency: float) -> Array:
-    """Return the QE of the HP/MOSIS photodiode in the shape of the wavelengths; 0 outside 400-800 nm.
+    """Return the QE of the HP/MOSIS photodiode in the shape (...) of the wavelengths; 0 outside 400-800 nm.
 
     The curve is ISETCam's pdHPMosis (2003, estimated). `reading` is `Pixel.response`: with `literal` the numbers are the QE
     (peak 4.2 %); with `scaled` they are A/W, so QE = hc/(qλ) · number, scaled to the measured peak of 0.37. Both are also
@@ -306,9 +306,9 @@ def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficien
 
 
 def given_efficiency(wavelength_nm: ArrayLike, given: float | EfficiencyCurve) -> Array:
-    """Return the QE of a data sheet in the shape of the wavelengths: a constant, or a curve interpolated linearly.
+    """Return the QE of a data sheet in the shape (...) of the wavelengths: the constant `given`, or its curve.
 
-    The QE is 0 outside the curve.
+    The curve is interpolated linearly and 0 outside its points.
     """
     nm = np.asarray(wavelength_nm, float)
     if not isinstance(given, tuple):

@@ -156,7 +156,7 @@ class Frame:
 
 
 def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
-    """Draw Poisson counts of mean `mean_e` from `rng`, in electrons; above 1e9 they are rounded normal values.
+    """Draw Poisson counts (...) of mean `mean_e` from `rng`, in electrons; above 1e9 they are rounded normal values.
 
     The variance of NumPy's Poisson is 3.5 % too large at 1e15.
     """
@@ -168,7 +168,7 @@ def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
 
 
 def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
-    """Round half to even and clip to 0 … 2^bits - 1. This adds a variance of 1/12 DN² (within 0.3 %) if σ exceeds 0.6 DN.
+    """Round half to even and clip to 0 … 2^bits - 1, (...). This adds a variance of 1/12 DN² (within 0.3 %) if σ exceeds 0.6 DN.
 
     >>> quantise(np.array([-3.0, 0.5, 1.5, 300.0]), bits=8).tolist()
     [0, 0, 2, 255]
@@ -210,7 +210,7 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
 
 
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
-    """Return the expected DN over sensors and frames, in the shape of `mean_e`.
+    """Return the expected DN over sensors and frames, in the shape (...) of `mean_e`.
 
     It is valid at least 6σ away from 0, the well and the top code, for a linear response: with `well_limit = "diode"` below
     `linear_limit_e`, and not with `conversion = "junction"`.
@@ -220,7 +220,7 @@ def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhy
 
 
 def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: PixelPhysics, fixed_pattern: bool = True) -> Array:
-    """Return the variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors, in the shape of `mean_e`.
+    """Return the variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors, in the shape (...) of `mean_e`.
 
     It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's LSB²/12; valid where
     `frame_mean_dn` is.
