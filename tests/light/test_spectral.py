@@ -1,4 +1,4 @@
-"""Spectral images and their files: bit for bit, as other readers see them; light units against colour-science."""
+"""Spectral images: bit-identical files, other readers of the files, and light units against colour-science."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ D65_TEXT = "S0.550,000000nm"
 
 
 def any_float32(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
-    """Every kind of float32 that is a number: all exponents, denormals, both zeros, 1e30."""
+    """Return finite float32 values of all kinds: all exponents, denormals, both zeros, 1e30."""
     bits = np.random.default_rng(seed).integers(0, 2**32, shape, np.uint32)
     values = bits.view(np.float32)
     values[~np.isfinite(values)] = 1e30
@@ -50,7 +50,7 @@ def factored(shape: tuple[int, int] = (5, 7)) -> SpectralImage:
 
 
 def assert_comes_back(image: SpectralImage, path: Path) -> None:
-    """Written and read again, bit for bit."""
+    """Check that an image is the same bit for bit after writing and reading."""
     pixsim.write_exr(path, image)
     back = pixsim.read_exr(path)
     assert np.array_equal(bits(back.data), bits(image.data))
@@ -73,7 +73,7 @@ def test_write_exr_image_reads_back_bit_for_bit(make, spread, tmp_path):
 
 
 def fine_bands(seed: int) -> SpectralImage:
-    """10 nm bands halved at random up to three times, as lines ask for it; spectra of both signs."""
+    """Return an image with 10 nm bands that are randomly halved up to three times, and spectra of both signs."""
     rng = np.random.default_rng(seed)
     edges = BAND_EDGES_NM
     for _ in range(3):

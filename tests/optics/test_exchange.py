@@ -1,4 +1,4 @@
-"""Light that others made: files written here by OpenEXR, NumPy and SPy alone, read as irradiance; what is unclear is refused."""
+"""Files that OpenEXR, NumPy and SPy write, read as irradiance; ambiguous files are errors."""
 
 from __future__ import annotations
 
@@ -246,7 +246,7 @@ def test_read_spectral_exr_crop_or_oblong_pixels_raise(tmp_path):
 
 
 def test_read_irradiance_published_files(tmp_path):
-    """The files of Fichet et al. and of ART that colour-science carries, where they are installed."""
+    """Files of Fichet et al. and of ART in colour-science's tests, if they are installed."""
     import colour
 
     folder = Path(colour.__file__).parent / "io" / "tests" / "resources"

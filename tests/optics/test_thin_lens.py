@@ -58,7 +58,7 @@ def test_field_factor_axis_is_at_centre():
 
 @pytest.mark.parametrize("f_number", [1.0, 1.8, 4.0, 1000.0])
 def test_irradiance_factor_and_cutoff_share_numerical_aperture(f_number):
-    """E = π L sin²α on axis, and a cut-off of 2 sin α/λ, of one α; with a camera whose image is a fifth of its object."""
+    """E = π L sin²α on axis and the cut-off 2 sin α/λ have the same α, also at a magnification of 1/5."""
     camera = Camera(focal_length_mm=50.0, f_number=f_number, object_distance_m=0.3)
     sin_alpha = np.sqrt(optics.irradiance_factor(f_number, 0.0, camera.magnification) / np.pi)
     assert optics.cutoff_cy_per_mm(500.0, camera.effective_f_number) == pytest.approx(2 * sin_alpha / 500e-6, rel=1e-13)

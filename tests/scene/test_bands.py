@@ -1,4 +1,4 @@
-"""Spectra, bands and pulses: no line is lost, no wavelength is random, and the error that a fit tells is the error it makes."""
+"""Spectra, bands and pulses: lines are conserved, wavelengths are not random, and reported errors are the real ones."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def shipped(name: str) -> Spectrum:
 
 
 def line(centre_nm: float, width_nm: float = 1.0) -> Spectrum:
-    """A triangle of unit area, `width_nm` wide at half its height."""
+    """Return a triangle of unit area with a full width at half maximum of `width_nm`."""
     return spectrum([centre_nm - width_nm, centre_nm, centre_nm + width_nm], [0, 1 / width_nm, 0])
 
 
@@ -70,7 +70,7 @@ def fine(lamp: Spectrum) -> np.ndarray:
 
 
 def exact_integral(lamp: Spectrum, low: float, high: float) -> float:
-    """∫ piece by piece: the value in the middle of a straight piece times its width."""
+    """Return the integral as a sum over linear pieces."""
     inside = lamp.nodes_nm[(lamp.nodes_nm > low) & (lamp.nodes_nm < high)]
     cuts = np.concatenate([[low], inside, [high]])
     middle = (cuts[1:] + cuts[:-1]) / 2
@@ -192,7 +192,7 @@ LINES_NM = [
 
 
 def band_energies(lamp: Spectrum, bands: Bands) -> tuple[np.ndarray, float, float]:
-    """Energy of each band, of all of them, and the mean wavelength at which their pulses look."""
+    """Return the energy of each band, the total, and the mean wavelength of the pulses."""
     every = every_band(lamp, bands)
     energy = every.spectra * bands.width_nm
     at = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in every.pulses]
@@ -200,7 +200,7 @@ def band_energies(lamp: Spectrum, bands: Bands) -> tuple[np.ndarray, float, floa
 
 
 def assert_seen(lamp: Spectrum, bands: Bands, energy: np.ndarray, responses: dict[str, Any] = RESPONSES) -> None:
-    """Each response gets its energy, to 1e-3. Bands' centres instead of a line would be 1e-2 off."""
+    """Check each response's signal to 1e-3. Band centres in place of a line would be 1e-2 off."""
     for response in responses.values():
         truth = (fine(lamp) * response(FINE_NM)).sum() * FINE_STEP_NM
         assert (energy * bands.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
@@ -302,7 +302,7 @@ def is_sound(pulse: Pulse) -> bool:
 
 
 def apart(pulses: list[Pulse]) -> bool:
-    """Whether no two different ones share more than a zero at their ends."""
+    """Return whether no two pulses share more than a zero at their ends."""
     spans = sorted({(pulse.low_nm, pulse.high_nm) for pulse in pulses})
     return all(one[1] <= other[0] for one, other in pairwise(spans))
 
@@ -361,7 +361,7 @@ def test_every_band_without_lamp_is_flat():
 
 @pytest.mark.parametrize("lamp", [None, "rising"])
 def test_every_band_pulses_add_up_to_lamp(lamp):
-    """Each wavelength counts once, on a border in two halves: or a line in place would be lost, or count twice."""
+    """Each wavelength counts once, at a border in two halves: lines are neither lost nor counted twice."""
     nm = np.arange(361.0, 829.001, 1 / 8)  # between the folded ends of the range
     light = None if lamp is None else Spectrum(np.array([360.0, 830.0]), np.array([1.0, 5.0]))
     result = place_bands([light] if light else [], NONE, WITNESSES, TOLERANCE)
@@ -408,14 +408,14 @@ def surfaces_of(name: str) -> np.ndarray:
 def answers(
     fitted: Any, placed: Bands, response: spectral_bands.Response, factors: np.ndarray, nm: np.ndarray = FINE_NM
 ) -> np.ndarray:
-    """What a sensor says of light from surfaces (n, fine), from pulses that meet them."""
+    """Return the signals of light from surfaces (n, fine), computed from pulses."""
     pulses = np.array([np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) for pulse in fitted.pulses])
     measured = factors @ pulses.T * (nm[1] - nm[0])
     return measured @ fitted.spectra @ (placed.width_nm * placed.mean(response))
 
 
 def errors_of(fitted: Any, placed: Bands, lamp: Spectrum, factors: np.ndarray) -> np.ndarray:
-    """Relative errors, (witnesses, n), against integrals over 0.01 nm."""
+    """Return relative errors (witnesses, n) against integrals in steps of 0.01 nm."""
     result = []
     for witness in WITNESSES:
         truth = factors @ (fine(lamp) * witness.response(FINE_NM)) * FINE_STEP_NM
@@ -554,7 +554,7 @@ def test_fit_too_few_pulses_returns_none():
 
 
 def furnace(mi: Any, responses: list[dict[str, Any]], spp: int = 16) -> np.ndarray:
-    """A uniform emitter of radiance 1 that fills the view, (12, 12, channels)."""
+    """Render a uniform emitter of radiance 1 that fills the view, (12, 12, channels)."""
     size = (12, 12)
     described = {
         "type": "scene",

@@ -1,4 +1,4 @@
-"""A kept render is the render: the same bytes from it as without it, found again for whatever makes the same light only."""
+"""Cached renders: results are the same bytes with and without the cache, and only equal light shares an entry."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def rendered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """A number for each real render."""
+    """Count the real renders."""
     result: list[int] = []
     real = Renderer._rendered
 
@@ -44,7 +44,7 @@ def rendered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def run(out: Path, options: str = "", scene: str | Path = "csf") -> dict[str, bytes]:
-    """The bytes of all that a run leaves but its times."""
+    """Return the bytes of all files of a run, without its times."""
     out.with_suffix(".toml").write_text("render_noise = 100\npixel.pitch_um = 84.8", encoding="utf-8")  # two renders are enough
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -169,7 +169,7 @@ def test_render_cache_is_unused_by_measurements(rendered, folder):
 
 
 def test_cached_renders_size_is_limited(monkeypatch):
-    """In a second run, what was found counts as much as what is new."""
+    """Entries from an earlier run count as much as new ones."""
     monkeypatch.setenv(LIMIT_VARIABLE, str(16 / 1024))  # 16 MiB: 4 for one job
     picture = np.zeros((512, 512, 1), np.float32)  # 1 MiB
     for _ in range(2):
@@ -181,7 +181,7 @@ def test_cached_renders_size_is_limited(monkeypatch):
 
 
 def test_render_cache_time_limit_is_reproduced(rendered, monkeypatch):
-    """Kept renders cost no time: counted anew, the same limit would let each repeat go further. A new one takes a second here."""
+    """Cached renders take no time, so a clock would let each repetition render more. A new render takes a second here."""
     monkeypatch.setattr(convergence.time, "perf_counter", lambda: float(len(rendered)))
     scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=32)
     pixel = pixsim.Pixel(pitch_um=84.8)

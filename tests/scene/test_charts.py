@@ -1,4 +1,4 @@
-"""Charts against their definitions: frequencies, contrasts, luminances, angles, and how well a texture holds them."""
+"""Charts against their definitions: frequencies, contrasts, luminances, angles, and the errors of textures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_csf_contrast_and_luminance_match_paper():
 
 
 def bilinear(texels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """What a renderer reads at x, y in [0, 1]: texel centres at (i + ½)/n, clamped."""
+    """Interpolate texels at x, y in [0, 1] as a renderer does: centres at (i + ½)/n, clamped."""
     height, width = texels.shape
     column, row = x * width - 0.5, y * height - 0.5
     left, upper = (np.clip(np.floor(v).astype(int), 0, n - 2) for v, n in ((column, width), (row, height)))
@@ -69,7 +69,7 @@ def test_csf_texture_keeps_contrast(frequency_lp_per_mm, y):
     # The wave that is read, in units of the one that should be: linear interpolation takes (π f Δx)²/3 of it, 0.04 % at
     # 33 lp/mm, on average; rows and rounding add 0.005 %.
     assert (read * exact).sum() / (exact * exact).sum() == pytest.approx(1.0, abs=1e-3)
-    # Point by point: found 0.084 % on crests at 33 lp/mm where the contrast is 1 %, of which rounding is 0.04 %.
+    # Point by point: measured 0.084 % on crests at 33 lp/mm where the contrast is 1 %, of which rounding is 0.04 %.
     assert np.abs(read - exact).max() < 1e-3 * 0.5125 * charts.csf_contrast(y)
 
 

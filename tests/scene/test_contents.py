@@ -1,6 +1,6 @@
-"""What a scene contains: shapes before the lens, and what surfaces do to a spectrum.
+"""Contents of scenes: shapes in front of the lens, and spectra of surfaces.
 
-Against thin-lens optics, brute-force rays, Mitsuba's own shapes, the numbers that stand in the XML, and Fresnel's formula.
+Compared with thin-lens optics, brute-force rays, Mitsuba's shapes, the numbers in the XML, and Fresnel's formula.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def test_greatest_blur_is_at_an_end_of_the_body():
 
 
 def test_blur_um_matches_mitsuba(tmp_path):
-    """The second moment of a uniform disc is D²/8, that of one disc convolved with another the sum."""
+    """The second moment of a uniform disc is D²/8; those of convolved discs add up."""
     radius_m, depth_m = 6e-5, 0.07
     small = ('x="$chart_half_width" y="$chart_half_width"', f'x="{radius_m}" y="{radius_m}"')
     away = ('<translate z="$focus_distance"/>', f'<translate z="{depth_m}"/>')
@@ -71,7 +71,7 @@ def box(x: float, y: float, z: float, half: tuple[float, float, float] = (0, 0, 
 
 
 def widest(camera: pixsim.Camera, half_m: float, z: float) -> float:
-    """How far from the axis any ray of the picture is at a depth: from all over the lens to all over the plane in focus."""
+    """Return the largest distance from the axis, at a depth, of any ray between the lens and the plane in focus."""
     a, u = camera.aperture_radius_m, camera.object_distance_m
     start, end = np.meshgrid(np.linspace(-a, a, 201), np.linspace(-half_m, half_m, 201))
     return float(np.abs(start + (end - start) * z / u).max())
@@ -143,7 +143,7 @@ def test_find_bodies_corners_enclose_mitsubas_shape(plugin, tmp_path):
 
 
 def test_find_bodies_are_in_camera_frame(tmp_path):
-    """The still life's glass ball, 10 cm along the axis of a camera that looks down."""
+    """The glass ball of the still life, seen by a camera that looks down, 10 cm along its axis."""
     state = load("still_life").parse()
     bodies = {state.nodes[body.node].props.id(): body for body in find_bodies(state, sensor_node(state, None)[1])}
     eye, target = np.array([0, 0.036, -0.094]), np.array([0, 0.0105, 0])
@@ -260,7 +260,7 @@ def spectra(folder: Path, *bsdfs: str, variant: str = "scalar_spectral") -> np.n
 
 
 def fresnel(eta: np.ndarray, k: np.ndarray, cosine: float) -> np.ndarray:
-    """Reflectance of a metal for unpolarised light, from complex amplitudes (Born & Wolf, 14.2)."""
+    """Return the reflectance of a metal for unpolarised light, from complex amplitudes (Born & Wolf, 14.2)."""
     index = eta + 1j * k
     inside = np.sqrt(1 - (1 - cosine**2) / index**2)
     s = (cosine - index * inside) / (cosine + index * inside)
@@ -269,7 +269,7 @@ def fresnel(eta: np.ndarray, k: np.ndarray, cosine: float) -> np.ndarray:
 
 
 def coated(reflectance: np.ndarray) -> np.ndarray:
-    """Light to and fro under a coat that sends 60 % back: ρ(1 + 0.6 ρ + 0.36 ρ² + …)."""
+    """Return the reflectance under a coat that reflects 60 % internally: ρ(1 + 0.6 ρ + 0.36 ρ² + …)."""
     return np.sum([reflectance * (0.6 * reflectance) ** bounce for bounce in range(60)], axis=0)
 
 

@@ -1,4 +1,4 @@
-"""Rendering until the render's own noise no longer matters: what it says about the noise is what the noise is."""
+"""Rendering to a noise target: the reported noise is that of independent renders."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def electrons_per_s(image: pixsim.SpectralImage, pixel: pixsim.Pixel = PIXEL) ->
 
 
 def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pixel: pixsim.Pixel = PIXEL) -> float:
-    """Standard deviation over independent pictures, over that of photons, dark charge, reset and rounding: RMS over pixels."""
+    """Return the RMS over pixels of the standard deviation of pictures over the temporal noise of the sensor."""
     p = derive(pixel)
     signal_e = np.array([electrons_per_s(image, pixel) for image in images]) * exposure.integration_s
     dark_e = p.dark_current_e_per_s * exposure.integration_s
@@ -84,7 +84,7 @@ def test_render_until_noise_holds_over_levels():
 
 
 class Noisy:
-    """In the place of renders: a grey picture and noise whose variance goes with 1/samples, as told."""
+    """Replacement for renders: a grey picture with noise whose variance is proportional to 1/samples."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, relative: float) -> None:
         self.levels: list[int] = []
@@ -100,7 +100,7 @@ class Noisy:
 
 
 def test_noise_of_known_noise_is_unbiased(monkeypatch):
-    """White noise over cells of the picture, one pixel each: its share is σ_e/√(N V), in closed form."""
+    """White noise with one pixel per cell: its fraction of sensor noise is σ_e/√(N V)."""
     renders = Noisy(monkeypatch, 0.1)
     pixel = pixsim.Pixel(pitch_um=2713.6 / 32, fill_factor=1.0, full_well_e=1e6)
     exposure = pixsim.Exposure(integration_s=1e-4)
@@ -217,7 +217,7 @@ def test_render_until_time_limit_warns(monkeypatch):
 
 
 def test_render_until_next_pair_over_time_is_skipped(monkeypatch):
-    """Each sample takes a second: a level is raised only where four times the last pair still fits."""
+    """With one second per sample, a level is raised only if four times the last pair still fits."""
     renders = Noisy(monkeypatch, 0.1)
     clock = [0.0]
     run = renders.run
@@ -246,7 +246,7 @@ def test_render_until_equal_seeds_are_bit_identical():
 
 
 def test_render_until_picture_is_mean_of_renders():
-    """The two first renders, by themselves."""
+    """The picture of one pair is the mean of two single renders."""
     scene, camera, plan = prepared()
     job = Renderer(scene, camera, plan, 0)
     both = [job.image(*job.run(index)).factors[1].astype(float) for index in (0, 1)]
@@ -255,7 +255,7 @@ def test_render_until_picture_is_mean_of_renders():
 
 @pytest.mark.parametrize("full", [False, True])
 def test_rate_of_pulses_equals_ideal_rate(full):
-    """As from the image's bands: factors of macbeth, or every band of it."""
+    """The rate from pulses equals that from the image, with factors or with all bands of macbeth."""
     scene, camera, _ = prepared("macbeth")
     job = Renderer(scene, camera, make_plan(scene, camera, PIXEL, full=full), 0)
     pictures, spp = job.run(0)

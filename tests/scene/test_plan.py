@@ -1,4 +1,4 @@
-"""The plan: its lines, its bound, and that pruned renders are full ones within it."""
+"""The plan: its decisions, and that its bound covers the difference between pruned and full renders."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ ONE_PERCENT = 0.01
 
 
 class Sampled(NamedTuple):
-    """Mean electrons of independent renders: (renders, places × pixels), and the plan's bound."""
+    """Mean electrons of independent renders, (renders, places × pixels), and the bound of the plan."""
 
     mean_e: np.ndarray
     bound_e: float
 
 
 class Effort(NamedTuple):
-    """What a comparison needs so that its noise is below 1 %: samples and renders of the pruned and of the full side."""
+    """Samples and renders of the pruned and the full side for a noise below 1 %."""
 
     spp: tuple[int, int] = (16, 4)
     renders: tuple[int, int] = (6, 5)
@@ -59,7 +59,7 @@ FILM = 24
 
 
 def patches(rate: np.ndarray) -> np.ndarray:
-    """Means of the middles of the 24 patches of macbeth."""
+    """Return the means over the centres of the 24 patches of macbeth."""
     rows, columns = (
         np.stack([(np.arange(n) + side) * FILM / n for side in (0.3, 0.7)], axis=1).round().astype(int) for n in (4, 6)
     )
@@ -87,7 +87,7 @@ def sampled(case: str, full: bool) -> Sampled:
 
 
 def gates(pruned: Sampled, full: Sampled) -> tuple[np.ndarray, np.ndarray]:
-    """(relative difference, what bound and noise allow) of each place; noise by Student's t, false alarm 1e-3 over all."""
+    """Return each place's (relative difference, limit from bound and noise); Student's t, false alarm 1e-3 in total."""
     n, m = len(pruned.mean_e), len(full.mean_e)
     mean = full.mean_e.mean(axis=0)
     ours, theirs = (side.mean_e.var(axis=0, ddof=1) for side in (pruned, full))
@@ -142,7 +142,7 @@ def test_plan_unreachable_tolerance_warns():
 
 
 def test_plan_flat_field_coarse_film_keeps_fall_off():
-    """Mean electrons of every pixel from 64 samples across and from 1024, by the closed form of the fall-off."""
+    """Mean electrons of every pixel from 64 and from 1024 samples across, with the closed form of the fall-off."""
     for camera in (pixsim.Camera(), pixsim.Camera(focal_length_mm=2.0)):
         lens = camera.image_distance_mm, camera.f_number, camera.magnification
         coarse, fine = (

@@ -33,12 +33,12 @@ from pixsim.sensor.pixel import derive
 
 
 def on_axis_sr(f_number: float, magnification: float) -> float:
-    """E/L of a thin lens on its axis: π sin²α."""
+    """Return E/L of a thin lens on its axis, π sin²α."""
     return np.pi / (1 + 4 * f_number**2 * (1 + magnification) ** 2)
 
 
 def z_of_mean(values: np.ndarray) -> float:
-    """Mean of independent values in units of its standard error."""
+    """Return the mean of independent values in units of its standard error."""
     return float(values.mean() / (values.std() / np.sqrt(values.size)))
 
 
@@ -92,7 +92,7 @@ def test_render_flat_field_electrons():
 
 
 def csf_sample_means(n: int) -> np.ndarray:
-    """The CSF chart averaged over each of n × n samples: 4 Gauss points an axis, as it is separable but for its mean."""
+    """Return means of the CSF chart over n × n samples, by 4 Gauss points per axis."""
     node, weight = np.polynomial.legendre.leggauss(4)
     at = (np.arange(n)[:, None] + 0.5 + node / 2) / n
     mean = charts.csf_value(0.0, 0.0)
@@ -125,7 +125,7 @@ GRATING_ROWS = 16
 
 @cache
 def grating(camera: pixsim.Camera, frequency_lp_per_mm: float, folder: Path) -> pixsim.SpectralImage:
-    """16 of 1024 rows of the shipped scene, with a sinusoid (or at 0 lp/mm nothing) on it."""
+    """Render 16 of 1024 rows of the packaged scene with a sinusoid; 0 lp/mm is a uniform field."""
     x = (np.arange(16384) + 0.5) / 16384  # 100 texels a cycle: bilinear interpolation keeps 0.03 % of 60 lp/mm
     contrast = 0.9 if frequency_lp_per_mm else 0.0
     texels = charts.sine_value(x, frequency_lp_per_mm, contrast).astype(np.float32)
@@ -328,7 +328,7 @@ def plane_scene(folder: Path, body: str, integrator: str = EXACT, spp: int = 64)
 
 
 def spectrum_over_lens(image: pixsim.SpectralImage, camera: pixsim.Camera) -> np.ndarray:
-    """Radiance behind the irradiance, mean over the picture, (B,)."""
+    """Return the mean radiance of a picture (B,) from its irradiance."""
     return (image.data / lens_sr(image, camera)[:, :, None]).mean(axis=(0, 1))
 
 
@@ -400,7 +400,7 @@ def test_render_two_lamp_spectra_add(tmp_path):
 
 
 def test_render_fitted_and_coloured_lamps_add(tmp_path):
-    """The weights of a fit have both signs: its bands alone may be a little below zero, its pictures never."""
+    """The weights of a fit have both signs: bands may be slightly below zero, pictures never."""
     rgb = np.random.default_rng(0).uniform(0, 1, (3, 4, 4))
     write_channels(tmp_path / "sky.exr", dict(zip("RGB", rgb, strict=True)), {})
     sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="1e-6"/></emitter>'
@@ -433,7 +433,7 @@ TEXTURE_BYTES = 3 << 20  # whose hash goes into the header
 
 
 def traced(work):
-    """What comes of it, and the most memory that was taken for it beside what was there."""
+    """Return the result of a call and its peak of additional memory."""
     tracemalloc.start()
     result = work()
     most = tracemalloc.get_traced_memory()[1]
@@ -443,7 +443,7 @@ def traced(work):
 
 @pytest.fixture
 def large(monkeypatch):
-    """A job of 1024 × 1024 whose renders are grey, and which works on a few rows at a time."""
+    """Return a job of 1024 × 1024 samples with grey renders that works on a few rows at a time."""
     import mitsuba
 
     def grey(*_, sensor, spp, **__):

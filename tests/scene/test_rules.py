@@ -1,4 +1,4 @@
-"""What may be left out of which scene, and what may not: small edits of shipped scenes, closed forms, and real renders."""
+"""Rules of the plan: edits of packaged scenes, closed forms, and real renders."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NEUTRAL_LAMP = '<spectrum name="{}" value="360:1, 830:1"/>'
 
 
 def bigger(times: float) -> tuple[str, str]:
-    """The chart, larger than the film."""
+    """Return an edit that makes the chart larger than the film."""
     return HALF, f'x="{0.350145791 * times}" y="{0.350145791 * times}"'
 
 
@@ -165,7 +165,7 @@ KEPT = {
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """With a picture whose left half is red and whose right half is blue."""
+    """Return a folder with a picture whose left half is red and whose right half is blue."""
     import OpenEXR
 
     texels = np.zeros((8, 8, 3), np.float32)
@@ -258,7 +258,7 @@ def test_plan_full_leaves_out_nothing(name):
 
 
 def test_decide_samples_passes_share_samples():
-    """multijitter of 4 correlates the dimensions of a path: the still life gets 0.8 % too dark, ten standard errors."""
+    """With 4 samples multijitter correlates the dimensions of a path: the still life is 0.8 % too dark, 10 standard errors."""
     plan = render_plan("still_life")
     assert plan.passes > 4
     assert (plan.spp, plan.full_spp) == (16, 64)
@@ -379,7 +379,7 @@ def test_check_supported_unsupported_features_raise(name, edit, message, tmp_pat
 
 
 def test_check_textures_maps_may_be_raw(tmp_path):
-    """A normal map is three channels of any numbers: neither light nor reflectance."""
+    """A normal map has three channels of any values: it is neither light nor reflectance."""
     import matplotlib.image
 
     matplotlib.image.imsave(tmp_path / "normals.png", np.full((4, 4, 3), (0.5, 0.5, 1.0)))
@@ -412,7 +412,7 @@ def test_plan_unknown_contents_state_reason(tmp_path):
 
 
 def test_decide_samples_paths_have_minimum(tmp_path):
-    """Of 4 samples, Mitsuba's default, multijitter correlates the dimensions of a path: up to 1 % too dark."""
+    """With 4 samples, Mitsuba's default, multijitter makes paths up to 1 % too dark."""
     few = edited(tmp_path, "still_life", ('<default name="spp" value="64"/>', '<default name="spp" value="4"/>'))
     assert render_plan(few).spp == 16
     assert render_plan(few, spp=4).spp == 4  # asked for
@@ -452,7 +452,7 @@ def test_samples_needed_uniform_chart_is_minimum():
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("spp", [4, 16, 64])
 def test_sampling_error_ramp_is_stratified(spp, axis):
-    """N samples of which each has a stratum of 1/N along an axis: a slope g leaves g N^-3/2/√12 in their mean."""
+    """The mean of N samples, one in each stratum of 1/N, has an error of g N^-3/2/√12 for a slope g."""
     slope = 1e-5
     ramp = 1 + slope * np.arange(512.0)
     texels = np.tile(ramp, (512, 1)) if axis else np.tile(ramp[:, None], (1, 512))
@@ -463,7 +463,7 @@ def test_sampling_error_ramp_is_stratified(spp, axis):
 
 @cache
 def measured_error(name: str, spp: int) -> float:
-    """RMS relative error of a render's cells, from pairs of independent ones."""
+    """Return the RMS relative error of cells, from pairs of independent renders."""
     scene = load(name, resolution=SIZE, spp=spp)
     job = Renderer(scene, scene.camera(), make_render_plan(scene), 0)
     runs = np.array([job.run(index)[0][0][:, :, 0] for index in range(6)])
@@ -507,7 +507,7 @@ def effect(texels: np.ndarray, pitch_um: float, f_number: float) -> float:
 @pytest.mark.parametrize("contrast", [0.01, 0.5])
 @pytest.mark.parametrize("half_periods", [3, 40, 127])
 def test_diffraction_effect_sinusoid_matches_otf(half_periods, contrast):
-    """1 + c cos loses c (1 - OTF) of it, which counts most where the sinusoid is darkest."""
+    """1 + c cos changes by c (1 - OTF) cos, relatively most where the sinusoid is darkest."""
     n, pitch_um, f_number = 128, 2.0, 4.0
     wave = contrast * np.cos(np.pi * half_periods * (np.arange(n) + 0.5) / n)
     frequency = half_periods / (2 * n * pitch_um * 1e-3)
@@ -525,7 +525,7 @@ def test_diffraction_effect_flat_field_is_zero():
 
 
 def test_diffraction_effect_large_film_keeps_detail():
-    """Stripes two samples wide on a film of 1024: four of them are grey."""
+    """Stripes two samples wide on a film of 1024; a film of a quarter would be grey."""
     stripes = np.tile(np.arange(1024) // 2 % 2 + 1.0, (4, 1))
     chart = Chart(stripes, (4 / 1024, 1.0), (1024, 1024))
     wide = diffraction_effect(chart, 2.65, NM, np.ones(1), 4.0)
@@ -535,7 +535,7 @@ def test_diffraction_effect_large_film_keeps_detail():
 
 
 def test_decide_diffraction_soft_chart_is_left_out(tmp_path: Path):
-    """Half a period over the whole die: the lens takes less than the tolerance's tenth of it; a hundred take more."""
+    """The lens changes half a period over the die by less than a tenth of the tolerance, a hundred by more."""
     for half_periods, stored in ((1, False), (100, True)):
         wave = 0.5 + 0.03 * np.cos(np.pi * half_periods * (np.arange(1024) + 0.5) / 1024)
         pixsim.write_chart(tmp_path / "soft.exr", np.tile(wave.astype(np.float32), (2, 1)))
@@ -552,7 +552,7 @@ def test_chart_picture_part_equals_whole():
 
 
 def test_diffraction_effect_large_film_uses_steepest_part(monkeypatch):
-    """Detail in one corner: the part that is tried has it, and says nearly what the whole film does."""
+    """With detail in one corner, the tested part contains it and has nearly the effect of the whole film."""
     texels = np.full((64, 512), 0.5)
     texels[40:60, 448:496] += 0.2 * np.sin(np.arange(48) * 0.8)
     chart = Chart(texels, (0.5, 0.5), (128, 1024))

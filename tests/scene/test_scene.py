@@ -1,4 +1,4 @@
-"""Scenes: what is read from a Mitsuba XML, checked by Mitsuba's own numbers and by lamps known in closed form."""
+"""Scenes: what is read from a Mitsuba XML, against Mitsuba's numbers and lamps in closed form."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def test_for_camera_chart_fills_view():
 
 
 def crossings_um(picture: np.ndarray, sample_um: float) -> np.ndarray:
-    """Where the lower rows of the CSF chart pass their mean."""
+    """Return the positions where the lower rows of the CSF chart cross their mean."""
     line = picture[picture.shape[0] * 7 // 8 :].mean(axis=0) - charts.csf_value(0, 0)
     at = np.flatnonzero(line[:-1] * line[1:] < 0)
     return (at + 0.5 + line[at] / (line[at] - line[at + 1])) * sample_um
@@ -274,7 +274,7 @@ RGB = '<rgb name="radiance" value="1, 0.5, 0.2"/>'
 
 
 def planck(wavelength_nm: np.ndarray, temperature_k: float) -> np.ndarray:
-    """W m⁻² sr⁻¹ nm⁻¹, from the SI's constants."""
+    """Return Planck's radiance in W m⁻² sr⁻¹ nm⁻¹, with SI constants."""
     h, c, k = 6.62607015e-34, 299792458.0, 1.380649e-23
     metre = wavelength_nm * 1e-9
     return 1e-9 * 2 * h * c**2 / metre**5 / np.expm1(h * c / (metre * k * temperature_k))
@@ -394,7 +394,7 @@ def test_check_textures_invalid_texels_raise_with_position(tmp_path, bad):
 
 
 def test_check_textures_maps_may_be_negative(tmp_path, monkeypatch):
-    """Beside the scene, or where the command runs."""
+    """The file is in the scene's folder or in the working directory."""
     bump = '<texture type="bitmap"><boolean name="raw" value="true"/><string name="filename" value="bump.exr"/></texture>'
     ball = f'<shape type="sphere"><bsdf type="bumpmap">{bump}<bsdf type="diffuse"/></bsdf></shape>'
     for here in (False, True):
@@ -420,7 +420,7 @@ def test_load_scene_damaged_texture_raises(tmp_path):
 
 @pytest.fixture
 def copy(tmp_path):
-    """The flat scene with its chart in a folder of its own."""
+    """Copy the flat scene and its chart into a new folder."""
     shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")
     return tmp_path / "scenes" / "flat.xml"
 

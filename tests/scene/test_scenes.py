@@ -1,4 +1,4 @@
-"""The scenes with lamps and objects, and the edits that scenes/README.md tells: each must change the picture as physics says."""
+"""Scenes with lamps and objects, and the edits of scenes/README.md: each changes the picture as physics predicts."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def luminance(path: Path, spp: int = 16, light_nm: tuple[int, int] = (360, 830),
 
 @cache
 def shipped(name: str):
-    """A shipped scene's radiance, with its own parameters; do not write into it."""
+    """Return the radiance of a packaged scene with its default parameters; do not modify it."""
     return radiance(FOLDER / f"{name}.xml")
 
 
@@ -81,12 +81,12 @@ def table(name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def spectrum(name: str, wavelength_nm) -> np.ndarray:
-    """A shipped table as Mitsuba reads it: straight between its points, 0 outside."""
+    """Return a packaged table as Mitsuba reads it: linear between its points, 0 outside."""
     return np.interp(wavelength_nm, *table(name), left=0.0, right=0.0)
 
 
 def in_pulses(name: str) -> np.ndarray:
-    """Mean over each pulse, (4,)."""
+    """Return the mean over each pulse, (4,)."""
     from_centre = np.linspace(-PULSE_NM, PULSE_NM, 401)
     weight = 1 - np.abs(from_centre) / PULSE_NM
     return (spectrum(name, LINES_NM[:, None] + from_centre) * weight).sum(axis=1) / weight.sum()
@@ -102,7 +102,7 @@ PATCHES = [f"macbeth/{path.stem}" for path in sorted((FOLDER / "spectra/macbeth"
 
 
 def patch(index: int, size: int = SIZE) -> tuple[slice, slice]:
-    """Rows and columns well inside a patch of macbeth.xml: six columns, four rows."""
+    """Return rows and columns well inside one of the 6 × 4 patches of macbeth.xml."""
     row, column = divmod(index, 6)
     rows, columns = (
         (int((row + 0.15) * size / 4), int((row + 0.85) * size / 4)),
@@ -139,7 +139,7 @@ STEPS = read_steps()
 
 
 class Edited(NamedTuple):
-    """A copy of a scene with a step done to it."""
+    """A copy of a scene with one step applied."""
 
     path: Path
     parameters: dict[str, str]
@@ -165,7 +165,7 @@ def copied(folder: Path, scene: str) -> Edited:
 
 @pytest.fixture
 def step(request, tmp_path) -> Edited:
-    """The step that the test's name tells, done."""
+    """Apply the step that the test's name names."""
     done = STEPS[request.node.originalname.removeprefix("test_step_")]
     edited = copied(tmp_path, done.scene)
     return (edited.replace(done.before, done.after) if done.before else edited)._replace(parameters=done.parameters)
@@ -349,7 +349,7 @@ def test_line_lamp_colours_differ_from_daylight():
 
 
 def spot(picture: np.ndarray, row: float, column: float, half: float = 0.02) -> np.ndarray:
-    """Mean over a square, (bands,); place and half side as fractions of the picture."""
+    """Return the mean over a square, (bands,); place and half side are fractions of the picture."""
     size = len(picture)
     rows, columns = (slice(round((at - half) * size), round((at + half) * size) + 1) for at in (row, column))
     return picture[rows, columns].mean(axis=(0, 1))
@@ -533,7 +533,7 @@ def blur_px(path: Path, row: float, column: float, **parameters: str) -> float:
     profile = radiance(path, spp=256, size=512, crop=crop, **parameters)[:, :, 0].mean(axis=0)
 
     def edge(x, left, step, slope, at, radius):
-        """Share of a disc beyond a straight edge, mean over each pixel, on light that is not quite even."""
+        """Return the part of a disc beyond a straight edge, mean over each pixel, on slightly uneven light."""
         t = np.clip((x[:, None] + np.linspace(-0.5, 0.5, 21) - at) / radius, -1, 1)
         share = 0.5 + (t * np.sqrt(1 - t**2) + np.arcsin(t)) / np.pi
         return left + slope * x + step * share.mean(axis=1)

@@ -1,4 +1,4 @@
-"""Which Mitsuba variant runs: libraries that are too old, broken, missing or fine, each in a process of its own."""
+"""Choice of a Mitsuba variant with libraries that are too old, broken, missing or usable, in separate processes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def wheel_installed() -> bool:
 
 
 def python(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh process that has no LLVM chosen for it but by `environment`."""
+    """Run code in a new process whose LLVM is chosen by `environment` only."""
     clean = {key: value for key, value in os.environ.items() if key != variant.LLVM_VARIABLE}
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S)
@@ -41,7 +41,7 @@ def python(code: str, *arguments: str, **environment: str) -> subprocess.Complet
 
 @pytest.fixture
 def fresh(monkeypatch):
-    """`choose` anew; the variable is set, since without it Dr.Jit, imported by another test, would settle the matter."""
+    """Clear the cache of `choose`; the variable is set, since another test may have imported Dr.Jit."""
     monkeypatch.setenv(variant.LLVM_VARIABLE, "of a test")
     variant.choose.cache_clear()
     yield monkeypatch
@@ -73,7 +73,7 @@ def test_find_llvm_old_system_library_is_rejected():
 
 
 def fake_llvm(folder: Path, major: int) -> str:
-    """A library that says that it is this version of LLVM."""
+    """Build a library that reports this version of LLVM."""
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
     source = f"void LLVMGetVersion(unsigned *a, unsigned *b, unsigned *c) {{ *a = {major}; if (b) *b = 0; if (c) *c = 0; }}"
@@ -112,7 +112,7 @@ def test_find_llvm_order_is_variable_system_wheel(tmp_path, fresh):
 
 
 def test_choose_repeated_is_equal(tmp_path, fresh):
-    """`choose` sets the variable for Dr.Jit: that must not look like the user's own choice the next time."""
+    """`choose` sets the variable for Dr.Jit, which must not count as the user's choice later."""
     system = fake_llvm(tmp_path, 19)
     fresh.setattr(variant, "_system_candidates", lambda: [system])
     fresh.setenv(variant.LLVM_VARIABLE, "")

@@ -1,4 +1,4 @@
-"""Light to mean electrons: exact integration over photodiodes, its spline and strips, and the light's spectrum.
+"""Light to mean electrons: integration over photodiodes, its spline and strips, and the spectrum of the light.
 
 Conservation and closed forms at the extremes of pitch and size: pixsim.accuracy.stability.integration.
 """
@@ -39,7 +39,7 @@ def seeded(seed: int) -> np.random.Generator:
 
 
 def cell_means(antiderivative, n: int, length: float) -> np.ndarray:
-    """Exact means of a function over n equal cells of [0, length]."""
+    """Return exact means of a function over n equal cells of [0, length]."""
     return np.diff(antiderivative(np.linspace(0, length, n + 1))) * n / length
 
 
@@ -74,7 +74,7 @@ def test_integrate_pixels_sinusoid_contrast_is_sinc(frequency_lp_per_mm, pitch_u
     waves = np.stack([np.ones_like(x), np.sin(omega * x), np.cos(omega * x)], axis=1)
     mean, sine, cosine = np.linalg.lstsq(waves, pixels, rcond=None)[0]
     sinc = np.sinc(frequency_lp_per_mm * side_um * 1e-3)
-    # Found at 60 lp/mm 0.022 % for the 1.2 µm photodiode and 0.007 % for the others, 6e-6 at 33 lp/mm and below.
+    # Measured: at 60 lp/mm 0.022 % for the 1.2 µm photodiode and 0.007 % for the others, 6e-6 at 33 lp/mm and below.
     # A cubic spline errs by 0.55 %, plain area weights by 15 %.
     tolerance = 3e-4 if frequency_lp_per_mm > 50 else 1e-5
     assert np.hypot(sine, cosine) / mean == pytest.approx(contrast * sinc, rel=tolerance)
@@ -108,7 +108,7 @@ def smooth(shape: tuple[int, int], seed: int = 1) -> np.ndarray:
 
 
 def mixed(shape: tuple[int, int] = (30, 41)) -> np.ndarray:
-    """Smooth, with a star and an edge in some columns and rows."""
+    """Return a smooth picture with a star and an edge in some columns and rows."""
     picture = smooth(shape)
     picture[7, 5] = 1e6
     picture[12:20, 11] = 1e-9
@@ -184,7 +184,7 @@ def test_limit_overshoot_conserves_sum():
 
 
 def test_limit_overshoot_keeps_resolved_crests():
-    """Of what the grid resolves, at 5 samples a period and with troughs at zero; an edge elsewhere brings the limit in."""
+    """The sinusoid has 5 samples per period and troughs at zero; an edge elsewhere activates the limit."""
     n, omega = 200, 2 * np.pi / 5
     waves = np.diff(np.arange(n + 1) - np.cos(omega * np.arange(n + 1.0)) / omega)
     line = np.concatenate([waves, np.zeros(60)])[None]
@@ -199,7 +199,7 @@ def test_limit_overshoot_keeps_resolved_crests():
 
 @pytest.mark.parametrize("below_zero", [False, True])
 def test_integrate_axis_one_edge_limits_whole_picture(monkeypatch, below_zero):
-    """Also where the edge is in another strip; columns on demand are asked for a second time then."""
+    """The edge may be in another strip; columns on request are then computed twice."""
     picture, edges = smooth((30, 12)), np.arange(0.0, 29.0, 0.37)
     picture[:, 2] = np.tile([1.0, 1.2, 0.4], 10)  # what the limit changes
     picture[7, 11] = 1e6
@@ -238,7 +238,7 @@ def test_mean_signal_rate_is_independent_of_oversampling():
         rates.append(mean_signal_rate(irradiance, Camera(), derive(Pixel(pitch_um=9.1))))
     coarse, fine = rates
     assert coarse.shape == fine.shape == (298, 298)
-    # Found: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4 (the picture's slope is cut there).
+    # Measured: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4 (the picture's slope is cut there).
     assert coarse.sum() == pytest.approx(fine.sum(), rel=1e-5)
     assert np.abs(coarse - fine)[3:-3, 3:-3].max() < 1e-4 * fine.mean()
     assert np.abs(coarse - fine).max() < 1e-3 * fine.mean()

@@ -1,4 +1,4 @@
-"""The photodiode: charge against light from hours to picoseconds, its junctions, and what the sensor makes of it."""
+"""The photodiode: charge against light from hours to picoseconds, its junctions, and the signal of the sensor."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def frame(physics, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed
 
 
 def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.ndarray:
-    """Without tables."""
+    """Return the signal level without tables."""
     stored = np.minimum(generated_e, physics.full_well_e)
     if physics.pixel.well_limit == "diode":
         light = generated_e / integration_s - physics.dark_current_e_per_s

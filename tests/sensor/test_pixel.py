@@ -48,7 +48,7 @@ def test_pitch_for_fill_factor_inverts_law(name):
 
 @pytest.mark.parametrize(("name", "pitch_um"), [("0.5um", 7.57), ("0.35um", 5.30), ("0.25um", 3.79), ("0.18um", 2.73)])
 def test_pitch_for_five_percent_scales_with_process(name, pitch_um):
-    # Worked out when the law was fitted, to 0.01 µm; found 7.568, 5.297, 3.784 and 2.724.
+    # Worked out when the law was fitted, to 0.01 µm; measured 7.568, 5.297, 3.784 and 2.724.
     assert pixels.pitch_for_fill_factor_um(0.05, load_technology(name)) == pytest.approx(pitch_um, abs=0.01)
 
 
@@ -215,7 +215,7 @@ def test_snr_zero_signal_is_minus_infinity():
 
 
 def sensitivity_e_per_lx_s_um2(reading: str, cut_nm: float | None) -> float:
-    """Under D65, on the photodiode, by a sum over 1 nm."""
+    """Return the sensitivity under D65 on the photodiode, by a sum in steps of 1 nm."""
     nm = np.arange(360.0, 831.0)
     qe = pixels.derive(Pixel(response=reading, infrared_cut_nm=cut_nm)).quantum_efficiency(nm)
     illuminance_lx = (luminous_weight(nm, 1.0) * d65(nm)).sum()

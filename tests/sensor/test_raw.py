@@ -1,4 +1,4 @@
-"""The raw frame leaves and comes back as the same numbers, and other programs read the same ones."""
+"""Raw frames: files read back as the same numbers, also by other programs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_write_frame_too_many_bits_raises_and_leaves_no_file(suffix: str, tmp_pa
 
 
 def test_write_frame_other_readers_agree(tmp_path: Path) -> None:
-    """Pillow, NumPy and OpenEXR by themselves; the levels where DNG keeps them."""
+    """Pillow, NumPy and OpenEXR read the numbers, and the levels are in DNG's tags."""
     for suffix in (".png", ".tiff", ".npz", ".exr"):
         pixsim.write_frame(tmp_path / f"raw{suffix}", frame())
     for suffix in (".png", ".tiff"):
@@ -78,7 +78,7 @@ def test_write_frame_other_readers_agree(tmp_path: Path) -> None:
 
 
 def test_read_frame_without_metadata(tmp_path: Path) -> None:
-    """Of another program: what it does not tell is not known."""
+    """Items that a file of another program does not state are None."""
     Image.fromarray(CODES.astype(np.uint16)).save(tmp_path / "other.png")
     result = pixsim.read_frame(tmp_path / "other.png")
     assert [getattr(result, name) for name in FACTS] == [None] * len(FACTS)
@@ -93,7 +93,7 @@ def test_read_frame_without_metadata(tmp_path: Path) -> None:
 
 
 def test_raw_frame_foreign_file_has_top_code_fraction(tmp_path: Path) -> None:
-    """One pixel of twelve stands at 4095; how many lost charge below it, only the simulation knows."""
+    """One pixel of twelve is at 4095; saturated pixels below the top code cannot be counted."""
     path = tmp_path / "raw.npz"
     pixsim.write_frame(path, frame())
     simulated = pixsim.read_frame(path)

@@ -1,4 +1,4 @@
-"""Mean electrons to digital numbers: exposure, and every noise against its closed form.
+"""Mean electrons to digital numbers: exposure, and each noise source against its closed form.
 
 Statistical tests use fixed seeds, 250 000 columns of 4 pixels and gates of 5σ: 6e-7 false alarms each, with another seed.
 """
@@ -79,7 +79,7 @@ def standard_scores(values: np.ndarray, mean: float, variance: float) -> tuple[f
 
 
 def frames(physics: PixelPhysics, mean_e: float, integration_s: float, count: int = 1) -> list[np.ndarray]:
-    """Frames of one sensor of a million pixels under even light."""
+    """Return frames of one sensor of a million pixels under even light."""
     sensor = sensors.sample_sensor(physics, SHAPE, seeded(11))
     return [sensors.read_out(np.full(SHAPE, mean_e), integration_s, sensor, seeded(21 + i)) for i in range(count)]
 
@@ -191,7 +191,7 @@ def test_read_out_well_clips_before_read_noise():
 
 
 def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, size: int = 250_000) -> float:
-    """Of pixels under even light in 10 ms; `offset` of all of them, as a fraction of the well, in the place of their own."""
+    """Return the saturated fraction under even light in 10 ms, with the same `offset`, a fraction of the well, for all pixels."""
     physics = derive(pixel)
     sensor = sensors.sample_sensor(physics, (4, size // 4), seeded(31))
     if offset is not None:
@@ -204,7 +204,7 @@ def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, 
 
 @pytest.mark.parametrize("wells", [0.99, 1.0, 1.01])
 def test_saturated_fraction_is_counted_before_noise(wells):
-    """Offsets of -5 % keep all pixels below the top code: those at the well are Poisson counts that reach it."""
+    """Offsets of -5 % keep all pixels below the top code; saturated are the Poisson counts that reach the well."""
     pixel = Pixel(**CLEAN | {"full_well_e": 10_000.5, "read_noise_e": 20})
     expected = poisson.sf(10_000, wells * 10_000.5)
     error = SIGMAS * np.sqrt(expected * (1 - expected) / 250_000)
@@ -301,7 +301,7 @@ def test_capture_other_sensor_shape_raises():
 
 @pytest.mark.parametrize("options", [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}])
 def test_capture_equals_its_stages(options):
-    """Each stage written out, with the same numbers drawn in the same order: the same codes, bit for bit, beyond the well too."""
+    """The stages written out, with the same random numbers, give the same codes, also beyond the well."""
     p = derive(Pixel(pitch_um=6.5, **options))
     assert p.pixel.well_limit == "swing"
     mean_e = np.random.default_rng(1).uniform(0, 1.4 * p.full_well_e, (40, 30))
@@ -357,7 +357,7 @@ def test_integration_time_darkness_is_maximum():
 
 
 def test_read_out_largest_dsnu_is_valid():
-    """A DSNU of 100: one pixel in ten thousand has all of the dark charge."""
+    """With a DSNU of 100 one pixel in ten thousand has all the dark charge."""
     physics = derive(Pixel(dsnu=100, dark_current_e_per_s=1e6, bits=24))
     sensor = sensors.sample_sensor(physics, (300, 300), seeded(0))
     assert sensor.dark_gain.min() >= 0

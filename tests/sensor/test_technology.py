@@ -1,4 +1,4 @@
-"""Technologies: their files, sources and ranges, what cannot be, and their names in results."""
+"""Technologies: files, sources, ranges, invalid values, and names in results."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_technology_ranges_hold_known_values():
 
 
 def test_technology_ranges_do_not_change_content():
-    """Another range changes no result, so no row's key; another value does."""
+    """Another range changes no result, and so no key of a row; another value does."""
     bare = T035.model_copy(update={"ranges": {}, "sources": {}})
     assert bare.content == T035.content
     assert T035.with_numbers({"dsnu": 0.2}, "here").content == T035.content | {"dsnu": 0.2}
@@ -140,7 +140,7 @@ def test_load_technology_user_file(tmp_path):
 
 @pytest.mark.parametrize("name", [*TECHNOLOGIES, *PINNED])
 def test_technology_with_numbers_changes_values(name):
-    """Every number with a range can go to both ends; nothing else changes, and the source says what was there."""
+    """Every number with a range can be set to both ends; nothing else changes, and the source states the old value."""
     technology = load_technology(name)
     for number, ends in technology.ranges.items():
         for end in ends:
