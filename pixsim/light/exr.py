@@ -1,7 +1,4 @@
-"""Read and write OpenEXR files of float32 channels, spectral irradiance among them.
-
-A file's header is checked before OpenEXR reads it.
-"""
+"""Read and write OpenEXR files of float32 channels, and spectral irradiance as EXR; headers are checked before OpenEXR."""
 
 from __future__ import annotations
 
@@ -36,11 +33,7 @@ ALLOWED = "a readable OpenEXR file"
 
 
 def judge_exr(path: Path) -> None:
-    """Check the header of an EXR file, without its pixels.
-
-    Raises PixsimError if the file is not a flat, single-part EXR, or if its header declares an implausible size, tile size,
-    number of channels or number of attributes.
-    """
+    """Check an EXR header. Raises PixsimError if it is not flat and single-part, or declares implausible sizes or counts."""
     with opened(path, "EXR file", ALLOWED) as file:
         try:
             _judge(path, file)
@@ -126,10 +119,7 @@ def _channel_count(content: bytes) -> int:
 
 
 def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Return pixsim's metadata of an EXR file if its entries have the expected types.
-
-    Raises ValueError or TypeError if they do not.
-    """
+    """Return pixsim's metadata of an EXR file. Raises ValueError or TypeError if an entry has another type or value."""
     header = metadata["header"]
     if not all(isinstance(header.get(name, {}), dict) for name in ("parameters", "camera")):
         raise ValueError("parameters and camera must be tables")

@@ -138,9 +138,7 @@ def _pair_progress(progress: Progress | None, number: int, noise: RenderNoise) -
 def noise_of(
     job: Renderer, halves: list[list[Array]], weight: float, pixels: Sequence[PixelPhysics], exposure: Exposure
 ) -> tuple[float, float]:
-    """Return the noise of the mean of two halves as a fraction of sensor noise, and relative, for the worst of the pixels.
-
-    weight : of each half
+    """Return the noise of the mean of two halves, as a fraction of sensor noise and relative, for the worst pixel.
 
     Diffraction is left out; its blur would lower the noise slightly.
     """

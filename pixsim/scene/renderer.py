@@ -54,11 +54,7 @@ def _regular(low_nm: float, high_nm: float, values: Array) -> dict[str, Any]:
 
 
 def load_light(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, regular_tables: bool) -> Any:
-    """Build the scene with the emitters of one light only.
-
-    An emitter becomes its neutral picture or relative power, since the pulses have its spectrum. Emitters of varying colour are
-    unchanged, and their pulses are flat.
-    """
+    """Build the scene with one light's emitters only, each as its neutral picture or power: the pulses have its spectrum."""
     emitters = nodes_of(state, "Emitter")
     dark = {index for index, _ in emitters} - light.lamp.pictures.keys()
     for parent in state.nodes if dark else ():
@@ -88,9 +84,7 @@ KIND = "render"
 
 
 def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int) -> str:
-    """Return a hash of everything that the runs of a job depend on, for the cache.
-
-    Pixel and display matter only through the plan.
+    """Return a hash of everything that the runs of a job depend on; pixel and display matter only through the plan.
 
     state : the scene as parsed for the camera
     """

@@ -43,10 +43,7 @@ class Chart:
     shape: tuple[int, int]
 
     def picture(self, shape: tuple[int, int], part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
-        """Return cell means on a film of that shape, or on some of its rows and columns.
-
-        The film shows the middle of a larger chart.
-        """
+        """Return cell means on a film of that shape, or on a part of it; the film shows the middle of a larger chart."""
         values = np.ones((1, 1)) if self.texels is None else self.texels
         # Begin with the axis that shrinks more, which leaves less work for the other.
         for axis in sorted((0, 1), key=lambda axis: shape[axis] / values.shape[axis]):

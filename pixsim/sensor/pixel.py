@@ -205,11 +205,7 @@ def diode_full_v(diode: Diode) -> float:
 
 
 def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float) -> Well:
-    """Return the full well of a pixel.
-
-    A 3T junction is charged over its voltage swing or down to forward bias, with the capacitance of the process or the paper's
-    constant one. A pinned photodiode has the charge density of its technology.
-    """
+    """Return the well: of a 3T junction over its swing or down to forward bias, or of a pinned photodiode by its density."""
     junction = technology.junction
     if junction is None:
         assert technology.full_well_e_per_um2 is not None  # the record's validator
