@@ -170,7 +170,7 @@ def test_write_exr_too_many_band_bytes_writes_illuminance(tmp_path, monkeypatch)
     assert sorted(channels) == ["Y", "factor.0", "factor.1"]
     assert header["illuminanceUnits"] == "lx"
     assert np.array_equal(channels["Y"], image.illuminance_lx().astype(np.float32))
-    pixsim.write_exr(tmp_path / "general.exr", general())  # nothing else tells its bands
+    pixsim.write_exr(tmp_path / "general.exr", general())  # no other channel determines its bands
     assert len(read_header(tmp_path / "general.exr")["channels"]) == 46
 
 
@@ -281,7 +281,7 @@ def test_photometric_tables_match_cie():
     nm = np.arange(360.0, 781.0)
     y_bar = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(360, 780, 1)).values[:, 1]
     np.testing.assert_allclose(spectral.photopic_efficiency(nm), y_bar, rtol=1e-9)
-    # CIE 15 tabulates D65 every 5 nm and says to interpolate linearly.
+    # CIE 15 tabulates D65 every 5 nm and prescribes linear interpolation.
     d65 = colour.SDS_ILLUMINANTS["D65"]
     np.testing.assert_allclose(spectral.d65(nm[::5]), d65[nm[::5]], rtol=1e-9)
     np.testing.assert_allclose(spectral.d65(nm), np.interp(nm, nm[::5], d65[nm[::5]]), rtol=1e-5)  # six digits

@@ -63,7 +63,7 @@ def refused(path: Path, *parts: str, **options: object) -> None:
     assert "; allowed: " in str(caught.value)
 
 
-# --- pixsim's own ---
+# --- Files of pixsim ---
 
 
 def own_image() -> SpectralImage:
@@ -169,7 +169,7 @@ def test_read_irradiance_contradicting_units_raises(tmp_path):
     refused(path, "in the file", units="mW/m2/sr/nm", camera=CAMERA)
     same = pixsim.read_irradiance(path, units="W m^-2 um^-1")  # the same, spelled otherwise
     np.testing.assert_allclose(same.data, 1e-3 * light(), rtol=1e-6)
-    # A unit without a wavelength leaves room for one, but stays a radiance; what is no unit says nothing.
+    # A unit that is not per wavelength may be completed, but stays a radiance; other text is ignored.
     half = npz(tmp_path / "half.npz", units="W.m^-2.sr^-1", pitch_um=None)
     refused(half, "W.m^-2.sr^-1, which is not per wavelength", "State them", pitch_um=None, camera=pixsim.Camera())
     refused(half, "the same unit", pitch_um=None, camera=CAMERA, units=UNIT)

@@ -167,7 +167,7 @@ def test_place_bands_shares_follow_light(seed):
     # Lamps are taken in 1/8 nm cells: 1/8 nm squared over 12 is the error of the second moment, less of the first.
     np.testing.assert_allclose(result.mean(lambda nm: nm), centroid, rtol=0, atol=0.01)
     near = np.abs(centroid - (result.edges_nm[:-1] + result.edges_nm[1:]) / 2) < 1
-    assert 0 < near.sum() < near.size  # else this says nothing
+    assert 0 < near.sum() < near.size  # both cases occur
     np.testing.assert_allclose(result.wavelength_nm[~near], centroid[~near], rtol=0, atol=0.01)
     assert np.abs(result.wavelength_nm - centroid).max() < 1.01
 
@@ -238,7 +238,7 @@ def test_place_bands_packaged_lamp_energies(name):
 def test_place_bands_two_line_lamps_are_split(one_nm, other_nm):
     lamps = [line(one_nm), line(other_nm, 0.5)]
     result = place_bands(lamps, NONE, WITNESSES, TOLERANCE)
-    assert result.width_nm.min() < 10  # 10 nm cannot tell them apart
+    assert result.width_nm.min() < 10  # bands of 10 nm do not separate them
     assert np.array_equal(result.edges_nm[[0, -1]], [360, 830])
     assert np.all(result.width_nm >= 1)
     for lamp in lamps:
@@ -498,7 +498,7 @@ def test_fit_bands_are_right_with_negative_weights(name, family):
 
 
 def test_fit_bands_are_within_shape_tolerance():
-    # A response that is the same at all wavelengths is served by one lamp-shaped pulse, which tells nothing of the bands.
+    # A response that is the same at all wavelengths needs one pulse of the shape of the lamp, which does not determine the bands.
     even = [Witness(np.ones_like)]
     lamp = shipped("fl11")
     placed = place_bands([lamp], SURFACES, even, 1e-3)

@@ -73,7 +73,7 @@ def test_csf_texture_keeps_contrast(frequency_lp_per_mm, y):
     assert np.abs(read - exact).max() < 1e-3 * 0.5125 * charts.csf_contrast(y)
 
 
-# --- The others ---
+# --- Other charts ---
 
 
 def test_slanted_edge_is_5_degrees():

@@ -182,7 +182,7 @@ def test_find_bodies_unknown_member_has_no_corners(tmp_path):
     assert [body.corners for body in instances] == [None, None]
 
 
-# --- Which side they show ---
+# --- Front sides ---
 
 
 @pytest.mark.parametrize("flip", ["false", "true"])
@@ -273,7 +273,7 @@ def coated(reflectance: np.ndarray) -> np.ndarray:
     return np.sum([reflectance * (0.6 * reflectance) ** bounce for bounce in range(60)], axis=0)
 
 
-# --- What stands in the file ---
+# --- Spectra of surfaces ---
 
 NEUTRAL = {
     "nothing": (),
@@ -403,7 +403,7 @@ def test_find_surfaces_nested_bsdfs_are_included(tmp_path):
         assert np.abs(result - item).max(axis=1).min() < 1e-6
 
 
-# --- What is not known, what is short ---
+# --- Unknown spectra and short tables ---
 
 UNKNOWN = {
     "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),

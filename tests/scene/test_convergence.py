@@ -54,7 +54,7 @@ def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pi
     return float(np.sqrt((signal_e.var(axis=0, ddof=1) / variance_e2).mean()))
 
 
-# --- What it says is what is ---
+# --- The reported noise is the real one ---
 
 
 @pytest.mark.parametrize(("name", "integration_s"), [("csf", 2e-3), ("csf", 2e-5), ("macbeth", 2e-3)])
@@ -117,7 +117,7 @@ def test_noise_of_known_noise_is_unbiased(monkeypatch):
     assert max(renders.levels) > 1
 
 
-# --- Until ---
+# --- When rendering ends ---
 
 
 def test_render_until_lower_target_renders_more(monkeypatch):
@@ -234,7 +234,7 @@ def test_render_until_next_pair_over_time_is_skipped(monkeypatch):
     assert max(renders.levels) == 1
 
 
-# --- What is left behind ---
+# --- Header and score ---
 
 
 def test_render_until_equal_seeds_are_bit_identical():

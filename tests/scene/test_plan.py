@@ -29,7 +29,7 @@ TOLERANCES = (1e-2, 1e-3, 1e-4)
 ONE_PERCENT = 0.01
 
 
-# --- Pruned is full, within the bound ---
+# --- Pruned and full renders ---
 
 
 class Sampled(NamedTuple):
@@ -155,7 +155,7 @@ def test_plan_flat_field_coarse_film_keeps_fall_off():
     assert make_plan(load("flat"), tolerance_e=1e-5).resolution is None
 
 
-# --- Its lines ---
+# --- Decisions ---
 
 SUBJECTS = [
     "wavelength bands",

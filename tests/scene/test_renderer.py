@@ -182,7 +182,7 @@ def test_capture_contrast_is_diffraction_times_photodiode(f_number, distance_m, 
     assert abs(quadrature / mean) < 2e-3 * expected
 
 
-# --- What is left out, and what is left in ---
+# --- Fewer passes ---
 
 
 @VARIANTS
@@ -209,7 +209,7 @@ def test_render_chart_one_pass_gives_all_bands():
     assert abs(np.corrcoef(noise[:, first[0]], noise[:, second[0]])[0, 1]) < 0.3
 
 
-# --- Which way is up ---
+# --- Orientation ---
 
 
 def test_render_top_left_is_kept_in_files(tmp_path):

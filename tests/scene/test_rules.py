@@ -52,7 +52,7 @@ def moved_chart(transform: str) -> tuple[str, str]:
     return AWAY, transform
 
 
-# --- Each rule fires where it should ---
+# --- Rules that apply ---
 
 
 def test_lone_chart_is_recognised():
@@ -101,7 +101,7 @@ def test_plan_equal_lamp_spectra_are_one_light(tmp_path):
         assert len(plan.lights) == lights
 
 
-# --- What must stay ---
+# --- Rules that do not apply ---
 
 ALONE, DETAIL, MATT = {"spectral rank", "bounces"}, {"texture samples", "diffraction"}, {"bounces", "lens samples"}
 FILM = '<translate z="$focus_distance"/>'
@@ -319,11 +319,11 @@ def test_render_unfocused_chart_is_blurred_by_disc(tmp_path):
     expected = abs(2 * j1(u) / u)
     assert result[0.1] == pytest.approx(0.8 * np.sinc(cycles / 32), rel=0.01)
     # 32 × 16 cells of 64 samples: 2 % of noise in the contrast that is left.
-    assert 0.05 < expected < 0.9, "the case says nothing"
+    assert 0.05 < expected < 0.9, "the case does not test the bound"
     assert result[0.2] / result[0.1] == pytest.approx(expected, abs=0.03)
 
 
-# --- What is refused, and what is not taken for something else ---
+# --- Errors ---
 
 TEXTURED = '<texture type="{}" name="radiance">{}</texture>'
 

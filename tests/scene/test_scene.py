@@ -213,7 +213,7 @@ def test_chart_frequencies_hold_on_sensor(lens):
     assert np.abs(found_um - expected_um).max() < 1
 
 
-# --- Sensors that cannot be used ---
+# --- Unsupported sensors ---
 
 
 @pytest.mark.parametrize(
@@ -432,7 +432,7 @@ def test_content_hash_depends_on_content_only(copy, tmp_path):
     assert load(copy).content_hash == expected
     moved = copy.rename(tmp_path / "scenes" / "other_name.xml")
     assert load(moved).content_hash == expected
-    assert load("flat", resolution=1024).content_hash == expected  # the default, said aloud
+    assert load("flat", resolution=1024).content_hash == expected  # the default, given explicitly
 
 
 def test_content_hash_changes_with_textures_and_parameters(copy):

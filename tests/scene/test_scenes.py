@@ -176,7 +176,7 @@ def test_every_step_has_a_test():
     assert tests == set(STEPS)
 
 
-# --- The scenes as they are ---
+# --- Packaged scenes ---
 
 
 @VARIANTS

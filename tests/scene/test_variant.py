@@ -48,7 +48,7 @@ def fresh(monkeypatch):
     variant.choose.cache_clear()
 
 
-# --- Judging a library ---
+# --- Versions of libraries ---
 
 
 def test_llvm_version_missing_function_is_0():
@@ -169,7 +169,7 @@ def test_find_llvm_unusable_variable_raises(tmp_path, kind):
     assert not (tmp_path / "out").exists()
 
 
-# --- What is taken by itself ---
+# --- Automatic choice ---
 
 RENDER = """
 import sys
@@ -217,7 +217,7 @@ def test_choose_unknown_variant_raises(name):
         variant.choose(name)
 
 
-# --- Dr.Jit was there first, and may have found an LLVM that aborts ---
+# --- Dr.Jit imported first, perhaps with an LLVM that aborts ---
 
 
 def test_choose_after_drjit_renders_scalar():

@@ -158,7 +158,7 @@ def test_integrate_pixels_float32_needs_strip_memory_only(monkeypatch):
     np.testing.assert_array_equal(integrate_pixels(picture, 1.0, 2.3, 1.1), integrate_pixels(picture.astype(float), 1.0, 2.3, 1.1))
 
 
-# --- An edge of great contrast ---
+# --- High-contrast edges ---
 
 
 @pytest.mark.parametrize("contrast", [1e3, 1e6, 1e10])
@@ -224,7 +224,7 @@ def test_integrate_axis_one_edge_limits_whole_picture(monkeypatch, below_zero):
     assert asked == [0, 3, 6, 9] * (1 if below_zero else 2)
 
 
-# --- Electrons of the light ---
+# --- Electrons ---
 
 
 def test_mean_signal_rate_is_independent_of_oversampling():

@@ -208,7 +208,7 @@ def test_well_pinned_photodiode_options_raise(options):
         diode_of(Pixel(technology="4t-bsi", pitch_um=2.8))
 
 
-# --- What the sensor makes of it ---
+# --- Signal of the sensor ---
 
 
 def frame(physics, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3) -> np.ndarray:

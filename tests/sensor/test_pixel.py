@@ -266,7 +266,7 @@ def test_quantum_efficiency_given_with_infrared_cut():
         Pixel(quantum_efficiency=0)
 
 
-# --- What is given wins ---
+# --- Given values ---
 
 
 def test_derive_given_values_replace_derived():

@@ -326,7 +326,7 @@ def test_capture_equals_its_stages(options):
     np.testing.assert_array_equal(result, dn.astype(np.int32))
 
 
-# --- What cannot be, and what hardly can ---
+# --- Invalid and extreme values ---
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ def test_technology_with_invalid_numbers_raises(values, message):
 STUDIES = [
     (["0.35um", "0.25um"], ["0.35um", "0.25um"]),
     (["/home/me/mine.toml", "b/mine.toml", "c.d/mine.toml"], ["mine", "mine-2", "mine-3"]),
-    # mine-2 is another one's own name; a file system may not tell Mine from mine
+    # mine-2 is the plain label of another technology; some file systems ignore case
     (["a/mine.toml", "b/mine.toml", "mine-2.toml"], ["mine", "mine-3", "mine-2"]),
     (["a/Mine.toml", "b/mine.toml"], ["Mine", "mine-2"]),
     (["none", "data sheet.toml"], ["data sheet", "data sheet-2"]),
