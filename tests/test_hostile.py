@@ -217,17 +217,17 @@ TWINS = '<bsdf type="diffuse" id="t0"/>' + "".join(
         ("<scene", "<!DOCTYPE scene>", "DOCTYPE"),
         ("<shape", '<bsdf type="twosided">' * 100 + "</bsdf>" * 100, "nested"),
         ("<shape", "<a>" * 1_000_000, "nested"),
-        ("<shape", TWINS, "refer to others"),
-        ("<shape", '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>', "circle"),
+        ("<shape", TWINS, "references nested"),
+        ("<shape", '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>', "circul"),
         ("<shape", '<ref id="ghost"/>', "ghost"),
-        ("<shape", DEFAULTS + '<string name="a" value="$p9"/>', "characters long"),
+        ("<shape", DEFAULTS + '<string name="a" value="$p9"/>', "substituting parameters"),
         ("<shape", "".join(f'<default name="q{n}" value="1"/>' for n in range(600)), "parameters"),
-        ("<shape", '<include filename="scene.xml"/>', "includes without end"),
+        ("<shape", '<include filename="scene.xml"/>', "includes nested too deep"),
         ("<shape", '<include filename="part.xml"/>' * 65, "more than 64 includes"),
-        ("<shape", '<include filename="../outside.xml"/>', "and below"),
-        ("<shape", '<include filename="link.xml"/>', "and below"),
-        ("<shape", '<include filename="/etc/passwd"/>', "and below"),
-        ("<shape", '<default name="f" value="../outside.xml"/><include filename="$f"/>', "and below"),
+        ("<shape", '<include filename="../outside.xml"/>', "and its subfolders"),
+        ("<shape", '<include filename="link.xml"/>', "and its subfolders"),
+        ("<shape", '<include filename="/etc/passwd"/>', "and its subfolders"),
+        ("<shape", '<default name="f" value="../outside.xml"/><include filename="$f"/>', "and its subfolders"),
         ("<shape", '<include filename="ghost.xml"/>', "does not exist"),
         ("<shape", '<include filename="pipe.xml"/>', "a named pipe"),
         ("<shape", '<path value="/"/>', "<path"),
@@ -236,7 +236,7 @@ TWINS = '<bsdf type="diffuse" id="t0"/>' + "".join(
         ("<shape", '<bsdf type="diffuse"><spectrum name="reflectance" filename="/dev/zero"/></bsdf>', "a device"),
         ("<shape", '<bsdf type="diffuse"><texture name="reflectance" type="bitmap"><string name="filename" '
                    'value="bomb.png"/></texture></bsdf>', "picture"),
-        ("<shape", "<!-- " + "x" * 100, "to the end"),
+        ("<shape", "<!-- " + "x" * 100, "no closing -->"),
         ("<shape", '<shape type="sphere"><transform name="to_world"><scale x="0"/></transform></shape>', "to_world"),
         ("<shape", '<shape type="sphere"><transform name="to_world"><scale x="nan"/></transform></shape>', "to_world"),
         ("<shape", '<shape type="sphere"><transform name="to_world"><translate x="inf"/></transform></shape>', "to_world"),
@@ -323,7 +323,7 @@ def test_an_exr_of_other_kinds(tmp_path, capfd):
     whole = bytearray((tmp_path / "tiled.exr").read_bytes())
     whole[5] |= 0x08
     (tmp_path / "deep.exr").write_bytes(whole)
-    with refused("a deep picture"):
+    with refused("a deep image"):
         read_channels(tmp_path / "deep.exr")
     with OpenEXR.File({"type": OpenEXR.scanlineimage}, {f"c{n}": y[:1, :1] for n in range(5000)}) as file:
         file.write(str(tmp_path / "many.exr"))

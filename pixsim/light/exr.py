@@ -1,4 +1,4 @@
-"""OpenEXR files of float32 channels, and spectral irradiance as an EXR file; a header is judged before OpenEXR reads it."""
+"""Read and write OpenEXR files of float32 channels, and spectral irradiance as EXR; headers are checked before OpenEXR."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from pixsim.light.spectral import WHOLE, SpectralImage
 
 MAGIC = 20000630
 LONG_NAMES, TILED = 0x400, 0x200
-OTHER_KINDS = {0x800: "a deep picture", 0x1000: "several parts"}
+OTHER_KINDS = {0x800: "a deep image", 0x1000: "several parts"}
 MAX_HEADER_NAME = 255
 MAX_ATTRIBUTES = 4096
 MAX_CHANNELS = 4096
-MAX_ATTRIBUTE = 1 << 26  # pixsim's own, with all bands and the light within them, takes less than one MiB
+MAX_ATTRIBUTE = 1 << 26  # bytes; pixsim's largest attribute takes less than one MiB
 MAX_SIDE = 1 << 20
 MAX_TILE_BYTES = 1 << 28
 MAX_BYTES = 1 << 33
@@ -33,14 +33,14 @@ ALLOWED = "a readable OpenEXR file"
 
 
 def judge_exr(path: Path) -> None:
-    """PixsimError for what is no EXR of one flat part, or declares more than can be: a size, tiles, channels, attributes."""
+    """Check an EXR header. Raises PixsimError if it is not flat and single-part, or declares implausible sizes or counts."""
     with opened(path, "EXR file", ALLOWED) as file:
         try:
             _judge(path, file)
         except PixsimError:
             raise
         except (struct.error, ValueError, EOFError):
-            raise _damaged(path, "a header that is cut off or damaged") from None
+            raise _damaged(path, "a truncated or damaged header") from None
 
 
 def _damaged(path: Path, got: str) -> PixsimError:
@@ -50,53 +50,53 @@ def _damaged(path: Path, got: str) -> PixsimError:
 def _judge(path: Path, file: IO[bytes]) -> None:
     magic, version = struct.unpack("<2I", file.read(8))
     if magic != MAGIC or version & 0xFF != 2:
-        raise invalid("EXR file", f"'{path}', which does not begin as one", ALLOWED)
+        raise invalid("EXR file", f"'{path}', which does not start like an EXR file", ALLOWED)
     for flag, kind in OTHER_KINDS.items():
         if version & flag:
-            raise invalid("EXR file", f"'{path}' with {kind}", "one flat picture", "Write it as scan lines or tiles of one part.")
+            raise invalid("EXR file", f"'{path}' with {kind}", "one flat image", "Save it as scan lines or tiles of one part.")
     stored = os.fstat(file.fileno()).st_size
-    told = _attributes(path, file, stored)
+    attributes = _attributes(path, file, stored)
     for needed in ("channels", "dataWindow", "compression"):
-        if needed not in told:
+        if needed not in attributes:
             raise _damaged(path, f"a header without {needed}")
-    layout = told.get("type", b"").rstrip(b"\0")
+    layout = attributes.get("type", b"").rstrip(b"\0")
     if layout not in (b"", b"scanlineimage", b"tiledimage"):
         raise invalid("EXR file", f"'{path}' of type {layout.decode('utf-8', 'replace')!r}", "scanlineimage or tiledimage")
-    left, top, right, bottom = struct.unpack("<4i", told["dataWindow"])
+    left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
-    count = _channel_count(told["channels"])
+    count = _channel_count(attributes["channels"])
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 4 * width * height * count <= MAX_BYTES):
         got = f"{width} × {height} × {count} values in '{path}'"
-        raise invalid("EXR file", got, f"up to {MAX_SIDE} a side and {MAX_BYTES // 4} in all")
+        raise invalid("EXR file", got, f"up to {MAX_SIDE} per side and {MAX_BYTES // 4} in total")
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid("EXR file", f"{count} channels in '{path}'", f"1 to {MAX_CHANNELS}")
     if version & TILED:
-        across, down = struct.unpack("<2IB", told.get("tiles", b""))[:2]
+        across, down = struct.unpack("<2IB", attributes.get("tiles", b""))[:2]
         if min(across, down) < 1 or 4 * across * down * count > MAX_TILE_BYTES:
             raise _damaged(path, f"tiles of {across} × {down} samples")
     check_compression(f"EXR file '{path}'", 4 * width * height * count, stored)
 
 
 def _attributes(path: Path, file: IO[bytes], stored: int) -> dict[str, bytes]:
-    """Those of the picture's shape; the others are stepped over."""
-    told: dict[str, bytes] = {}
+    """Return the attributes that describe the channels and the layout; skip the others."""
+    attributes: dict[str, bytes] = {}
     for _ in range(MAX_ATTRIBUTES):
         name = _read_name(file)
         if not name:
-            return told
+            return attributes
         _read_name(file)
         (size,) = struct.unpack("<I", file.read(4))
         if size > min(MAX_ATTRIBUTE, stored - file.tell()):
             raise _damaged(path, f"an attribute {name!r} of {size} bytes")
         if name in ("channels", "dataWindow", "compression", "tiles", "type"):
-            told[name] = file.read(size)
+            attributes[name] = file.read(size)
         else:
             file.seek(size, os.SEEK_CUR)
     raise _damaged(path, f"more than {MAX_ATTRIBUTES} attributes")
 
 
 def _read_name(file: IO[bytes]) -> str:
-    """A text that ends with a zero."""
+    """Read a text that ends with a zero byte."""
     text = file.read(MAX_HEADER_NAME + 1)
     length = text.find(b"\0")
     if length < 0:
@@ -106,7 +106,7 @@ def _read_name(file: IO[bytes]) -> str:
 
 
 def _channel_count(content: bytes) -> int:
-    """Names, each with 16 bytes of type and sampling; a zero ends the list."""
+    """Count the channels of a list: each is a name and 16 bytes of type and sampling; a zero byte ends the list."""
     count, at = 0, 0
     while content[at : at + 1] not in (b"", b"\0"):
         end = content.index(b"\0", at)
@@ -118,32 +118,33 @@ def _channel_count(content: bytes) -> int:
     return count
 
 
-def checked_own(own: dict[str, Any]) -> dict[str, Any]:
-    """pixsim's own header, where those that use its entries find what they expect. ValueError or TypeError where they would not."""
-    told = own["header"]
-    if not all(isinstance(told.get(name, {}), dict) for name in ("parameters", "camera")):
-        raise ValueError("parameters and camera are tables")
-    if not all(isinstance(told.get(name, ""), str) for name in ("scene", "source", "units")):
-        raise ValueError("scene, source and units are texts")
-    numbers = np.array(own["wavelength_nm"] + own["band_width_nm"] + told.get("lamp_w_per_m2_sr_nm", []), float)
-    if numbers.size % len(own["wavelength_nm"]) or not np.isfinite(numbers).all():
-        raise ValueError("numbers for other bands, or that are none")
-    if not 0 < told.get("luminance_cd_per_m2", 1.0) < math.inf:
-        raise ValueError("luminance_cd_per_m2 is above 0")
-    return own
+def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
+    """Return pixsim's metadata of an EXR file. Raises ValueError or TypeError if an entry has another type or value."""
+    header = metadata["header"]
+    if not all(isinstance(header.get(name, {}), dict) for name in ("parameters", "camera")):
+        raise ValueError("parameters and camera must be tables")
+    if not all(isinstance(header.get(name, ""), str) for name in ("scene", "source", "units")):
+        raise ValueError("scene, source and units must be strings")
+    numbers = np.array(metadata["wavelength_nm"] + metadata["band_width_nm"] + header.get("lamp_w_per_m2_sr_nm", []), float)
+    if numbers.size % len(metadata["wavelength_nm"]) or not np.isfinite(numbers).all():
+        raise ValueError("there must be one finite number for each band")
+    if not 0 < header.get("luminance_cd_per_m2", 1.0) < math.inf:
+        raise ValueError("luminance_cd_per_m2 must be above 0")
+    return metadata
 
 
 Rows = Callable[[slice], NDArray[np.float32]]
 VERSION = 2
-MAX_NAME = 31  # bytes, without a flag that old readers do not know
+MAX_NAME = 31  # bytes; longer names need a flag that old readers do not know
 FLOAT = 2
-BLOCK_BYTES = 1 << 22  # fits into a processor's cache with what it is made of
+BLOCK_BYTES = 1 << 22  # a block and its sources fit into a processor's cache
 
 
 def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], header: dict[str, Any]) -> None:
-    """Contiguous float32 channels (others are written wrong without a word) to a lossless EXR, moved into place."""
+    """Write float32 channels to a losslessly compressed EXR, which is moved into place when complete."""
     import OpenEXR
 
+    # OpenEXR writes wrong values, without an error, from arrays that are not contiguous.
     planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
     top = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
     with writing(path) as unfinished, OpenEXR.File(top, planes) as file:
@@ -152,19 +153,19 @@ def write_channels(path: str | os.PathLike[str], channels: dict[str, Any], heade
 
 @contextmanager
 def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A file to write, moved into place when whole; PixsimError where that fails."""
+    """Give a temporary file to write, which is moved to `path` when complete. Raises PixsimError if that fails."""
     try:
         with replacing(Path(path)) as unfinished:
             yield unfinished
     except PixsimError:
         raise
-    except (OSError, RuntimeError, ValueError) as error:  # ValueError: a name that OpenEXR does not take
+    except (OSError, RuntimeError, ValueError) as error:  # ValueError: a name that OpenEXR rejects
         raise invalid("output file", f"'{path}' ({error})", "a path that can be written") from None
 
 
 @contextmanager
 def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
-    """An OpenEXR file; PixsimError where it is missing, not an EXR, damaged, or declares more than it can hold."""
+    """Open an EXR file. Raises PixsimError if it is missing, damaged, not an EXR, or declares an implausible size."""
     judge_exr(Path(path))
     import OpenEXR
 
@@ -176,35 +177,35 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
     except PixsimError:
         raise
     except (OSError, RuntimeError, ValueError, IndexError, KeyError, TypeError) as error:
-        reason = "its pixels are damaged or cut off" if "part index" in str(error) else error  # the part was left out
+        reason = "its pixels are damaged or truncated" if "part index" in str(error) else error  # OpenEXR drops a damaged part
         raise invalid("EXR file", f"'{path}' ({reason})", ALLOWED) from None
 
 
 def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The header of an EXR, `channels` their names, no pixels read; PixsimError where it is missing or not an EXR."""
+    """Read the header of an EXR without its pixels; `channels` is the list of their names. Raises PixsimError as `_opened` does."""
     with _opened(path, header_only=True) as file:
         header = dict(file.header())
         return header | {"channels": [channel.name for channel in header["channels"]]}
 
 
 def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """Name -> (H, W) float32 and the header of an EXR; PixsimError where it is missing or not an EXR."""
+    """Read the channels of an EXR, name -> (H, W) float32, and its header. Raises PixsimError as `_opened` does."""
     with _opened(path) as file:
         planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
         return planes, dict(file.header())
 
 
 def write_rows(path: Path, channels: Mapping[str, Rows], shape: tuple[int, int], texts: Mapping[str, str]) -> None:
-    """Write channels, each a function from a slice of rows to (rows, W) float32; `texts` go into the header. Not compressed.
+    """Write an uncompressed EXR a few rows at a time, from functions that map a slice of rows to (rows, W) float32.
 
-    OpenEXR's own module wants all channels whole in memory: here those that are multiples of others never are. The layout is
-    that of "OpenEXR File Layout" (openexr.com, technical documentation): one part, scan lines, 32-bit floats. Raises OSError.
+    OpenEXR's Python module needs all channels in memory at once. The layout is that of "OpenEXR File Layout" (openexr.com,
+    technical documentation): one part, scan lines, 32-bit floats. `texts` go into the header. Raises OSError.
     """
     height, width = shape
-    names = sorted(channels, key=str.encode)  # the order that the format asks for
+    names = sorted(channels, key=str.encode)  # the format prescribes this order
     line = np.dtype([("row", "<i4"), ("bytes", "<i4"), ("values", "<f4", (len(names), width))])
     head = _header(names, shape, texts)
-    first = len(head) + 8 * height  # of the lines, behind the table of where each begins
+    first = len(head) + 8 * height  # byte, after the table of line offsets
     step = max(1, BLOCK_BYTES // line.itemsize)
     with path.open("wb") as file:
         file.write(head)
@@ -243,13 +244,13 @@ def _name(text: str) -> bytes:
 
 
 def shortest(value: float) -> float:
-    """An attribute as it was before it became float32: 5.3, not 5.300000190734863."""
-    # Not str(): colour-science sets NumPy's printing back to that of 2017, with six digits.
+    """Return the shortest decimal of a float32 attribute: 5.3, not 5.300000190734863."""
+    # str() would follow NumPy's print options, which colour-science sets to six digits.
     return float(np.format_float_scientific(np.float32(value), unique=True))
 
 
-MAX_BAND_BYTES = 1 << 30  # of a file's channels: where they would be more, one of illuminance stands for them
-CHANNEL_WIDTH_NM = 10.0  # of a file's channels, where finer bands are in its header
+MAX_BAND_BYTES = 1 << 30  # of the band channels of a factored image; above it, one illuminance channel replaces them
+CHANNEL_WIDTH_NM = 10.0  # of the band channels of a factored image; its finer bands are in the header
 
 
 def _band_channel(wavelength_nm: float) -> str:
@@ -260,13 +261,13 @@ def _band_channel(wavelength_nm: float) -> str:
 def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
     """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the same bits back.
 
-    Channels `S0.550,000000nm` in W m⁻² nm⁻¹ for any reader, and `factor.N` pictures where the image has factors; then bands
-    finer than 10 nm stand in the header, and the channels hold their means over 10 nm. Where those would take more than 1 GiB
-    beside the factors, which tell all of them, one channel `Y` in lx (`illuminanceUnits`) stands in their place.
+    Any reader can use the channels `S0.550,000000nm`, in W m⁻² nm⁻¹. An image with factors also has channels `factor.N`;
+    bands finer than 10 nm are then in the header, and the `S0` channels hold means over 10 nm. Where these means would take
+    more than 1 GiB, one channel `Y` in lx (`illuminanceUnits`) replaces them, since the factors determine all bands.
 
-    Not compressed: OpenEXR's lossless ways take ten times as long for two thirds of the bytes.
+    The file is not compressed: OpenEXR's lossless methods take ten times as long for two thirds of the bytes.
 
-    Raises PixsimError where `path` cannot be written.
+    Raises PixsimError if `path` cannot be written.
     """
     shown = _merged(image) if image.factors else image
     header = {"emissiveUnits": "W.m^-2.nm^-1"}
@@ -280,7 +281,7 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
         header["spectralLayoutVersion"] = "1.0"
     if image.factors:
         channels |= {f"factor.{r}": picture.__getitem__ for r, picture in enumerate(image.factors[1])}
-    own: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "wavelength_nm": image.wavelength_nm.tolist(),
         "band_width_nm": image.band_width_nm.tolist(),
         "pitch_um": image.pitch_um,
@@ -289,24 +290,24 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
         "header": image.header,
     }
     if image.factors:
-        own["spectra_w_per_m2_nm"] = image.factors[0].tolist()
-    header["pixsim"] = json.dumps(own, sort_keys=True)
+        metadata["spectra_w_per_m2_nm"] = image.factors[0].tolist()
+    header["pixsim"] = json.dumps(metadata, sort_keys=True)
     with writing(path) as unfinished:
         write_rows(unfinished, channels, image.shape, header)
 
 
 def _merged(image: SpectralImage) -> SpectralImage:
-    """A factored image with neighbouring bands taken together up to 10 nm; those wider stay."""
+    """Return a factored image with neighbouring bands merged up to a width of 10 nm; wider bands stay as they are."""
     assert image.factors
     groups: list[list[int]] = []
     width = 0.0
-    for band, own in enumerate(image.band_width_nm):
-        if groups and width + own <= CHANNEL_WIDTH_NM:
+    for band, band_nm in enumerate(image.band_width_nm):
+        if groups and width + band_nm <= CHANNEL_WIDTH_NM:
             groups[-1].append(band)
-            width += own
+            width += band_nm
         else:
             groups.append([band])
-            width = own
+            width = band_nm
     widths = np.array([image.band_width_nm[group].sum() for group in groups])
     mean = np.array([(image.band_width_nm[group] * image.wavelength_nm[group]).sum() for group in groups]) / widths
     spectra = np.array([(image.factors[0][:, group] * image.band_width_nm[group]).sum(axis=1) for group in groups]).T / widths
@@ -314,9 +315,9 @@ def _merged(image: SpectralImage) -> SpectralImage:
 
 
 def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
-    """Read what `write_exr` wrote, from `path`.
+    """Read an image that `write_exr` wrote to `path`.
 
-    Raises PixsimError for a file that is missing, damaged or was not written by pixsim.
+    Raises PixsimError if the file is missing, damaged or was not written by pixsim.
 
     >>> import tempfile
     >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
@@ -328,16 +329,17 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     """
     channels, header = read_channels(path)
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
-        raise invalid("irradiance file", f"'{path}' without pixsim's header", "a file from pixsim.write_exr")
+        raise invalid("irradiance file", f"'{path}', which has no pixsim header", "a file from pixsim.write_exr")
     try:
-        own = checked_own(json.loads(header["pixsim"]))
-        bands = own["wavelength_nm"], own["band_width_nm"], own["pitch_um"]
-        more = {"header": own["header"], "within": (own["within_nm"], own["within_shares"]) if "within_nm" in own else None}
-        if "spectra_w_per_m2_nm" in own:
-            spectra = np.array(own["spectra_w_per_m2_nm"])
+        metadata = checked_own(json.loads(header["pixsim"]))
+        bands = metadata["wavelength_nm"], metadata["band_width_nm"], metadata["pitch_um"]
+        within = (metadata["within_nm"], metadata["within_shares"]) if "within_nm" in metadata else None
+        more = {"header": metadata["header"], "within": within}
+        if "spectra_w_per_m2_nm" in metadata:
+            spectra = np.array(metadata["spectra_w_per_m2_nm"])
             pictures = np.stack([channels[f"factor.{r}"] for r in range(len(spectra))])
             return SpectralImage(*bands, factors=(spectra, pictures), **more)
-        data = np.stack([channels[_band_channel(nm)] for nm in own["wavelength_nm"]], axis=2)
+        data = np.stack([channels[_band_channel(nm)] for nm in metadata["wavelength_nm"]], axis=2)
         return SpectralImage(*bands, data=data, **more)
     except (KeyError, TypeError, ValueError, OverflowError, IndexError, RecursionError) as error:
         raise invalid("irradiance file", f"'{path}' with a damaged header ({error})", "a file from pixsim.write_exr") from None

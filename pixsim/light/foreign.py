@@ -1,4 +1,4 @@
-"""Spectral light in other programs' files: their units, EXR in Fichet's layout, `.npz` and ENVI."""
+"""Read spectral light from files of other programs: EXR in the layout of Fichet et al., `.npz` and ENVI, with their units."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pixsim.base.files import read_bytes, size_of
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S
 
-IRRADIANCE_UNIT = "W.m^-2.nm^-1"  # pixsim's own; the layout of Fichet et al. spells it so
+IRRADIANCE_UNIT = "W.m^-2.nm^-1"  # of pixsim's files, as the layout of Fichet et al. spells it
 ALLOWED_UNITS = (
     "spectral irradiance or radiance, as W.m^-2.nm^-1, mW/m^2/um, W.m^-2.sr^-1.nm^-1, W/(m^2 sr um), uW/cm^2/sr/nm or W.m^-3"
 )
@@ -37,14 +37,14 @@ NM = PREFIXES["n"]
 TOKEN = r"[A-Za-z]+|\^?[+-]?\d+|[*/()]"
 UNIT = re.compile(rf"({PREFIX})?(W|m|[sS][rR])")
 AS_ASCII = str.maketrans("µμ·⋅.−⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "uu***--0123456789")
-# No such symbol; nothing behind a sign or in a bracket; powers and brackets without end.
+# Unknown symbols, missing operands, huge powers, deeply nested brackets.
 NOT_A_UNIT = (AttributeError, IndexError, ValueError, OverflowError, RecursionError)
 Powers = NDArray[np.int64]  # of watt, metre, steradian and ten
 
 
 @dataclass(frozen=True)
 class LightUnit:
-    """10^exponent W m⁻² nm⁻¹, times sr⁻¹ for a radiance; without nm⁻¹ where the text names no wavelength."""
+    """A unit of 10^exponent W m⁻² nm⁻¹, times sr⁻¹ for a radiance; without nm⁻¹ if it is not `spectral`."""
 
     exponent: int
     radiance: bool
@@ -52,16 +52,16 @@ class LightUnit:
 
     @property
     def factor(self) -> float:
-        """What turns a value into W m⁻² nm⁻¹ or W m⁻² sr⁻¹ nm⁻¹; the nearest double to the power of ten."""
+        """Factor that converts a value to W m⁻² nm⁻¹ or W m⁻² sr⁻¹ nm⁻¹: the nearest double to the power of ten."""
         return float(f"1e{self.exponent}")
 
 
 def parse_light_unit(text: str, what: str = "units") -> LightUnit:
-    """Read `W.m^-2.nm^-1`, `W m-2 nm-1`, `W/m2/nm`, `uW/(cm² sr nm)`, `nW/(cm)^2/(nm)/(sr)`, `W.m^-3` and their like.
+    """Parse a unit such as `W.m^-2.nm^-1`, `W m-2 nm-1`, `W/m2/nm`, `uW/(cm² sr nm)`, `nW/(cm)^2/(nm)/(sr)` or `W.m^-3`.
 
-    A slash divides by the one factor or bracket behind it: `uW/cm2*nm*sr` is refused, since it does not say what it means.
+    A slash divides by the next factor or bracket only, so `uW/cm2*nm*sr` is an error.
 
-    Raises PixsimError for what does not parse, and for what is neither irradiance nor radiance.
+    Raises PixsimError if the text does not parse, or is neither an irradiance nor a radiance.
     """
     plain = re.sub(r"\^[({]([+-]?\d+)[)}]", r"^\1", text.translate(AS_ASCII).replace("**", "^"))
     watt = metre = steradian = ten = 0
@@ -70,7 +70,7 @@ def parse_light_unit(text: str, what: str = "units") -> LightUnit:
         with suppress(*NOT_A_UNIT):
             watt, metre, steradian, ten = _product(tokens).tolist()
         if not tokens and watt == 1 and metre in (-2, -3) and steradian in (0, -1):
-            spectral = metre == -3  # an area and a wavelength
+            spectral = metre == -3  # per area and per wavelength
             return LightUnit(ten + NM if spectral else ten, steradian == -1, spectral)
     raise invalid(what, f"'{text}'", ALLOWED_UNITS, HOW_TO_STATE)
 
@@ -104,13 +104,13 @@ SHOWN_NAMES = 12
 CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
 NPZ_NEEDED = ("data", "wavelength_nm", "units")
 NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
-MAX_BESIDE = 1 << 16  # bytes of what stands beside the picture
+MAX_METADATA = 1 << 16  # bytes of every array but the picture
 MAX_ENVI_HEADER, MAX_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
 ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
 ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 1e3, "µm": 1e3, "μm": 1e3}
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
 ENVI_COMPLEX = ("6", "9")  # data types
-# Fields that say that the stored values are not the light itself, and what makes them harmless.
+# Header fields that change the meaning of the stored values, with the value that changes nothing.
 ENVI_NEUTRAL = {
     "data gain values": 1.0,
     "data offset values": 0.0,
@@ -122,9 +122,9 @@ ENVI_NEUTRAL = {
 
 @dataclass(frozen=True)
 class Cube:
-    """A file's own values (H, W, B) and band centres (B,), and what else it tells; nothing where it does not.
+    """Values (H, W, B) and band centres (B,) as a file states them, and its other metadata; None or "" if it has none.
 
-    per_nm : the format means W m⁻² sr⁻¹ nm⁻¹ where it says W m⁻² sr⁻¹
+    per_nm : whether the format writes W m⁻² sr⁻¹ and means W m⁻² sr⁻¹ nm⁻¹
     """
 
     data: NDArray[Any]
@@ -137,18 +137,18 @@ class Cube:
 
 
 def shortened(items: Sequence[object]) -> str:
-    """A list for a message."""
+    """Format a list for a message, with at most `SHOWN_NAMES` items."""
     return ", ".join(map(str, items[:SHOWN_NAMES])) + (" …" if len(items) > SHOWN_NAMES else "")
 
 
 def read_cube(path: Path) -> Cube:
     """Read an EXR in the layout of Fichet et al., a `.npz` or an ENVI header with its raw file.
 
-    Raises PixsimError for files that are missing, damaged, too large, or hold something else than unpolarised light.
+    Raises PixsimError if the file is missing, damaged or too large, or does not hold unpolarised light.
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise invalid("picture", f"'{path}'", "a file that ends in .exr, .npz or .hdr (ENVI, its raw file beside it)")
+        raise invalid("picture", f"'{path}'", "a name that ends in .exr, .npz or .hdr (ENVI, with its raw file)")
     size_of(path, "picture", "a readable file")
     return reader(path)
 
@@ -159,44 +159,45 @@ def _check_size(path: Path, shape: tuple[int, ...]) -> None:
 
 
 def read_spectral_exr(path: Path) -> Cube:
-    """Fichet et al., JCGT 10(3), 2021; pbrt-v4's SpectralFilm and ART write it. Further channels (R, G, B, A) are left.
+    """Read an EXR in the layout of Fichet et al. (JCGT 10(3), 2021), which pbrt-v4's SpectralFilm and ART write.
 
-    Its one unit, "W.m^-2.sr^-1", names no wavelength. The values are per nm all the same: the authors' code (spectral-exr,
-    SpectrumConverter) sums value × CMF at 1 nm, and pbrt-v4 averages radiance over each of its buckets.
-    (With pbrt-v4's realistic camera they are no radiance, whatever the file says; its source notes it as a flaw.)
+    Other channels (R, G, B, A) are ignored. The layout's unit, "W.m^-2.sr^-1", does not mention wavelength, but its values
+    are per nm: the authors' code (spectral-exr, SpectrumConverter) sums value × CMF at 1 nm, and pbrt-v4 averages radiance
+    over each of its buckets. (With pbrt-v4's realistic camera the values are not radiance, as its source notes.)
     """
     header = read_header(path)
     names = header["channels"]
-    found = f"the channels {shortened(names)} in '{path}'"
+    channel_list = f"the channels {shortened(names)} in '{path}'"
     if any(name.startswith("T.") for name in names):
-        raise invalid("spectral EXR", f"reflectances, {found}", "light, S0.550,0nm", "Light the surface and render it.")
+        hint = "Render the surface under a lamp."
+        raise invalid("spectral EXR", f"reflectances, {channel_list}", "light, in channels such as S0.550,0nm", hint)
     matches = {name: match for name in names if (match := CHANNEL.fullmatch(name))}
     centre_nm = {name: _channel_nm(match) for name, match in matches.items() if match[1] == "S0"}
     if not centre_nm:
-        mend = 'RGB has no spectrum: render spectrally (in pbrt-v4 with Film "spectral").'
-        raise invalid("spectral EXR", found, "a channel for each wavelength, named as S0.550,0nm", mend)
+        hint = 'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral".'
+        raise invalid("spectral EXR", channel_list, "one channel per wavelength, with names such as S0.550,0nm", hint)
     window, whole = header["dataWindow"], header["displayWindow"]
     if not np.array_equal(window, whole) or header.get("pixelAspectRatio", 1.0) != 1:
-        raise invalid("spectral EXR", f"a crop or oblong samples in '{path}'", "the whole picture in square samples")
+        raise invalid("spectral EXR", f"a crop window or non-square pixels in '{path}'", "a full image with square pixels")
     width, height = (np.asarray(window[1], int) - window[0] + 1).tolist()
     _check_size(path, (height, width, len(names)))
     planes, _ = read_channels(path)
     if any(planes[name].any() for name, match in matches.items() if match[1] != "S0"):
-        raise invalid("spectral EXR", f"polarised light, {found}", "S0 alone, or S1 to S3 of zeros")
+        raise invalid("spectral EXR", f"polarised light, {channel_list}", "S0 alone, or S1 to S3 equal to zero")
     order = sorted(centre_nm, key=lambda name: centre_nm[name])
     try:
         data = np.stack([planes[name] for name in order], axis=2)
     except ValueError as error:
-        raise invalid("spectral EXR", f"{found} ({error})", "channels of one size") from None
-    # OpenEXR's other types of attribute may not even print.
+        raise invalid("spectral EXR", f"{channel_list} ({error})", "channels of equal size") from None
+    # Attributes of other types may fail even to print.
     plain = {key: value for key, value in header.items() if isinstance(value, str | int | float | np.ndarray)}
-    told: dict[str, Any] = {key: plain.get(key) for key in NPZ_OPTIONAL}
+    optional: dict[str, Any] = {key: plain.get(key) for key in NPZ_OPTIONAL}
     centres = np.array([centre_nm[name] for name in order])
-    return Cube(data, centres, str(plain.get("emissiveUnits", "")), per_nm=True, **told)
+    return Cube(data, centres, str(plain.get("emissiveUnits", "")), per_nm=True, **optional)
 
 
 def _channel_nm(match: re.Match[str]) -> float:
-    # In decimal, so that 0,55um is 550 nm to the last bit.
+    # Decimal arithmetic, so that 0,55um is exactly 550 nm.
     number = Decimal(match[2].replace(",", ".") + (match[3] or "")).scaleb(PREFIXES.get(match[4], 0))
     if match[5] == "m":
         return float(number.scaleb(9))
@@ -204,47 +205,46 @@ def _channel_nm(match: re.Match[str]) -> float:
 
 
 def read_npz(path: Path) -> Cube:
-    """Arrays as `write_npz` names them; nothing pickled is loaded."""
-    told: dict[str, Any] = read_arrays(path, "npz file", "a readable file of numpy.savez, without pickled objects")
-    if {"data", "wavelength_nm"} - set(told) or set(told) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
+    """Read the arrays that `write_npz` writes; pickled objects are not loaded."""
+    arrays: dict[str, Any] = read_arrays(path, "npz file", "a readable file from numpy.savez without pickled objects")
+    if {"data", "wavelength_nm"} - set(arrays) or set(arrays) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
         allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
-        raise invalid(f"arrays in '{path}'", shortened(list(told)) or "none", allowed)
-    for name, array in told.items():
+        raise invalid(f"arrays in '{path}'", shortened(list(arrays)) or "none", allowed)
+    for name, array in arrays.items():
         _check_size(path, array.shape)
-        if name != "data" and array.size * array.itemsize > MAX_BESIDE:
-            raise invalid(f"{name} in '{path}'", f"{array.size} values", f"up to {MAX_BESIDE} bytes")
-    data, nm = told.pop("data"), told.pop("wavelength_nm")
+        if name != "data" and array.size * array.itemsize > MAX_METADATA:
+            raise invalid(f"{name} in '{path}'", f"{array.size} values", f"up to {MAX_METADATA} bytes")
+    data, nm = arrays.pop("data"), arrays.pop("wavelength_nm")
     if data.ndim != 3 or data.dtype.kind not in "iuf" or nm.ndim != 1 or nm.dtype.kind not in "iuf":
         got = f"data {data.dtype} {data.shape}, wavelength_nm {nm.dtype} {nm.shape}"
-        raise invalid(f"arrays in '{path}'", got, "real numbers, data (H, W, B) and wavelength_nm (B,)")
-    return Cube(data, nm.astype(float), str(told.pop("units", "")), **told)
+        raise invalid(f"arrays in '{path}'", got, "real numbers: data (H, W, B) and wavelength_nm (B,)")
+    return Cube(data, nm.astype(float), str(arrays.pop("units", "")), **arrays)
 
 
 def read_envi(path: Path) -> Cube:
-    """An ENVI header and the raw file beside it, by SPy.
+    """Read an ENVI header and its raw file with SPy.
 
-    The unit stands in `data units`: ENVI's list of header fields has none, but its radiometric calibration writes this one
-    (also read: `radiance data units` of NERC-ARF's tools). `fwhm` is a band's width where bands do not overlap: that of
-    finely sampled spectra, wider than their spacing, would count light twice. `pitch_um` and `white_cd_per_m2` are taken
-    where somebody wrote them.
+    The unit is the header's `data units`, which ENVI's radiometric calibration writes, or `radiance data units` of
+    NERC-ARF's tools. `fwhm` is the band width where bands do not overlap; where they do, it would count light twice.
+    `pitch_um` and `white_cd_per_m2` are optional.
     """
     try:
         import spectral
         from spectral.io import envi
     except ImportError:
-        raise invalid("ENVI file", f"'{path}' and no SPy to read it", "pip install 'pixsim[envi]'") from None
+        raise invalid("ENVI file", f"'{path}', but SPy is not installed", "pip install 'pixsim[envi]'") from None
     name = str(path.absolute())
     if read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER).count(b"\n") > MAX_ENVI_LINES:
-        raise invalid("ENVI file", f"'{path}' of more than {MAX_ENVI_LINES} lines", "an ENVI header")
+        raise invalid("ENVI file", f"'{path}' of more than {MAX_ENVI_LINES} lines", "a shorter ENVI header")
     try:
-        with warnings.catch_warnings(action="ignore"):  # about capitals in field names
+        with warnings.catch_warnings(action="ignore"):  # SPy warns of capitals in field names
             header: dict[str, Any] = envi.read_envi_header(name)
             envi.check_compatibility(header)
             _check_envi(path, header)
             image = envi.open(name)
         if not image.using_memmap:
             got = f"{Path(image.filename).stat().st_size} bytes in '{image.filename}'"
-            raise invalid("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' tells of")
+            raise invalid("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' declares")
         data = image.open_memmap(interleave="bip")
         nm, width_nm = _envi_nm(path, header, "wavelength"), _envi_nm(path, header, "fwhm")
         gaps = np.argwhere(data == float(header["data ignore value"])) if "data ignore value" in header else np.empty((0, 3))
@@ -252,10 +252,10 @@ def read_envi(path: Path) -> Cube:
         raise
     except (*ENVI_DAMAGE, spectral.SpyException) as error:
         got = f"'{path}' ({type(error).__name__}: {error})"
-        raise invalid("ENVI file", got, "an ENVI header with its raw file beside it") from None
+        raise invalid("ENVI file", got, "an ENVI header with its raw file in the same folder") from None
     if gaps.size:
         got = f"no data ({header['data ignore value']}) at row {gaps[0, 0]}, column {gaps[0, 1]}, band {gaps[0, 2]}"
-        raise invalid(f"light in '{path}'", got, "a value everywhere", "Fill the gaps or cut them off.")
+        raise invalid(f"light in '{path}'", got, "a value in every pixel", "Fill the gaps or crop them.")
     if nm is None:
         raise invalid("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
     if width_nm is not None and width_nm.shape == nm.shape and np.any(np.diff(nm) < 0.999 * (width_nm[1:] + width_nm[:-1]) / 2):
@@ -266,17 +266,17 @@ def read_envi(path: Path) -> Cube:
 
 
 def _check_envi(path: Path, header: dict[str, Any]) -> None:
-    """Refuse what SPy would read as something else, before it reads."""
+    """Raise PixsimError if SPy would misread the file."""
     _check_size(path, tuple(int(str(header[field])) for field in ("lines", "samples", "bands")))
     fields = "file type", "interleave", "byte order", "data type"
-    kind, interleave, order, number = told = [str(header.get(field, "ENVI Standard")).lower() for field in fields]
+    kind, interleave, order, number = values = [str(header.get(field, "ENVI Standard")).lower() for field in fields]
     if kind != "envi standard" or interleave not in ENVI_INTERLEAVES or order not in "01" or number in ENVI_COMPLEX:
-        got = ", ".join(f"{field} = {value}" for field, value in zip(fields, told, strict=True)) + f" in '{path}'"
+        got = ", ".join(f"{field} = {value}" for field, value in zip(fields, values, strict=True)) + f" in '{path}'"
         raise invalid("ENVI file", got, "ENVI Standard; bsq, bil or bip; byte order 0 or 1; real numbers")
     for field, neutral in ENVI_NEUTRAL.items():
         if any(float(value) != neutral for value in np.atleast_1d(header.get(field, []))):
-            allowed, mend = f"none, or {neutral:g} for each band", "Apply it (leave bad bands out) and write the light itself."
-            raise invalid(f"'{field}' in '{path}'", header[field], allowed, mend)
+            allowed, hint = f"none, or {neutral:g} for each band", "Apply it (leave bad bands out) and delete it."
+            raise invalid(f"'{field}' in '{path}'", header[field], allowed, hint)
 
 
 def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:

@@ -1,4 +1,4 @@
-"""Spectral irradiance on the sensor plane, the value that flows from the renderer to the sensor; functions of wavelength.
+"""Spectral irradiance on the sensor plane, spectra, and functions of wavelength.
 
 Pictures are stored upright: row 0 is the top of the scene and column 0 its left, as the photographer sees it
 (the light on a real die is this picture turned by 180°).
@@ -19,19 +19,19 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
 
-# What the reference shows; the rest is for pixsim itself.
+# The public names; everything else is internal.
 __all__ = ["SpectralImage", "d65", "luminous_weight", "photons_per_joule", "photopic_efficiency"]
 
 PLANCK_J_S = 6.62607015e-34  # SI 2019, exact
 LIGHT_SPEED_M_PER_S = 299792458.0
 WHOLE = slice(None)
-STRIP_VALUES = 1 << 18  # of all bands, 1 MiB in float32
+STRIP_VALUES = 1 << 18  # of all bands of a strip: 1 MiB in float32
 MAX_VALUE = float(np.finfo(np.float32).max)
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
 def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
-    """λ/(hc), (...) as the wavelengths, with the constants of the SI of 2019."""
+    """Return λ/(hc), photons per joule, in the shape (...) of the wavelengths; SI constants of 2019."""
     return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
 
 
@@ -41,19 +41,19 @@ def _photometric_table() -> Array:
 
 
 def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
-    """ȳ(λ) of the CIE 1931 observer (CIE 018:2019), (...) as the wavelengths, 1 at its peak, zero outside 360-830 nm."""
+    """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 1], left=0.0, right=0.0)
 
 
 def d65(wavelength_nm: ArrayLike) -> Array:
-    """Relative spectral power of CIE D65 (CIE 15:2018), (...) as the wavelengths, 100 at 560 nm; zero outside 360-830 nm."""
+    """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
 
 
 def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
-    """What turns band values per nm into photometric ones, (B,): lx from W m⁻² nm⁻¹, cd/m² from W m⁻² sr⁻¹ nm⁻¹.
+    """Return the weights (B,) that turn band values per nm into lx (from W m⁻² nm⁻¹) or cd/m² (from W m⁻² sr⁻¹ nm⁻¹).
 
     683.002 lm/W times `photopic_efficiency` times the width (CIE 018:2019).
     """
@@ -65,15 +65,16 @@ class SpectralImage:
 
     Parameters
     ----------
-    wavelength_nm, band_width_nm : (B,) band centres and widths; a value is the mean over its band
+    wavelength_nm, band_width_nm : (B,) band centres and widths; each value is the mean over its band
     pitch_um : sampling pitch on the sensor
     data : (H, W, B) float32, W m⁻² nm⁻¹; or
     factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.
         With r = 1 a picture value of 1 is the on-axis irradiance of texel value 1.
-    within : where in each band its light is, (nodes in nm (B, n), shares of the light (B, n)); None takes it at the centre
-    header : what made it (camera, scene hash, seed, samples, versions); JSON, travels in the file
+    within : distribution of the light within each band, (nodes in nm (B, n), shares of the light (B, n)); None puts it at the
+        band centre
+    header : provenance (camera, scene hash, seed, samples, versions), stored in files as JSON
 
-    Raises PixsimError for arrays whose shapes do not fit, and for a pitch or bands that are not positive.
+    Raises PixsimError if the shapes do not match, or if the pitch or the bands are not positive.
 
     >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
     >>> light.illuminance_lx()[0].round(2).tolist()  # 683.002 lm/W · ȳ(550 nm) · 10 nm · 1 mW m⁻² nm⁻¹
@@ -96,7 +97,7 @@ class SpectralImage:
         self.pitch_um = float(pitch_um)
         self.header = dict(header or {})
         if (data is None) == (factors is None):
-            raise PixsimError("a SpectralImage is made of data or of factors, one of them")
+            raise PixsimError("SpectralImage: give either data or factors, not both or neither")
         self.factors: tuple[Array, NDArray[np.float32]] | None = None
         if factors is not None:
             self.factors = np.atleast_2d(np.asarray(factors[0], float)), np.asarray(factors[1], np.float32)
@@ -115,15 +116,15 @@ class SpectralImage:
             within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
         self.within = np.asarray(within[0], float), np.asarray(within[1], float)
         if not self.within[0].shape == self.within[1].shape == (self.wavelength_nm.size, self.within[0].shape[-1]):
-            raise invalid("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, (B, n) each")
+            raise invalid("within", f"{self.within[0].shape} and {self.within[1].shape}", "nodes and shares, each of shape (B, n)")
 
     @cached_property
     def data(self) -> NDArray[np.float32]:
-        """(H, W, B) float32, W m⁻² nm⁻¹; made from the factors when first asked for."""
+        """Values (H, W, B) float32, W m⁻² nm⁻¹, computed from the factors on first use."""
         return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
 
     def band(self, index: int, rows: slice = WHOLE) -> NDArray[np.float32]:
-        """(H, W) float32, W m⁻² nm⁻¹, of the band of an `index`, or some of its `rows`."""
+        """Return band `index`, (H, W) float32 in W m⁻² nm⁻¹, or some of its `rows`."""
         if not self.factors:
             return self.data[rows, :, index]
         spectra, pictures = self.factors[0].astype(np.float32), self.factors[1][:, rows]
@@ -138,7 +139,7 @@ class SpectralImage:
         return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
 
     def weighted(self, weight: Array) -> Array:
-        """Σ_b weight_b · E_b per pixel, (H, W) float64; elementwise, so that it does not depend on threads.
+        """Return Σ_b weight_b · E_b at each sample, (H, W) float64, independent of the number of threads.
 
         weight : (B,), any unit per W m⁻² nm⁻¹
         """
@@ -149,52 +150,52 @@ class SpectralImage:
         return total
 
     def weighted_part(self, weight: Array, part: tuple[slice, slice]) -> Array:
-        """`weighted` of some rows and columns, to the same bits: (rows, columns).
+        """Return some rows and columns of `weighted`, bit for bit the same.
 
         weight : (B,), any unit per W m⁻² nm⁻¹
-        part : rows and columns
+        part : slices of rows and columns
         """
         if self.factors:
             totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
             terms = ((total, picture[part]) for total, picture in zip(totals, self.factors[1], strict=True))
         else:
             terms = ((weight[band], self.data[(*part, band)]) for band in np.flatnonzero(weight))
-        total = np.zeros([len(range(*each.indices(n))) for each, n in zip(part, self.shape, strict=True)])
+        total = np.zeros([len(range(*span.indices(n))) for span, n in zip(part, self.shape, strict=True)])
         for factor, picture in terms:
             total += factor * picture.astype(float)
         return total
 
     def mean_spectrum(self) -> Array:
-        """Mean over the picture, (B,) W m⁻² nm⁻¹."""
+        """Return the mean over all samples, (B,) W m⁻² nm⁻¹."""
         if not self.factors:
             return self.data.mean(axis=(0, 1), dtype=float)
         spectra, pictures = self.factors
         return (spectra * pictures.mean(axis=(1, 2), dtype=float)[:, None]).sum(axis=0)
 
     def band_mean(self, response: Callable[[Array], Array]) -> Array:
-        """Mean of `response`, a function of nm, over each band, weighted by the light in it, (B,) in its unit."""
+        """Return the mean of `response`, a function of nm, over each band (B,), weighted by the light within the band."""
         nodes_nm, shares = self.within
         return (shares * response(nodes_nm)).sum(axis=1)
 
     def luminous_weight(self) -> Array:
-        """What turns band values into lx, (B,); cd/m² where they are radiances."""
+        """Return the weights (B,) that turn band values into lx, or radiances into cd/m²."""
         return LUMINOUS_EFFICACY_LM_PER_W * self.band_mean(photopic_efficiency) * self.band_width_nm
 
     def illuminance_lx(self) -> Array:
-        """(H, W) lx: 683.002 ∫ ȳ E dλ."""
+        """Return the illuminance 683.002 ∫ ȳ E dλ, (H, W) lx."""
         return self.weighted(self.luminous_weight())
 
     def validate(self) -> None:
-        """PixsimError for light that is not finite, or negative where it is not one of several factors that add up."""
+        """Check the values. Raises PixsimError if one is not finite, or is negative and not one of several factors."""
         spectra, picture = self.factors or (np.ones((1, 1)), self.data)
-        low, high = (float(picture.min()), float(picture.max())) if picture.size else (math.nan, math.nan)  # NaN passes both
-        beside = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
-        if not all(np.abs(each).max() <= MAX_VALUE for each in (low, high, *beside)):
-            got = f"a picture from {low:g} to {high:g}, or what goes with it"
-            raise invalid("irradiance", got, f"light, spectra and bands that are finite, at most {MAX_VALUE:.4g}")
+        low, high = (float(picture.min()), float(picture.max())) if picture.size else (math.nan, math.nan)  # min and max keep NaN
+        others = self.pitch_um, self.wavelength_nm, self.band_width_nm, *self.within, spectra
+        if not all(np.abs(values).max() <= MAX_VALUE for values in (low, high, *others)):
+            got = f"values from {low:g} to {high:g}, and a value here or among the bands or spectra that is not finite"
+            raise invalid("irradiance", got, f"finite values, spectra and bands, at most {MAX_VALUE:.4g}")
         if len(spectra) == 1 and min(low, float(spectra.min())) < 0:
-            mend = "Take what is below zero for darkness first."
-            raise invalid("irradiance", f"values from {low:g} to {high:g}", "0 and more", mend)
+            hint = "Clip the negative values to zero."
+            raise invalid("irradiance", f"values from {low:g} to {high:g}", "0 or more", hint)
 
     def __repr__(self) -> str:
         height, width = self.shape
@@ -206,16 +207,17 @@ class SpectralImage:
         )
 
 
-LOW_NM, HIGH_NM = 360.0, 830.0  # what Mitsuba samples
-# Steps of the grids on which a lamp is handled: the coarsest that resolves it. Powers of two, so that nodes, widths and
-# their ratios are exact in Mitsuba's float32 and its combined response has its nodes where ours are.
+LOW_NM, HIGH_NM = 360.0, 830.0  # the range that Mitsuba samples
+# Steps of the wavelength grids; a lamp uses the coarsest that resolves it. Powers of two, so that nodes, widths and ratios
+# are exact in Mitsuba's float32, and the nodes of its combined response are those of the grid.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
-MAX_COUNT = 1e30  # of any unit
+MAX_COUNT = 1e30  # largest value of a spectrum, in any unit
 FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
-COARSE_SPACING_NM = 0.199  # of a table's nodes: 0.2 nm but for rounding; closer ones get the finest step
+COARSE_SPACING_NM = 0.199  # 0.2 nm less a rounding error; tables with closer nodes need the finest step
 
 
 def grid_nm(step_nm: float = 1.0) -> Array:
+    """Return the wavelengths from 360 to 830 nm in equal steps."""
     return np.arange(LOW_NM, HIGH_NM + step_nm / 2, step_nm)
 
 
@@ -229,24 +231,24 @@ class Spectrum:
     def __post_init__(self) -> None:
         x = self.nodes_nm
         if x.size < 2 or x.shape != self.values.shape or not np.all(np.diff(x) >= 0):
-            raise invalid("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in rising order")
+            raise invalid("spectrum", f"{x.size} wavelengths, {self.values.size} values", "two nodes or more, in increasing order")
         if not (np.isfinite(x).all() and np.isfinite(self.values).all()):
-            raise invalid("spectrum", "nan or infinity among its wavelengths or values", "finite numbers")
+            raise invalid("spectrum", "NaN or infinity among the wavelengths or values", "finite numbers")
         if self.values.max() > MAX_COUNT or self.values.min() < -MAX_COUNT:
-            raise invalid("spectrum", f"values up to {np.abs(self.values).max():.3g}", f"up to {MAX_COUNT:g}, which float32 holds")
+            raise invalid("spectrum", f"values up to {np.abs(self.values).max():.3g}", f"up to {MAX_COUNT:g}, for float32")
 
     def at(self, wavelength_nm: Array) -> Array:
         return np.interp(wavelength_nm, self.nodes_nm, self.values, left=0.0, right=0.0)
 
     @property
     def step_nm(self) -> float:
-        """Of the grid that resolves it: 1 nm for tables at whole nanometres, finer for lines between them."""
+        """Step of the coarsest grid that resolves the spectrum: 1 nm for tables at whole nanometres, else finer."""
         if np.all(self.nodes_nm == np.rint(self.nodes_nm)):
             return STEPS_NM[0]
         return STEPS_NM[1] if np.diff(self.nodes_nm).min(initial=1.0) >= COARSE_SPACING_NM else STEPS_NM[2]
 
     def cell_means(self, edges_nm: Array) -> Array:
-        """Means over the cells between rising edges, exact: no line falls between two points."""
+        """Return the exact means over the cells between increasing edges, so that no spectral line is missed."""
         x, y = self.nodes_nm, self.values
         running = np.concatenate([[0.0], np.cumsum(np.diff(x) * (y[1:] + y[:-1]) / 2)])
         at = np.clip(edges_nm, x[0], x[-1])
@@ -257,11 +259,11 @@ class Spectrum:
         return np.diff(integral) / np.diff(edges_nm)
 
     def integral(self, low_nm: float = LOW_NM, high_nm: float = HIGH_NM) -> float:
-        """∫ over a range, exact."""
+        """Return the exact integral over a range."""
         return float(self.cell_means(np.array([low_nm, high_nm]))[0] * (high_nm - low_nm))
 
     def on_grid(self, step_nm: float) -> Array:
-        """Means over the cells around the nodes of `grid_nm`: trapezoids over them add up to the integral."""
+        """Return the means over cells around the nodes of `grid_nm`; their trapezoidal sum is the integral."""
         nodes = grid_nm(step_nm)
         return self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
 
@@ -270,12 +272,12 @@ class Spectrum:
 
 
 def tabulated(values: Array) -> Spectrum:
-    """A smooth spectrum from its values at 360 … 830 nm, every nanometre."""
+    """Make a spectrum from its values at 360 … 830 nm, every nanometre."""
     return Spectrum(grid_nm(), np.asarray(values, float))
 
 
 def regular_values(table: Spectrum) -> Array | None:
-    """Values at equal steps between the first and the last node that mean the same table; None where no step fits."""
+    """Resample a table at equal steps without changing it; None if no step of at least 0.1 nm does so."""
     distances = np.diff(table.nodes_nm) / FINEST_REGULAR_NM
     whole = np.rint(distances).astype(int)
     if not np.allclose(distances, whole, rtol=0, atol=1e-6) or not np.all(whole > 0):

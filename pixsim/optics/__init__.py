@@ -1,7 +1,7 @@
-"""The lens, in closed forms: f-number, field and wavelength in, irradiance factor and optical transfer function out.
+"""The lens in closed form: f-number, field and wavelength in, irradiance factor and optical transfer function out.
 
-`thin_lens` is radiance to irradiance, `diffraction` the blur of a circular pupil, `exchange` light from other programs, as
-irradiance on the sensor.
+`thin_lens` turns radiance into irradiance, `diffraction` blurs by a circular pupil, `exchange` reads the light of other
+programs as irradiance on the sensor.
 May import: base, light.
 """
 

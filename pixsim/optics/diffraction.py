@@ -11,34 +11,34 @@ from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips_of
 from pixsim.base.errors import invalid
 
 NM_PER_MM = 1e6
-OTF_TABLE_SIZE = 1 << 15  # linear interpolation between so many frequencies errs by 3e-8 at most
+OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
 
 
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
-    """1/(λ N_e) = 2 sin α/λ, the highest frequency that a diffraction-limited lens passes: 0 for a pinhole, N_e = infinity.
+    """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the shape (...) of the wavelengths.
 
-    Goodman, Introduction to Fourier Optics, 3rd ed. Shape (...) as the wavelengths.
+    It is 0 for a pinhole, N_e = infinity. Goodman, Introduction to Fourier Optics, 3rd ed.
 
-    f_number : the effective one, N_e = 1/(2 sin α) (`Camera.effective_f_number`), a number above 0; sin α is the numerical
-        aperture on the sensor's side, with tan α = 1/(2 N (1 + |m|)), as in `irradiance_factor`
+    f_number : effective, N_e = 1/(2 sin α) (`Camera.effective_f_number`), above 0; sin α is the numerical aperture on the
+        sensor side, with tan α = 1/(2 N (1 + |m|)), as in `irradiance_factor`
 
-    Raises PixsimError for wavelengths or f-numbers that are not positive: the OTF would exceed 1.
+    Raises PixsimError if a wavelength or the f-number is not positive.
     """
     wavelength_nm = np.asarray(wavelength_nm, float)
     if not (np.all(wavelength_nm > 0) and f_number > 0):
         raise invalid("wavelength and f-number", f"{wavelength_nm} nm, {f_number}", "numbers above 0")
-    with np.errstate(over="ignore", divide="ignore"):  # to a cut-off at 0 or at infinity
+    with np.errstate(over="ignore", divide="ignore"):  # the cut-off may be 0 or infinite
         return NM_PER_MM / (wavelength_nm * f_number)
 
 
 def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_number: float) -> Array:
-    """OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
+    """Return the OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
 
-    Isoplanatic: off axis the tangential cut-off really falls as cos³θ. Goodman, Introduction to Fourier Optics, 3rd ed.,
-    eq. (6-31). Frequency 0 always passes.
+    Goodman, Introduction to Fourier Optics, 3rd ed., eq. (6-31). The OTF at frequency 0 is always 1. It is the same over the
+    field; in a real lens the tangential cut-off falls as cos³θ off axis.
 
     frequency_cy_per_mm, wavelength_nm : broadcast together; the result, 0 to 1, has their shape
-    f_number : the effective one, N_e = 1/(2 sin α) (`Camera.effective_f_number`)
+    f_number : effective, N_e = 1/(2 sin α) (`Camera.effective_f_number`)
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
 
@@ -47,17 +47,19 @@ def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_
     0.391002
     """
     frequency = np.abs(np.asarray(frequency_cy_per_mm, float))
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # 0/0: a pinhole, settled in the next line
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # 0/0 at frequency 0 of a pinhole
         x = np.where(frequency == 0, 0.0, frequency / cutoff_cy_per_mm(wavelength_nm, f_number))
     x = np.minimum(x, 1.0)
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt((1 - x) * (1 + x)))
 
 
 def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
-    """Σ weight · `diffraction_otf` over wavelengths, (...) as the frequencies; the white-light OTF where the weights add up to 1.
+    """Return Σ weight · `diffraction_otf` over wavelengths, in the shape (...) of the frequencies.
+
+    It is the white-light OTF if the weights add up to 1.
 
     wavelength_nm, weight : (B,), any unit of weight
-    f_number : the effective one, N_e = 1/(2 sin α)
+    f_number : effective, N_e = 1/(2 sin α)
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
@@ -76,27 +78,24 @@ def diffract_sum(
     f_number: float,
     workers: int = 1,
 ) -> Array:
-    """Σ over pictures (H, W), each convolved with Σ_λ weight · PSF of its weights (B,), reflected at the borders.
+    """Return the sum of pictures (H, W), each convolved with its white-light PSF Σ_λ weight · PSF_λ of `diffraction_otf`.
 
-    The PSF is that of `diffraction_otf`.
+    In the DCT-II basis a symmetric kernel is diagonal and reflection at the borders is exact, without padding. The mean is
+    preserved. If the OTF is not small at the Nyquist frequency of the grid, isolated points ring, also below zero.
+    There is one forward transform per picture and one inverse transform. At most two float64 planes are in memory.
 
-    In the DCT-II basis a symmetric kernel is diagonal and half-sample reflection is exact: no padding, no dark border.
-    The mean is kept. Where the grid is too coarse for the light (OTF not small at its Nyquist frequency) isolated
-    points ring, also below zero. One forward transform a picture, one back for all. Beside the pictures, two planes of
-    float64 are in memory, and one where there is one picture.
-
-    pictures : (picture (H, W), weight (B,)) each, in any unit
+    pictures : (picture (H, W), weight (B,)) pairs, in any unit
     shape : (H, W)
     pitch_um : of the samples
     wavelength_nm : (B,)
-    f_number : the effective one, N_e = 1/(2 sin α)
-    workers : threads of the transforms; the result does not depend on it
+    f_number : effective, N_e = 1/(2 sin α)
+    workers : threads of the transforms; the result does not depend on them
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
     highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
-    lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a table that ends below it would only hold steps too small to divide by
+    lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a shorter table would have steps too small to divide by
     table, step = np.linspace(0.0, max(highest, lowest), OTF_TABLE_SIZE, retstep=True)
     total: Array | None = None
     spare: Array | None = None
@@ -115,7 +114,7 @@ def diffract_sum(
 
 
 def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None:
-    """Multiply a spectrum (H, W) in place with a radial table, interpolated linearly; frequencies in steps of the table."""
+    """Multiply a spectrum (H, W) in place by a radial table, interpolated linearly; frequencies are in steps of the table."""
     rise = np.append(np.diff(otf), 0.0)
     for rows, radius in strips_of(spectrum.shape):
         np.sqrt(np.add(x_steps[None, :] ** 2, y_steps[rows, None] ** 2, out=radius), out=radius)
@@ -128,28 +127,28 @@ def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None
 
 
 def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:
-    """Convolve a picture with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
+    """Return a picture convolved with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
 
     picture : (H, W)
-    weight : (B,) of the light at each wavelength; their ratios count
-    f_number : the effective one, N_e = 1/(2 sin α)
+    weight : (B,) relative weights of the wavelengths
+    f_number : effective, N_e = 1/(2 sin α)
     workers : threads of the transforms
 
-    Raises PixsimError where the weights add up to 0 (no light has no shape), and as `cutoff_cy_per_mm` does.
+    Raises PixsimError if the weights add up to 0, and as `cutoff_cy_per_mm` does.
     """
     total = weight.sum()
     if total == 0:
-        raise invalid("weight", "a sum of 0", "weights that do not cancel", "Unscaled weights are for `diffract_sum`.")
+        raise invalid("weight", "a sum of 0", "weights with another sum", "Use `diffract_sum` for weights that are not normalised.")
     share = weight / total
     return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number, workers)
 
 
 def square_aperture_mtf(frequency_cy_per_mm: ArrayLike, side_um: float) -> Array:
-    """|sin(πx)/(πx)|, x = frequency · side, of a square photodiode along one axis; (...) as the frequencies, 0 to 1.
+    """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis, (...) as the frequencies.
 
     The geometric MTF of Chen et al. (2000), section 2.2.
 
-    >>> round(float(square_aperture_mtf(100.0, 5.0)), 6)  # at the Nyquist frequency of a side: 2/π
+    >>> round(float(square_aperture_mtf(100.0, 5.0)), 6)  # Nyquist frequency of this side: 2/π
     0.63662
     """
     return np.abs(np.sinc(np.asarray(frequency_cy_per_mm, float) * side_um * 1e-3))

@@ -1,4 +1,4 @@
-"""The thin lens: radiance of the scene to irradiance on the sensor, after Foote."""
+"""Radiance of the scene to irradiance on the sensor through a thin lens, after Foote."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pixsim.light.spectral import WHOLE
 
 
 def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: ArrayLike = 0.0) -> Array:
-    """Irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin lens.
+    """Return the irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin lens.
 
     Foote's disc source (Sci. Papers Bur. Stand. 12, 583, 1915) in a form without cancellation: with
     A = tan²α = 1/(4N²(1+|m|)²) and T = tan²θ, P = 1-A+T, Q = √(P²+4A): E/L = 2πA/(Q(Q+P)).
@@ -19,22 +19,21 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
 
     Parameters
     ----------
-    f_number : as engraved (infinity focus), at least 0.5/(1+|m|)
+    f_number : nominal, for focus at infinity; at least 0.5/(1+|m|)
     tan_field : tangent of the field angle seen from the lens centre
     magnification : image over object size; its absolute value is taken
 
     Returns sr, in the shape that the three broadcast to.
 
-    Raises PixsimError for f-numbers that are not positive or steeper than A = 1, and for tangents that are no numbers.
+    Raises PixsimError if an f-number is not positive or A exceeds 1, or if a tangent is NaN.
 
     >>> round(float(irradiance_factor(4.0, 0.0)), 6)  # π/(1 + 4·4²) = π/65
     0.048332
     """
     f_number, tan_field = np.asarray(f_number, float), np.asarray(tan_field, float)
     if np.isnan(tan_field).any():
-        raise invalid("tan_field", "nan", "a number, or infinity for light along the sensor")
-    # Divided before squaring, so that neither f/1e-200 nor f/1e200 overflows on the way. What overflows is grazing light,
-    # which brings nothing.
+        raise invalid("tan_field", "nan", "a number, or infinity for light parallel to the sensor")
+    # Dividing before squaring avoids overflow at extreme f-numbers. Grazing light may overflow: its irradiance is 0.
     with np.errstate(divide="ignore", over="ignore"):
         tan_alpha = 0.5 / (f_number * (1 + np.abs(magnification)))
         if not np.all((f_number > 0) & (tan_alpha <= 1)):
@@ -54,16 +53,16 @@ def field_factor(
     magnification: float,
     part: tuple[slice, slice] = (WHOLE, WHOLE),
 ) -> Array:
-    """`irradiance_factor` at the centre of each sample of a grid centred on the axis, (H, W) sr.
+    """Return `irradiance_factor` at each sample of a grid that is centred on the axis, (H, W) sr.
 
     shape : (H, W)
-    f_number : as engraved
+    f_number : nominal, for focus at infinity
     magnification : image over object size
-    part : the rows and columns to compute, all where it is left out
+    part : slices of rows and columns to compute; all by default
 
     Raises PixsimError as `irradiance_factor` does.
     """
-    y_um, x_um = (((np.arange(n) + 0.5) - n / 2)[some] * pitch_um for n, some in zip(shape, part, strict=True))
+    y_um, x_um = (((np.arange(n) + 0.5) - n / 2)[span] * pitch_um for n, span in zip(shape, part, strict=True))
     factor = np.empty((y_um.size, x_um.size))
     for rows in strips(*factor.shape):
         tan_field = np.hypot(x_um[None, :], y_um[rows, None]) / (1e3 * image_distance_mm)

@@ -1,7 +1,7 @@
 """Mitsuba XML to spectral irradiance with its noise: `scene.Scene` and `Camera` in, `SpectralImage` out.
 
-In the order of the flow: `files` (what may be read), `scene`, `contents` (lamps, surfaces, shapes, textures), `bands`, `rules`
-(what can be left out), `plan`, `renderer`, `convergence`; `charts` makes the textures of test charts. `mitsuba` is the only file
-that imports Mitsuba, `variant` decides which of its variants can run.
+In the order of the flow: `files` (checks of the XML), `scene`, `contents` (lamps, surfaces, shapes, textures), `bands`, `rules`
+(what can be left out), `plan`, `renderer`, `convergence`. `charts` makes the textures of test charts. Only `mitsuba` imports
+Mitsuba; `variant` chooses a variant that can run.
 May import: base, light, optics, sensor.
 """

@@ -1,8 +1,8 @@
-"""Wavelength bands and the pulses that measure them: pure arrays, no scene.
+"""Wavelength bands and the spectral pulses that a render measures.
 
-A ray of Mitsuba carries four wavelengths, one in each of 1, 2 or 4 disjoint pulses of equal area, and none of them is left
-to chance. A pulse has the shape of the lamp, so that no line is missed. What surfaces do to the lamp's light is smooth and
-known from their spectra, so that a few pulses tell every band; `fit` finds how, and how wrong that can be.
+A ray of Mitsuba carries four wavelengths. The film response has 1, 2 or 4 disjoint pulses of equal area, so that each pulse
+gets its share of the wavelengths. A pulse has the shape of the lamp spectrum, so that no line is missed. Surface spectra are
+smooth and known, so a few pulses determine all bands; `fit` finds their spectra and bounds the error.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from pixsim.base.arrays import Array
 from pixsim.light.spectral import HIGH_NM, LOW_NM, STEPS_NM, Spectrum, grid_nm
 
 Response = Callable[[Array], Array]  # of a sensor or an eye, at wavelengths in nm; any unit
-# 10 nm bands, and what is left of 360-830 nm at the ends.
+# Bands of 10 nm, and the rest of 360-830 nm at either end.
 BAND_EDGES_NM = np.concatenate([[LOW_NM], np.arange(365.0, 826.0, 10.0), [HIGH_NM]])
 NARROWEST_BAND_NM = 1.0
 MAX_BANDS = 256
 PARTS_OF_A_BAND = 10
-MIN_SHIFT_NM = 1.0  # of a band's wavelength from its centre that is worth telling
+MIN_SHIFT_NM = 1.0  # shift of the centroid from the band centre below which the centre is reported
 PULSES_PER_PASS = 4
-SHAPE_TOLERANCE = 0.1  # error of any one band, of the brightest band of the same light
+SHAPE_TOLERANCE = 0.1  # error of any band, relative to the brightest band of the same light
 PULSE_COUNTS = (1, 4, 8, 12, 16, 20, 24, 28, 32)
-FLANK_STEPS = 2  # zeros at either end of a pulse: the film's combined table then has no node that is not ours
-STIFFNESS = 1e-4  # of the fit against leaving linear interpolation between pulses: noise is then hardly amplified
-NEUTRAL_WEIGHT = 1e2  # of a neutral surface in the fit: it comes out exact
+FLANK_STEPS = 2  # zeros at either end of a pulse, so that the film's combined table has no other nodes
+STIFFNESS = 1e-4  # regularisation towards linear interpolation between pulses, which limits noise amplification
+NEUTRAL_WEIGHT = 1e2  # weight of a neutral surface in the fit, which makes it exact
 
 
 @dataclass(frozen=True)
 class Witness:
-    """A response whose answer must be right, and how many times the tolerance it may be wrong."""
+    """A spectral response whose signal the bands must reproduce, with an error of up to `slack` times the tolerance."""
 
     response: Response
     slack: float = 1.0
@@ -45,7 +45,7 @@ class Bands:
 
     edges_nm : (B + 1,)
     wavelength_nm : (B,) the centre, or the centroid of the light where lines put it elsewhere
-    nodes_nm, shares : (B, n) where in the band its light is; shares add up to 1
+    nodes_nm, shares : (B, n) distribution of the light within each band; shares add up to 1
     """
 
     edges_nm: Array = field(repr=False)
@@ -58,11 +58,11 @@ class Bands:
         return np.diff(self.edges_nm)
 
     def mean(self, response: Response) -> Array:
-        """Mean of a response over each band, weighted by the light in it, (B,)."""
+        """Return the mean of a response over each band (B,), weighted by the light in it."""
         return (self.shares * response(self.nodes_nm)).sum(axis=1)
 
     def integrals(self, energy: Array, step_nm: float) -> Array:
-        """Sums over each band, (..., B), of the energy in the cells between the nodes of `grid_nm(step_nm)`."""
+        """Return the energy in each band, (..., B), from that in the cells between the nodes of `grid_nm(step_nm)`."""
         running = np.concatenate([np.zeros_like(energy[..., :1]), np.cumsum(energy, axis=-1)], axis=-1)
         at = (self.edges_nm - LOW_NM) / step_nm
         index = np.minimum(at.astype(int), energy.shape[-1] - 1)
@@ -82,7 +82,7 @@ class Pulse:
         return np.linspace(self.low_nm, self.high_nm, self.values.size)
 
     def mean(self, functions: Array, step_nm: float) -> Array:
-        """What the pulse measures of functions on `grid_nm(step_nm)`, (...): ∫ of the product, both straight between nodes."""
+        """Return ∫ pulse × function for functions on `grid_nm(step_nm)`, both piecewise linear."""
         first = round((self.low_nm - LOW_NM) / step_nm)
         weights = np.convolve(self.values, (1 / 6, 2 / 3, 1 / 6), mode="same") * step_nm
         return (functions[..., first : first + self.values.size] * weights).sum(axis=-1)
@@ -90,11 +90,11 @@ class Pulse:
 
 @dataclass(frozen=True)
 class Fit:
-    """Pulses, and the spectrum that each stands for.
+    """Pulses, and the spectrum that the picture of each is multiplied with.
 
-    spectra : (pulses, B) W m⁻² sr⁻¹ nm⁻¹ of each band for each unit of a pulse's picture
-    passes : which pulses are rendered together
-    error : greatest relative error of any response to the light from any surface
+    spectra : (pulses, B) W m⁻² sr⁻¹ nm⁻¹ in each band per unit of a pulse's picture
+    passes : indices of the pulses that are rendered together
+    error : largest relative error of any response to the light from any surface
     """
 
     pulses: tuple[Pulse, ...] = field(repr=False)
@@ -104,39 +104,39 @@ class Fit:
 
 
 def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness], tolerance: float) -> Bands:
-    """Bands of 10 nm; those that would make an answer wrong by more than `tolerance` are halved.
+    """Return bands of 10 nm, halved where a response would otherwise be wrong by more than `tolerance`.
+
+    Halving is needed where lamps have lines at different places in a band, or where a surface and a response both vary in it.
 
     Parameters
     ----------
-    surfaces : (n, 471) what light may have met on its way, as factors at 360 … 830 nm; a neutral one is always added
-
-    That is so where lamps with lines at different places share a band, or a surface and a response both change in it.
+    surfaces : (n, 471) reflectance products at 360 … 830 nm; a neutral one is always added
     """
     edges = BAND_EDGES_NM
     lights = [resolved(lamp, surfaces) for lamp in lamps]
     while True:
         bands = _shaped(edges, lamps)
         errors = [band_errors(bands, light, witnesses) for light in lights]
-        worst = max((float(np.abs(each.sum(axis=2)).max()) for each in errors), default=0.0)
+        worst = max((float(np.abs(error.sum(axis=2)).max()) for error in errors), default=0.0)
         if worst <= tolerance or edges.size > MAX_BANDS:
             return bands
-        guilt = np.max([np.abs(each).max(axis=(0, 1)) for each in errors], axis=0)
-        guilt[np.diff(edges) < 2 * NARROWEST_BAND_NM] = 0.0
-        if not guilt.any():
+        error_of_band = np.max([np.abs(error).max(axis=(0, 1)) for error in errors], axis=0)
+        error_of_band[np.diff(edges) < 2 * NARROWEST_BAND_NM] = 0.0
+        if not error_of_band.any():
             return bands
-        halved = np.flatnonzero(guilt > guilt.max() / 2)
+        halved = np.flatnonzero(error_of_band > error_of_band.max() / 2)
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
 
 
 def equal_bands(count: int, lamps: list[Spectrum]) -> Bands:
-    """So many bands of equal width from 360 to 830 nm."""
+    """Return `count` bands of equal width from 360 to 830 nm."""
     return _shaped(np.linspace(LOW_NM, HIGH_NM, count + 1), lamps)
 
 
 def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[Witness]) -> Array:
-    """Error of each witness's answer to a `resolved` lamp's light from each surface, by band and over the whole answer.
+    """Return each band's contribution to the error of each witness's signal, (witnesses, 1 + n surfaces, B).
 
-    (witnesses, 1 + n, B), relative to what the witness tolerates.
+    It is relative to the whole signal and to the witness's slack. `lamp` is `resolved`.
     """
     light, at, families = lamp
     first = np.searchsorted(at, bands.edges_nm[:-1])
@@ -151,16 +151,16 @@ def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[
 
 
 def resolved(lamp: Spectrum, surfaces: Array) -> tuple[Array, Array, Array]:
-    """Lamp's energy in cells so fine that a response may begin with a step in one; their centres; surfaces there."""
+    """Return a lamp's energy in fine cells, the cell centres, and the surfaces (a neutral one first) at the centres."""
     step = min(lamp.step_nm, STEPS_NM[1])
     edges = grid_nm(step)
     at = edges[:-1] + step / 2
-    families = np.array([np.interp(at, grid_nm(), each) for each in (np.ones(grid_nm().size), *surfaces)])
+    families = np.array([np.interp(at, grid_nm(), surface) for surface in (np.ones(grid_nm().size), *surfaces)])
     return lamp.cell_means(edges) * step, at, families
 
 
 def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
-    """Bands with the light of all lamps, each taken at the same energy, in ten parts at the centroid of each."""
+    """Return bands with the light of all lamps, at equal energy each, in ten parts at their centroids."""
     parts_nm = np.concatenate([np.linspace(a, b, PARTS_OF_A_BAND, endpoint=False) for a, b in pairwise(edges_nm)])
     parts = Bands(np.append(parts_nm, edges_nm[-1]), parts_nm, parts_nm[:, None], parts_nm[:, None])
     centres = (parts.edges_nm[:-1] + parts.edges_nm[1:]) / 2
@@ -183,15 +183,15 @@ def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
 
 
 def window_pulse(lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside: bool = False, band: bool = False) -> Pulse | None:
-    """The lamp between two wavelengths as a pulse; None where it is dark there. A flat pulse without a lamp.
+    """Return the lamp between two wavelengths as a pulse, or None if it is dark there; without a lamp the pulse is flat.
 
-    The flanks lie outside the window, or `inside` it where the next window adjoins in the same pass. Pulses of a `band` and
-    of its neighbours add up to the lamp.
+    The flanks lie outside the window, or `inside` it if the next window adjoins in the same pass. The pulses of adjoining
+    windows with `band` add up to the lamp.
     """
     step = lamp.step_nm if lamp else 1.0
     if band:  # fine enough for every border of a band to be a node
         step = min(step, STEPS_NM[1])
-    first, last, most = (round((each - LOW_NM) / step) for each in (low_nm, high_nm, HIGH_NM))
+    first, last, most = (round((nm - LOW_NM) / step) for nm in (low_nm, high_nm, HIGH_NM))
     reach = 0 if inside else FLANK_STEPS
     start = max(min(first - reach, most - 2 * FLANK_STEPS), 0)
     stop = min(max(last + reach, 2 * FLANK_STEPS), most)
@@ -200,7 +200,7 @@ def window_pulse(lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside
     values[(index < first) | (index > last)] = 0.0
     if band:  # half at its borders: neighbours add up to the lamp, and the area is that of the band
         values[(index == first) | (index == last)] /= 2
-    if not inside:  # no flanks fit outside 360-830 nm: light at the very ends is taken two steps further in
+    if not inside:  # flanks must stay within 360-830 nm: light at the ends is moved two steps inwards
         values = np.bincount(np.clip(index - start, FLANK_STEPS, stop - start - FLANK_STEPS), values, index.size).astype(float)
     values[:FLANK_STEPS] = values[-FLANK_STEPS:] = 0.0
     area = values.sum() * step
@@ -208,70 +208,70 @@ def window_pulse(lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside
 
 
 def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
-    """A pulse for each band that has light, in passes of four that do not touch: nothing is assumed of the surfaces."""
+    """Return a pulse for each band with light, in passes of four disjoint ones; needs no knowledge of the surfaces."""
     edges = bands.edges_nm
-    # Flat pulses with the lamps in place measure the mean over a band, of unit area.
+    # Without a lamp spectrum the pulses are flat and have unit area: they measure the mean over a band.
     mean = lamp.cell_means(edges) if lamp else np.ones(edges.size - 1)
-    found = {band: window_pulse(lamp, edges[band], edges[band + 1], band=True) for band in np.flatnonzero(mean).tolist()}
-    lit, pulses = [band for band, pulse in found.items() if pulse], tuple(pulse for pulse in found.values() if pulse)
+    band_pulse = {band: window_pulse(lamp, edges[band], edges[band + 1], band=True) for band in np.flatnonzero(mean).tolist()}
+    lit, pulses = [band for band, pulse in band_pulse.items() if pulse], tuple(pulse for pulse in band_pulse.values() if pulse)
     fours = passes(len(pulses))
-    # Flanks may reach into neighbours: one by one where the pulses of a pass would not lie apart.
-    spans = [sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in each}) for each in fours]
-    apart = all(low[1] <= high[0] for each in spans for low, high in pairwise(each)) and len(pulses) >= 2 * PULSES_PER_PASS
+    # Flanks may overlap neighbours: then each pulse has its own pass.
+    spans = [sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in group}) for group in fours]
+    apart = all(low[1] <= high[0] for span in spans for low, high in pairwise(span)) and len(pulses) >= 2 * PULSES_PER_PASS
     return Fit(pulses, np.diag(mean)[lit], fours if apart else [[index] for index in range(len(pulses))])
 
 
 def passes(count: int) -> list[list[int]]:
-    """Pulses in passes of four (or two, or one), each all over the spectrum, so that every path tells of most of the signal.
+    """Group pulses into passes of four (or two, or one) that span the spectrum, so that paths sample most of the signal.
 
-    An incomplete four repeats one of its own: four quarters of the film's response still, each wavelength in its own.
+    An incomplete group repeats one of its pulses, so that the film response still has four equal parts.
     """
     if count <= 3:
         return [[], [[0]], [[0, 1]], [[0, 1], [2]]][count]
     stride = -(-count // PULSES_PER_PASS)
     fours = [[start + stride * k for k in range(PULSES_PER_PASS)] for start in range(stride)]
-    return [[index if index < count else each[0] for index in each] for each in fours]
+    return [[index if index < count else group[0] for index in group] for group in fours]
 
 
 def fit(lamp: Spectrum, bands: Bands, surfaces: Array, witnesses: list[Witness], tolerance: float) -> Fit | None:
-    """The fewest pulses that tell all bands of this lamp's light from any of the surfaces to within `tolerance`.
+    """Return the fewest pulses that determine all bands of a lamp's light from any surface to within `tolerance`.
 
-    `surfaces` as in `place_bands`. None where so few would not do, or the lamp is dark. The error is the greatest of light
-    from these surfaces and of any sum of such light; light that has met others may err more.
+    `surfaces` as in `place_bands`. Returns None if 32 pulses are too few, or if the lamp is dark. The error bounds light from
+    these surfaces and sums of it; light from other surfaces may have a larger error.
     """
     step = lamp.step_nm
     grid, light = grid_nm(step), lamp.on_grid(step)
     lit = grid[light > 0]
     if lit.size == 0:
         return None
-    families = np.array([np.interp(grid, grid_nm(), each) for each in (np.ones(grid_nm().size), *surfaces)])
+    families = np.array([np.interp(grid, grid_nm(), surface) for surface in (np.ones(grid_nm().size), *surfaces)])
     fine_light, at, fine = resolved(lamp, surfaces)
     truth = np.array([(fine * (fine_light * witness.response(at))).sum(axis=1) for witness in witnesses])
     first = np.searchsorted(at, bands.edges_nm[:-1])
-    own = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
-    seen = np.array([bands.mean(witness.response) * bands.width_nm for witness in witnesses])
+    band_means = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
+    signals = np.array([bands.mean(witness.response) * bands.width_nm for witness in witnesses])
     slack = np.array([[witness.slack] for witness in witnesses])
     for count in PULSE_COUNTS:
         cuts = np.linspace(lit[0], lit[-1], count + 1)
         pulses = [window_pulse(lamp, a, b, inside=count > 1) for a, b in pairwise(cuts)]
-        known = [pulse for pulse in pulses if pulse is not None]
-        if not known:  # windows narrower than their flanks
+        pulses_lit = [pulse for pulse in pulses if pulse is not None]
+        if not pulses_lit:  # the windows are narrower than their flanks
             return None
-        weights = _fit_weights(families, known, light, step)
+        weights = _fit_weights(families, pulses_lit, light, step)
         description_of = np.array([np.interp(at, grid, weight) for weight in weights])
         spectra = np.add.reduceat(description_of * fine_light, first, axis=1) / bands.width_nm
-        measured = np.stack([pulse.mean(families, step) for pulse in known], axis=1)
-        told = measured @ spectra
-        wrong = np.abs(seen @ told.T - truth)
+        measured = np.stack([pulse.mean(families, step) for pulse in pulses_lit], axis=1)
+        fitted = measured @ spectra
+        wrong = np.abs(signals @ fitted.T - truth)
         errors = np.divide(wrong, truth * slack, out=np.zeros_like(wrong), where=truth > 0)
-        shape = np.abs(told - own).max(axis=1) / np.maximum(own.max(axis=1), np.finfo(float).tiny)
+        shape = np.abs(fitted - band_means).max(axis=1) / np.maximum(band_means.max(axis=1), np.finfo(float).tiny)
         if errors.max() <= tolerance and shape.max() <= SHAPE_TOLERANCE:
-            return Fit(tuple(known), spectra, passes(len(known)), float(errors.max()))
+            return Fit(tuple(pulses_lit), spectra, passes(len(pulses_lit)), float(errors.max()))
     return None
 
 
 def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: float) -> Array:
-    """Functions (pulses, G) that add up pulses' means to the families best, close to linear interpolation."""
+    """Return functions (pulses, G) whose sum, weighted by pulse means, fits the families; near linear interpolation."""
     grid = grid_nm(step_nm)
     power = np.maximum(np.trapezoid(families * light, dx=step_nm, axis=-1), np.finfo(float).tiny)
     scaled = families * (np.trapezoid(light, dx=step_nm) / power)[:, None]

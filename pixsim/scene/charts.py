@@ -1,6 +1,6 @@
-"""Test charts as textures: relative luminance in [0, 1], (H, W) float32, row 0 on top.
+"""Test charts as textures: relative luminance in [0, 1], (H, W) float32, row 0 at the top.
 
-A chart fills the die. Frequencies are given on the sensor, so a chart belongs to a die width, not to a lens.
+A chart fills the die. Its frequencies are those on the sensor, so it depends on the width of the die, not on the lens.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pixsim.light.exr import write_channels
 LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
 MAX_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
 MIN_FREQUENCY_LP_PER_MM = 1.0
-MIN_CONTRAST = 0.01  # of the largest
+MIN_CONTRAST = 0.01  # relative to the largest
 DIE_MM = 2.7136  # 512 pixels of 5.3 µm
 CSF_STEPS = 2**18
 SLANT_DEG = 5.0  # ISO 12233
@@ -28,30 +28,30 @@ STAR_CYCLES = 72
 
 
 def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
-    """Local frequency at x in [0, 1] across the die, (...) as x: exponential from 1 to 33.3 lp/mm (Chen et al. 2000).
+    """Return the local frequency (...) at x in [0, 1] across the die: exponential from 1 to 33.3 lp/mm (Chen et al. 2000).
 
-    >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # the Nyquist frequency of 15 µm pixels at the right
+    >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # at the right, the Nyquist frequency of 15 µm pixels
     [1.0, 33.333]
     """
     return MIN_FREQUENCY_LP_PER_MM * (MAX_FREQUENCY_LP_PER_MM / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
 
 
 def csf_contrast(y: ArrayLike) -> Array:
-    """Michelson contrast at y in [0, 1], 0 on top, (...) as y: exponential from 1 % of the largest to the largest, 0.951.
+    """Return the Michelson contrast (...) at y in [0, 1], 0 at the top: exponential from 1 % of the largest to the largest, 0.951.
 
-    25 to 1000 cd/m² (Chen et al. 2000).
+    The largest contrast is 25 to 1000 cd/m² (Chen et al. 2000).
     """
     low, high = LUMINANCE_CD_PER_M2
     return (high - low) / (high + low) * MIN_CONTRAST ** (1 - np.asarray(y, float))
 
 
 def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
-    """The CSF chart at a point: mean (1 + contrast(y) sin φ(x)), φ the integral of 2π frequency.
+    """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of 2π frequency.
 
-    A value of 1 stands for 1000 cd/m², the mean is 0.5125 (Chen et al. 2000).
+    A value of 1 is 1000 cd/m², and the mean is 0.5125 (Chen et al. 2000).
 
     x, y : to the right and downwards, in [0, 1]; the result has the shape that they broadcast to
-    die_mm : width that the chart fills
+    die_mm : width of the chart on the sensor
     """
     low, high = LUMINANCE_CD_PER_M2
     growth = np.log(MAX_FREQUENCY_LP_PER_MM / MIN_FREQUENCY_LP_PER_MM)
@@ -60,24 +60,22 @@ def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
 
 
 def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, die_mm: float = DIE_MM) -> Array:
-    """A vertical sinusoidal grating at x in [0, 1], (...) as x, relative luminance of mean 0.5 and a Michelson contrast."""
+    """Return a sinusoidal grating of a Michelson contrast and mean 0.5, (...) at x in [0, 1], as relative luminance."""
     return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
 
 
 def csf(width: int = 8192, height: int = 256, die_mm: float = DIE_MM) -> NDArray[np.float32]:
-    """Contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texels.
+    """Return the contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texel centres.
 
-    8192 of them hold the highest frequency to 0.06 % under bilinear interpolation.
-
-    The many rows are for the lowest half row, where a texture cannot follow its rising contrast (0.9 % short there).
-    Texels are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
+    With 8192 columns bilinear interpolation keeps the highest frequency to 0.06 %. With 256 rows the contrast is at most 0.9 %
+    low, in the lowest half row. Values are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
     """
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     return (np.rint(csf_value(x, y, die_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
 
 
 def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: int, dark: float) -> NDArray[np.float32]:
-    """Area coverage of a shape, from 8 × 8 points a texel, a row of texels at a time."""
+    """Return the area coverage of a shape, from 8 × 8 points per texel."""
     factor = 8
     x = (np.arange(width * factor) + 0.5) / (width * factor)
     rows = ((np.arange(height * factor) + 0.5) / (height * factor)).reshape(height, factor, 1)
@@ -86,13 +84,13 @@ def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: in
 
 
 def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> NDArray[np.float32]:
-    """An edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, a share `dark` left."""
+    """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, `dark` on the left."""
     slope = np.tan(np.radians(SLANT_DEG))
     return _antialiased(lambda x, y: x - 0.5 > (0.5 - y) * slope, width, height, dark)
 
 
 def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> NDArray[np.float32]:
-    """A sector star of 72 cycles in a disc of 90 % of the die, (height, width): 1, and a fraction `dark`."""
+    """Return a sector star of 72 cycles in a disc of 90 % of the die, (height, width), with values 1 and `dark`."""
 
     def inside(x: Array, y: Array) -> Array:
         sector = np.sin(STAR_CYCLES * np.arctan2(0.5 - y, x - 0.5)) > 0
@@ -102,21 +100,21 @@ def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> 
 
 
 def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
-    """A uniform field of relative luminance 1, (height, width)."""
+    """Return a uniform field of relative luminance 1, (height, width)."""
     return np.ones((height, width), np.float32)
 
 
-CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {each.__name__: each for each in (csf, flat, siemens_star, slanted_edge)}
+CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {chart.__name__: chart for chart in (csf, flat, siemens_star, slanted_edge)}
 
 
 def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:
-    """A chart by name, (H, W) float32 of relative luminance; the size defaults to what the shipped textures have.
+    """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the packaged textures.
 
     kind : csf, slanted_edge, siemens_star or flat
     width, height : in texels
-    die_mm : width that the chart fills, for the one whose frequencies depend on it (csf)
+    die_mm : width of the chart on the sensor, for csf only
 
-    Raises PixsimError for another kind, a size out of 2 to 32768 texels, and a die for a chart that needs none.
+    Raises PixsimError for another kind, a size outside 2 to 32768 texels, or a die width for another chart than csf.
 
     >>> make_chart("flat", width=3, height=2).tolist()
     [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]
@@ -125,21 +123,21 @@ def make_chart(kind: str, width: int | None = None, height: int | None = None, d
         raise invalid("chart", f"'{kind}'", ", ".join(CHARTS))
     size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
     if any(not 2 <= value <= 32768 for value in size.values()):
-        raise invalid("chart size", size, "2 to 32768 texels a side")
+        raise invalid("chart size", size, "2 to 32768 texels per side")
     if die_mm is None:
         return CHARTS[kind](**size)
     if kind != "csf" or not 0 < die_mm < 1000:
-        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", "0 to 1000 mm, for csf: the others scale with the die")
+        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", "0 to 1000 mm, for csf only")
     return csf(**size, die_mm=die_mm)
 
 
 def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> None:
-    """Write a texture that Mitsuba reads as it is (with `raw` true): one linear float32 channel Y, row 0 on top.
+    """Write a texture for Mitsuba's bitmap with `raw` true: one linear float32 channel Y, row 0 at the top.
 
     path : ends in .exr
     texels : (H, W) relative luminance
 
-    Raises PixsimError for another ending, and for a path that cannot be written.
+    Raises PixsimError for another ending, and if `path` cannot be written.
     """
     if Path(path).suffix.lower() != ".exr":
         raise invalid("chart file", f"'{path}'", "a name that ends in .exr")

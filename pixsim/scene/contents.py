@@ -1,4 +1,4 @@
-"""What a scene contains: lamps, surfaces, shapes before the lens, and picture files."""
+"""The contents of a scene: lamps, surfaces, shapes in front of the lens, and texture files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W
 from pixsim.scene.files import judge_asset
 from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
-# What the stock emitters call their spectrum.
+# The property with the spectrum of each stock emitter.
 EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
 EMISSION |= {"point": "intensity", "spot": "intensity", "directional": "irradiance"}
 LUMINANCE_STEP_NM = 1 / 8
@@ -29,9 +29,9 @@ LUMINANCE_STEP_NM = 1 / 8
 
 @dataclass(frozen=True)
 class Lamp:
-    """Emitters that share one spectrum, and what each is without it; or emitters whose colours stay in place.
+    """Emitters that share one spectrum, or emitters whose spectrum varies over them.
 
-    spectrum : of texel value 1 (or of the first emitter), W m⁻² sr⁻¹ nm⁻¹; None where colour and picture are not apart
+    spectrum : of texel value 1 (or of the strongest emitter), W m⁻² sr⁻¹ nm⁻¹; None if it cannot be separated from a picture
     pictures : emitter node -> (property, node of its neutral picture, or its power relative to `spectrum`)
     """
 
@@ -40,7 +40,7 @@ class Lamp:
 
     @property
     def luminance_cd_per_m2(self) -> float:
-        """Of texel value 1: 683.002 ∫ ȳ L dλ."""
+        """Luminance of texel value 1: 683.002 ∫ ȳ L dλ."""
         if self.spectrum is None:
             return 0.0
         edges = grid_nm(LUMINANCE_STEP_NM)
@@ -49,7 +49,7 @@ class Lamp:
 
 
 def find_lamps(state: Any, variant: str) -> list[Lamp]:
-    """Emitters by spectrum, in the order of the scene; those whose colour varies over them come last, together."""
+    """Group the emitters by spectrum, in scene order; those whose spectrum varies over them are the last group."""
     groups: dict[tuple[Any, ...], list[tuple[int, str, float, int | None]]] = {}
     coloured: dict[int, tuple[str, int | float]] = {}
     for index, node in nodes_of(state, "Emitter"):
@@ -59,38 +59,38 @@ def find_lamps(state: Any, variant: str) -> list[Lamp]:
             coloured[index] = name, 1.0
         else:
             key, scale, picture = emission
-            # Pictures cannot be scaled in place: emitters with one share a group only at the same power.
+            # Pictures cannot be scaled, so emitters with pictures share a group only at the same power.
             groups.setdefault((key, None if picture is None else scale), []).append((index, name, scale, picture))
     for key, scale in list(groups):
-        if scale is None and (host := next((each for each in groups if each[0] == key and each[1] is not None), None)):
-            groups[host] += groups.pop((key, None))  # those without a picture can have any power
+        if scale is None and (host := next((other for other in groups if other[0] == key and other[1] is not None), None)):
+            groups[host] += groups.pop((key, None))  # emitters without a picture may have any power
     lamps = []
     for (key, scale), parts in groups.items():
-        first = max(own for _, _, own, _ in parts) if scale is None else scale
+        first = max(power for _, _, power, _ in parts) if scale is None else scale
         pictures: dict[int, tuple[str, int | float]] = {
-            index: (name, picture if picture is not None else (own / first if first else 1.0))
-            for index, name, own, picture in parts
+            index: (name, picture if picture is not None else (power / first if first else 1.0))
+            for index, name, power, picture in parts
         }
         lamps.append(Lamp(evaluate(key, variant) * first, pictures))
     return [*lamps, Lamp(None, coloured)] if coloured else lamps
 
 
 def find_lamp(state: Any, variant: str) -> Lamp | None:
-    """The one spectrum behind all emitters, where there is one and what multiplies it is neutral; else None."""
+    """Return the lamp of all emitters if they share one spectrum, else None."""
     lamps = find_lamps(state, variant)
     return lamps[0] if len(lamps) == 1 and lamps[0].spectrum is not None else None
 
 
 def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | None] | None:
-    """An emitter's spectrum (a hashable key), scale and neutral picture (a texture node); None where they are not apart."""
+    """Return an emitter's spectrum (a hashable key), scale and neutral picture (a node); None if they cannot be separated."""
     name = EMISSION.get(emitter.props.plugin_name())
     if name is None:
         return None
     if name not in emitter.props:  # Mitsuba's default: a d65 of scale 1
         return (("d65",), 1.0, None)
-    beside = [index for key, index in children(emitter, state).items() if key != name]
-    if any(not is_neutral(state.nodes[index]) for index in beside if state.nodes[index].type.name == "Texture"):
-        return None  # the slide of a spot
+    others = [index for key, index in children(emitter, state).items() if key != name]
+    if any(not is_neutral(state.nodes[index]) for index in others if state.nodes[index].type.name == "Texture"):
+        return None  # the coloured texture of a spot
     kind = emitter.props.type(name).name
     if kind == "Float":  # a plain number is a d65 of that scale
         return (("d65",), float(emitter.props[name]), None)
@@ -126,22 +126,22 @@ def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | N
 
 
 def is_neutral(texture: Any) -> bool:
-    """A raw bitmap multiplies all wavelengths alike."""
+    """Return whether a texture multiplies all wavelengths alike: a raw bitmap does."""
     return texture.props.plugin_name() == "bitmap" and bool(texture.props.get("raw", False))
 
 
 def numbers(text: object) -> list[float]:
-    """Those in a property: "1 2 3", "1, 2, 3", "[1, 2, 3]"."""
-    return [float(each) for each in str(text).strip("[]").replace(",", " ").split()]
+    """Parse the numbers of a property: "1 2 3", "1, 2, 3" or "[1, 2, 3]"."""
+    return [float(number) for number in str(text).strip("[]").replace(",", " ").split()]
 
 
 def parsed_table(value: Any) -> Spectrum:
-    """A spectrum that the parser keeps as a table."""
+    """Return a spectrum that the parser stores as a table."""
     return Spectrum(np.array(value.wavelengths, float), np.array(value.values, float))
 
 
 def table_of(node: Any) -> Spectrum | None:
-    """The table of a `regular` or `irregular` spectrum that is written out."""
+    """Return the table of a `regular` or `irregular` spectrum whose values are in the XML, else None."""
     props, plugin = node.props, node.props.plugin_name()
     if plugin not in ("regular", "irregular"):
         return None
@@ -156,30 +156,30 @@ def table_of(node: Any) -> Spectrum | None:
 
 
 def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
-    """The spectrum behind an emission's key."""
+    """Return the spectrum of a key from `_emission`."""
     if key[0] == "table":
         return Spectrum(np.array(key[1]), np.array(key[2]))
     if key[0] == "uniform":
         return tabulated(np.ones(grid_nm().size))
-    if key[0] == "rgb":  # as an emitter takes it: times d65
+    if key[0] == "rgb":  # an emitter multiplies it by D65
         colour = {"type": "rgb", "value": numbers(key[1])}
         return tabulated(evaluate_spectrum({"type": "constant", "radiance": colour}, variant))
     return tabulated(evaluate_spectrum({"type": key[0], **dict(key[1:])}, variant))
 
 
 def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
-    """Lamps that shine; PixsimError for one that is negative or not finite."""
+    """Return the lamps that emit light. Raises PixsimError if a radiance is negative or not finite."""
     for lamp in lamps:
         values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
         if not np.isfinite(values).all() or values.min() < 0:
-            raise invalid("emitter", f"radiance {values.min():g}", "finite and not negative")
+            raise invalid("emitter", f"radiance {values.min():g}", "finite values of 0 or more")
     return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
 
 
-# The spectra of the stock BSDFs by name. What is not named here leaves the spectrum as it is.
+# The spectral properties of the stock BSDFs.
 LAMBERTIAN = ("diffuse", "twosided")
 METALS = ("conductor", "roughconductor")
-INSIDE = ("plastic", "roughplastic")  # light that goes to and fro under a coat: ρ/(1 - F ρ)
+INSIDE = ("plastic", "roughplastic")  # multiple reflections under a coat: ρ/(1 - F ρ)
 SPECTRA: dict[str, tuple[str, ...]] = {
     "diffuse": ("reflectance",),
     **dict.fromkeys(INSIDE, ("diffuse_reflectance", "specular_reflectance")),
@@ -187,9 +187,9 @@ SPECTRA: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("dielectric", "roughdielectric", "thindielectric"), ("specular_reflectance", "specular_transmittance")),
     **dict.fromkeys(("twosided", "blendbsdf", "mask", "bumpmap", "normalmap", "null"), ()),
 }
-INTERNAL_REFLECTION = 0.6  # of a coat of index 1.49, from inside
+INTERNAL_REFLECTION = 0.6  # F of a coat of index 1.49, from inside
 METAL_COSINES = (1.0, 0.7, 0.3)
-MAX_POWER = 3  # of a reflectance, for light that goes to and fro between like surfaces; what goes on longer is little
+MAX_POWER = 3  # of a reflectance, for interreflections of similar surfaces; higher orders are weak
 TO_AND_FRO = (0.5, 0.8, 0.95)
 MAX_PRODUCTS = 160
 NEUTRAL_SPREAD = 1e-6
@@ -199,9 +199,9 @@ NEUTRAL_SPREAD = 1e-6
 class Surfaces:
     """The spectra of a scene's surfaces.
 
-    spectra : (n, 471) of single surfaces at 360 … 830 nm, neutral ones left out; None where they are not known
-    unknown : why they are not known
-    short : ranges of tables that end inside 360-830 nm, beyond which Mitsuba takes 0
+    spectra : (n, 471) of single surfaces at 360 … 830 nm, without neutral ones; None if they are unknown
+    unknown : why they are unknown
+    short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
     """
 
     spectra: Array | None = field(repr=False)
@@ -209,13 +209,13 @@ class Surfaces:
     short: tuple[str, ...] = ()
 
     def products(self, bounces: int) -> Array:
-        """What light may have met after up to so many surfaces (-1: any number), (m, 471)."""
+        """Return the spectra of light after up to `bounces` surfaces (-1: any number), relative to the lamp, (m, 471)."""
         if self.spectra is None:
             return np.zeros((0, grid_nm().size))
         single = self.spectra
         if bounces == 1 or not len(single):
             return single
-        # Light that goes to and fro for long, a little or most of it: ρ/(1 - aρ).
+        # Light after many interreflections, with a small or large probability a of each: ρ/(1 - aρ).
         series = [single / (1 - part * np.minimum(single, 1.0)) for part in (TO_AND_FRO if bounces < 0 else ())]
         powers = [single**power for power in range(2, MAX_POWER + 1 if bounces < 0 else min(bounces, MAX_POWER) + 1)]
         pairs = [single[i] * single[j] for i, j in combinations_with_replacement(range(len(single)), 2) if i != j]
@@ -224,33 +224,33 @@ class Surfaces:
 
 
 def find_surfaces(state: Any, variant: str) -> Surfaces:
-    """Every spectrum that a BSDF multiplies light with, from the parsed tree."""
-    found: list[Array] = []
+    """Return the spectra that BSDFs multiply light with, from the parsed tree."""
+    spectra: list[Array] = []
     short: set[str] = set()
     if nodes_of(state, "Medium"):
-        return Surfaces(None, "a medium, whose spectra pixsim does not know")
+        return Surfaces(None, "a medium of unknown spectra")
     for _, node in nodes_of(state, "BSDF"):
         plugin = node.props.plugin_name()
         if plugin not in SPECTRA:
-            return Surfaces(None, f"a BSDF '{plugin}', whose spectra pixsim does not know")
+            return Surfaces(None, f"a BSDF '{plugin}' of unknown spectra")
         metal = _metal(state, node, variant) if plugin in METALS else []
         if metal is None:
-            return Surfaces(None, f"the index of {plugin}")
-        found += metal
+            return Surfaces(None, f"an unknown refractive index of {plugin}")
+        spectra += metal
         for name in SPECTRA[plugin]:
             if name in node.props:
-                own = _property(state, node, name, variant, short)
-                if own is None:
-                    return Surfaces(None, f"the texture of {plugin}.{name}")
-                found += [*own, *(each / (1 - INTERNAL_REFLECTION * each) for each in own if plugin in INSIDE)]
-                found += [each * fresnel for each in own for fresnel in metal]
-    coloured = [each for each in found if np.ptp(each) > NEUTRAL_SPREAD * max(each.max(), 1.0)]
-    unique = {each.round(9).tobytes(): each for each in coloured}
+                colours = _property(state, node, name, variant, short)
+                if colours is None:
+                    return Surfaces(None, f"an unknown texture of {plugin}.{name}")
+                spectra += [*colours, *(rho / (1 - INTERNAL_REFLECTION * rho) for rho in colours if plugin in INSIDE)]
+                spectra += [rho * fresnel for rho in colours for fresnel in metal]
+    coloured = [rho for rho in spectra if np.ptp(rho) > NEUTRAL_SPREAD * max(rho.max(), 1.0)]
+    unique = {rho.round(9).tobytes(): rho for rho in coloured}
     return Surfaces(np.array(list(unique.values())).reshape(-1, grid_nm().size), "", tuple(sorted(short)))
 
 
 def _property(state: Any, node: Any, name: str, variant: str, short: set[str]) -> list[Array] | None:
-    """The spectra that a property of a node may have; empty where it is neutral, None where that is not known."""
+    """Return the spectra that a property of a node may have: none if it is neutral, None if they are unknown."""
     kind = node.props.type(name).name
     if kind in ("Float", "Integer"):
         return []
@@ -272,8 +272,8 @@ def _property(state: Any, node: Any, name: str, variant: str, short: set[str]) -
     if table is not None:
         return [_table(table, short)]
     if plugin == "checkerboard":
-        parts = [_property(state, texture, each, variant, short) for each in ("color0", "color1") if each in texture.props]
-        return None if any(part is None for part in parts) else [each for part in parts for each in part or []]
+        parts = [_property(state, texture, colour, variant, short) for colour in ("color0", "color1") if colour in texture.props]
+        return None if any(part is None for part in parts) else [rho for part in parts for rho in part or []]
     return None
 
 
@@ -285,7 +285,7 @@ def _table(table: Spectrum, short: set[str]) -> Array:
 
 
 def _metal(state: Any, node: Any, variant: str) -> list[Array] | None:
-    """Fresnel reflectances of a conductor at several angles, from Mitsuba's own smooth one; None where not known."""
+    """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba; None if its index is unknown."""
     described: dict[str, Any] = {"type": "conductor"}
     values, textures = dict(plain(node)), children(node, state)
     for key in ("material", "eta", "k"):
@@ -299,19 +299,19 @@ def _metal(state: Any, node: Any, variant: str) -> list[Array] | None:
     return [evaluate_reflection(described, cosine, variant) for cosine in METAL_COSINES]
 
 
-MIN_VOLUME = 1e-200  # what a scale makes of 1
+MIN_VOLUME = 1e-200  # of a transformed unit cube
 FLAT = ("rectangle", "disk")
-PARALLEL = 1e-6  # sine of the angle between normals of planes that count as parallel
+PARALLEL = 1e-6  # sine of the largest angle between the normals of parallel planes
 IN_FRONT_M = 1e-9
 
 
 @dataclass(frozen=True)
 class Body:
-    """A shape as the lens sees it, in the camera's frame: x to the left of the picture, y up, z along the axis, m.
+    """A shape in the camera's frame: x to the left of the picture, y up, z along the axis, m.
 
-    corners : (n, 3) of a box around it; None where the plugin's size is not known from the XML
-    normal : (3,) of a flat one, on the side that it shows
-    node : of the shape
+    corners : (n, 3) of a bounding box; None if the XML does not state the size
+    normal : (3,) of the front side of a flat shape
+    node : index of the shape
     """
 
     node: int
@@ -324,7 +324,7 @@ class Body:
         return float(self.corners[:, 2].min()), float(self.corners[:, 2].max())
 
     def in_view(self, camera: Camera, aspect: float) -> bool:
-        """Whether any of it may be seen: not all of it beyond one side of the picture, with the blur of the lens."""
+        """Return whether the shape may be in the picture, blur included: not all of it is beyond one side."""
         if self.corners is None:
             return True
         x, y, z = self.corners.T
@@ -348,15 +348,15 @@ def matrix_of(node: Any, name: str = "to_world") -> Array:
 
 
 def check_transforms(state: Any) -> None:
-    """Refuse what turns things into nothing, or into what has no place."""
+    """Raise PixsimError if a transform is singular or not finite."""
     for node in state.nodes:
         matrix = matrix_of(node)
         if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < MIN_VOLUME:
-            raise invalid(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "finite numbers and scales other than 0")
+            raise invalid(f"{node.props.plugin_name()}.to_world", matrix.tolist(), "a finite, invertible transform")
 
 
 def find_bodies(state: Any, sensor: Any) -> list[Body]:
-    """Every shape that can be seen; members of a shape group stand where its instances are."""
+    """Return every shape that may be in view; the members of a shape group are placed at its instances."""
     to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
     members = {
         child: index
@@ -378,12 +378,12 @@ def find_bodies(state: Any, sensor: Any) -> list[Body]:
             bodies.append(Body(index, _moved(place, np.vstack(known)) if known and len(known) == len(boxes) else None, None))
         else:
             box = _box(node)
-            bodies.append(Body(index, None if box is None else _moved(to_camera, box), _gaussian_map(to_camera, node)))
+            bodies.append(Body(index, None if box is None else _moved(to_camera, box), _facing(to_camera, node)))
     return bodies
 
 
 def _box(node: Any) -> Array | None:
-    """Corners of a box around a stock shape, in the world."""
+    """Return the corners of a bounding box of a stock shape in world coordinates, or None."""
     props, plugin = node.props, node.props.plugin_name()
     if plugin in FLAT:
         unit = np.array([[x, y, 0.0] for x, y in product((-1.0, 1.0), repeat=2)])
@@ -401,10 +401,11 @@ def _box(node: Any) -> Array | None:
     return _moved(matrix_of(node), unit)
 
 
-def _gaussian_map(to_camera: Array, node: Any) -> Array | None:
+def _facing(to_camera: Array, node: Any) -> Array | None:
+    """Return the unit normal of the front side of a flat shape in the camera's frame, else None."""
     if node.props.plugin_name() not in FLAT:
         return None
-    # As normals are moved, so that a mirrored shape keeps its side.
+    # Normals transform by the inverse transpose, so that a mirrored shape keeps its front side.
     normal = np.linalg.inv((to_camera @ matrix_of(node))[:3, :3])[2]
     if node.props.get("flip_normals", False):
         normal = -normal
@@ -417,11 +418,11 @@ def _moved(matrix: Array, points: Array) -> Array:
 
 
 def blur_um(camera: Camera, depth_m: float) -> float:
-    """Diameter on the sensor of the disc that a point at a depth makes; infinite at the lens and behind it."""
+    """Return the diameter on the sensor of the blur disc of a point at a depth; infinite at and behind the lens."""
     if depth_m <= 0:
         return np.inf
     u = camera.object_distance_m
-    # 2a |d - u|/d in the plane in focus, at the magnification of that plane.
+    # The disc is 2a |d - u|/d in the plane in focus, times the magnification of that plane.
     return float(2 * camera.aperture_radius_m * abs(depth_m - u) / depth_m * camera.image_distance_mm * 1e3 / u)
 
 
@@ -430,7 +431,7 @@ def greatest_blur_um(camera: Camera, body: Body) -> float:
 
 
 def face_one_way(bodies: list[Body]) -> bool:
-    """All flat and parallel, showing the same side: no light goes from one to another."""
+    """Return whether all shapes are flat, parallel and face the same way, so that they do not light each other."""
     normals = [body.normal for body in bodies if body.normal is not None]
     if len(normals) < len(bodies) or not normals:
         return False
@@ -439,28 +440,28 @@ def face_one_way(bodies: list[Body]) -> bool:
 
 
 PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
-# Maps that are no light and no reflectance: any numbers, in any number of channels.
+# Maps that are neither light nor reflectance may have any values and channels.
 MAPS = ("normalmap", "bumpmap", "mask", "blendbsdf")
 MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic", "weight", "opacity")
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 
 
 def texture_files(state: Any, folder: Path) -> list[Path]:
-    """Files that nodes name; PixsimError for one that is missing."""
+    """Return the files of all nodes. Raises PixsimError if one is missing."""
     return [_file_of(node, folder) for node in state.nodes if "filename" in node.props]
 
 
 def _file_of(node: Any, folder: Path) -> Path:
     name = str(node.props["filename"])
-    found = next((path for path in (folder / name, Path(name)) if os.path.lexists(path)), None)
-    if found is None:
-        raise invalid("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to here")
-    judge_asset(found, "texture")
-    return found
+    file = next((path for path in (folder / name, Path(name)) if os.path.lexists(path)), None)
+    if file is None:
+        raise invalid("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to the working directory")
+    judge_asset(file, "texture")
+    return file
 
 
 def check_textures(state: Any, folder: Path) -> None:
-    """Refuse NaN, infinite and negative texels: Mitsuba lets them pass, and spreads them over their neighbours."""
+    """Raise PixsimError for NaN, infinite and negative texels, which Mitsuba would interpolate into their neighbours."""
     steering: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
     others: set[int] = set()
     for node in state.nodes:
@@ -477,11 +478,11 @@ def check_textures(state: Any, folder: Path) -> None:
             continue
         what = f"texture '{path}'"
         if path in raw and path.suffix.lower() in EIGHT_BIT:
-            raise invalid(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as pixsim chart writes")
+            raise invalid(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as written by pixsim chart")
         if path.suffix.lower() == ".exr":
             channels = read_channels(path)[0]
             if path in raw and len(channels) > 1:
-                raise invalid(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y: a neutral picture")
+                raise invalid(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y")
             for name, texels in channels.items():
                 bad = np.argwhere(~(np.isfinite(texels) & (texels >= 0)))
                 if bad.size:
@@ -491,9 +492,9 @@ def check_textures(state: Any, folder: Path) -> None:
 
 
 def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:
-    """Texels of an emitter's neutral EXR, one of value 1 where there is no picture.
+    """Return the texels of an emitter's neutral EXR, or one texel of value 1 if it has no picture.
 
-    None where the picture is of another kind, turned, repeated, or not seen from its middle.
+    Returns None if the picture is of another kind, rotated, repeated or not centred.
     """
     name = EMISSION.get(emitter.props.plugin_name(), "")
     texture = children(emitter, state).get(name)

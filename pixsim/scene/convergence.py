@@ -1,4 +1,4 @@
-"""Render until the render's own noise no longer matters beside the sensor's, and say how much of it is left."""
+"""Render until the render noise is small compared with the sensor noise, and report what remains."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ from pixsim.sensor.integration import Columns, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
 
-RENDER_NOISE = 0.2  # of the sensor noise: adds 2 % to its standard deviation
+RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_SECONDS = 120.0
 MAX_RUNS = 1 << 12
-MAX_SPP = 1024  # of one render
+MAX_SPP = 1024  # samples per film cell of one render
 PAIRS_A_LEVEL = 2
 
 
 @dataclass(frozen=True)
 class RenderNoise:
-    """What two sets of independent renders of a scene say about their mean.
+    """Noise of the mean of independent renders, estimated from two halves of them.
 
-    fraction : RMS over pixels of the standard error of the mean electrons over the temporal noise of the sensor
+    fraction : RMS over pixels of the standard error of the mean electrons over the sensor's temporal noise
     relative : RMS of the standard error over the RMS of the mean electrons
-    runs : renders, each with a seed of its own
-    ended_by : what ended it
+    target : limit for `fraction`
+    runs : number of renders, each with its own seed
+    ended_by : why rendering ended
     """
 
     fraction: float
@@ -56,45 +57,45 @@ def render_until(
     *,
     render_noise: float = RENDER_NOISE,
     max_seconds: float = MAX_SECONDS,
-    progress: Progress | None = None,  # fraction done, and the present error in words
+    progress: Progress | None = None,  # fraction done, and the current noise as text
     keep: bool = False,
 ) -> tuple[SpectralImage, RenderNoise]:
-    """The mean of as many independent renders as the noise of the sensors allows, at least two.
+    """Return the mean of as many independent renders as the sensor noise requires, at least two, and its noise.
 
     Parameters
     ----------
-    pixels : the noise is compared with each, and the worst counts
-    render_noise : as a fraction of the sensor's temporal noise, RMS over pixels
-    max_seconds : of rendering; a warning says so where they end it
-    progress : called with the fraction done and the present error
-    keep : take renders from the cache where it has them, and leave new ones there; bit for bit the same
+    pixels : the noise is compared with that of each pixel, and the worst counts
+    render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
+    max_seconds : time limit of rendering, with a warning if it is reached
+    progress : called with the fraction done and the current noise
+    keep : use the cache of renders; the result is the same bit for bit
 
-    Two halves, of independent renders each, give the mean of both, and half of their difference has its variance, pixel by
-    pixel. Samples are added in pairs of renders, weighted by their samples; where much is missing, every second pair has
-    four times the samples of the one before, so that they stay stratified. Memory does not grow with them. What is added
-    depends on the noise only, never on the clock: a picture that the time limit ended comes again, bit for bit, with the
-    noise that it reached as its target, and where renders are kept with the same limits.
+    Renders are summed in two independent halves; half of their difference has the variance of their mean, pixel by pixel.
+    Samples are added in pairs of renders, weighted by their samples. Far from the target every second pair has four times
+    the samples of the one before, so that they stay stratified. Memory does not grow with the number of renders. What is
+    added depends on the noise only, never on the clock. A picture that the time limit ended is reproduced, bit for bit, by
+    its noise as the target, or by cached renders with the same limits.
 
     Returns the irradiance, with the noise in its header, and the noise.
     """
     job, start = Renderer(scene, camera, plan, seed, keep=keep), time.perf_counter()
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0, 0, 0.0, 0
-    found = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
-    derived = [derive(each) if isinstance(each, Pixel) else each for each in pixels]
-    sensed = [[each.pixel.model_dump(), each.technology.content] for each in derived]
+    noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
+    derived = [derive(pixel) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
+    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds])
-    in_time = job.kept.runs_in_time(limits) if job.kept else None
+    in_time = job.cache.runs_in_time(limits) if job.cache else None
     ended: Literal["target", "max_seconds", "runs"] | None = None
     while ended is None:
-        began = time.perf_counter()
+        step_start = time.perf_counter()
         for number, half in enumerate(halves):
-            pictures, spp = job.run(runs, _told(progress, number, found), level)
+            pictures, spp = job.run(runs, _pair_progress(progress, number, noise), level)
             halves[number] = half or [np.zeros(picture.shape) for picture in pictures]
             for total, picture in zip(halves[number], pictures, strict=True):
                 for rows in strips(*total.shape[:2]):  # in place, a few rows at a time
                     total[rows] += spp * picture[rows]
-            del picture, pictures  # beside the halves it would be the third picture in memory
+            del picture, pictures  # or it would be a third picture in memory
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
@@ -104,42 +105,42 @@ def render_until(
         now = time.perf_counter()
         if fraction <= render_noise:
             ended = "target"
-        elif runs >= in_time if in_time else now - start + (now - began) * (LEVEL_FACTOR if up else 1) > max_seconds:
+        elif runs >= in_time if in_time else now - start + (now - step_start) * (LEVEL_FACTOR if up else 1) > max_seconds:
             ended = "max_seconds"
         elif runs >= MAX_RUNS:
             ended = "runs"
-        found = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
-    if ended == "max_seconds" and job.kept:
-        job.kept.keep_runs_in_time(limits, runs)
+        noise = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
+    if ended == "max_seconds" and job.cache:
+        job.cache.store_runs_in_time(limits, runs)
     if ended != "target":
-        why = f"its limit of {max_seconds:g} s" if ended == "max_seconds" else f"its limit of {runs} renders"
-        early = ended == "max_seconds" and now - start < max_seconds
-        when = f" after {now - start:.0f} s (another step would pass it)" if early else ""
+        limit = f"time limit of {max_seconds:g} s" if ended == "max_seconds" else f"limit of {runs} renders"
+        stopped_early = ended == "max_seconds" and now - start < max_seconds
+        when = f" after {now - start:.0f} s (the next step would exceed it)" if stopped_early else ""
         warnings.warn(
-            f"{why} ended the render{when} with a noise of {fraction:.2g} of the sensor's; asked for {render_noise:g}. "
-            "Raise --max-seconds, or allow more with --render-noise",
+            f"the {limit} ended rendering{when}: render noise is {fraction:.2g} of the sensor noise, target {render_noise:g}. "
+            "Raise --max-seconds or --render-noise",
             stacklevel=2,
         )
     for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
         mean += odd
         mean /= 2 * weight
     halves.pop()
-    noise = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(found).items()}
-    return job.image(halves[0], samples, render_noise=noise), found
+    rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
+    return job.image(halves[0], samples, render_noise=rounded), noise
 
 
-def _told(progress: Progress | None, number: int, found: RenderNoise) -> Progress | None:
-    """A pair of renders is one bar; beside it the error so far."""
-    note = f", noise {found.fraction:.2g} of the sensor's" if found.runs else ""
+def _pair_progress(progress: Progress | None, number: int, noise: RenderNoise) -> Progress | None:
+    """Report render `number` of a pair as half of the progress, with the noise so far."""
+    note = f", render noise {noise.fraction:.2g} of sensor noise" if noise.runs else ""
     return (lambda done: progress((number + done) / 2, note)) if progress else None
 
 
 def noise_of(
     job: Renderer, halves: list[list[Array]], weight: float, pixels: Sequence[PixelPhysics], exposure: Exposure
 ) -> tuple[float, float]:
-    """(fraction of sensor noise, relative), the greatest over the pixels, of the mean of two halves of that weight each.
+    """Return the noise of the mean of two halves, as a fraction of sensor noise and relative, for the worst pixel.
 
-    Diffraction is left out: it would average over a little more than a pixel, and so lower the noise a little.
+    Diffraction is left out; its blur would lower the noise slightly.
     """
     worst = worst_relative = 0.0
     for physics in pixels:
@@ -156,8 +157,8 @@ def noise_of(
 
 
 def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics) -> Columns:
-    """`ideal_rate` of the pictures' image, straight from the pulses: it is linear, and the bands would fill the memory."""
-    # Of each light, (pulses,): electrons s⁻¹ µm⁻² for a unit of each pulse's picture, on the axis.
+    """Return `ideal_rate` of an image from the pictures of its pulses, without the memory for all bands."""
+    # For each light, (pulses,): electrons s⁻¹ µm⁻² per unit of a pulse's picture, on the axis.
     units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
 
     def columns(first: int, last: int) -> Array:

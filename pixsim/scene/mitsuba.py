@@ -1,4 +1,4 @@
-"""The one place that imports Mitsuba: its errors in one line, its parser's tree, and its plugins' values at each wavelength."""
+"""Access to Mitsuba: import, errors as PixsimError, the parsed tree, and spectra of plugins. No other module imports it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pixsim.light.spectral import grid_nm
 
 
 def import_mitsuba(variant: str) -> Any:
-    """Import Mitsuba with its variant set; `pixsim.scene.variant.choose` must have run before."""
+    """Import Mitsuba and set its variant; call `pixsim.scene.variant.choose` first."""
     import drjit as dr
     import mitsuba as mi
 
@@ -26,15 +26,15 @@ def import_mitsuba(variant: str) -> Any:
             mi.set_variant(variant)
         except ImportError as error:
             reason = " ".join(str(error).split())
-            raise invalid("variant", f"'{variant}' ({reason})", "one that runs here", "Leave out --variant.") from None
+            raise invalid("variant", f"'{variant}' ({reason})", "a variant that runs here", "Leave out --variant.") from None
     if dr.thread_count() < 2:
-        dr.set_thread_count(2)  # Mitsuba 3.9 waits for ever for an EXR texture in a pool of one
+        dr.set_thread_count(2)  # Mitsuba 3.9 blocks for ever on an EXR texture with one thread
     return mi
 
 
 @contextmanager
 def speaking_mitsuba(variant: str, folder: Path) -> Iterator[Any]:
-    """Mitsuba with the scene's folder on its search path for the while, and its errors told in one line."""
+    """Give Mitsuba with the scene's folder on its search path, and turn its errors into PixsimError."""
     mi = import_mitsuba(variant)
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
@@ -46,13 +46,13 @@ def speaking_mitsuba(variant: str, folder: Path) -> Iterator[Any]:
         if _is_interrupt(error):
             raise KeyboardInterrupt from None
         text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", str(error).strip())
-        raise PixsimError("Mitsuba refuses the scene: " + " ".join(text.split())) from None
+        raise PixsimError("Mitsuba cannot load or render the scene: " + " ".join(text.split())) from None
     finally:
         mi.set_file_resolver(before)
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether it is Ctrl-C, which Dr.Jit wraps into an error of its own while a kernel runs."""
+    """Return whether an error wraps Ctrl-C, as Dr.Jit's errors do while a kernel runs."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True
@@ -61,28 +61,28 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 
 def parse(path: Path, variant: str, parameters: dict[str, str]) -> Any:
-    """Mitsuba's parser state: the tree of nodes, before anything is built."""
+    """Return Mitsuba's parser state, the tree of nodes before objects are built."""
     with speaking_mitsuba(variant, path.parent) as mi:
         return mi.parser.parse_file(mi.parser.ParserConfig(variant), str(path), **parameters)
 
 
 def children(node: Any, state: Any) -> dict[str, int]:
-    """Property -> index of the node it refers to. PixsimError for one that is not there."""
-    found = {}
+    """Return property -> index of the node that it refers to. Raises PixsimError if there is no such node."""
+    indices = {}
     for key in node.props.keys():  # noqa: SIM118  (Properties is no dict)
         kind = node.props.type(key).name
         if kind == "ResolvedReference":
-            found[key] = node.props[key].index()
+            indices[key] = node.props[key].index()
         elif kind == "Reference":
             name = node.props[key].id()
             if name not in state.id_to_index:
                 raise invalid("scene", f"a reference to '{name}', which does not exist", "ids of the scene's nodes")
-            found[key] = state.id_to_index[name]
-    return found
+            indices[key] = state.id_to_index[name]
+    return indices
 
 
 def plain(node: Any, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
-    """The properties of a node that are values, not other nodes."""
+    """Iterate over the properties of a node that are values, not references."""
     for key in node.props.keys():  # noqa: SIM118
         if node.props.type(key).name not in ("ResolvedReference", "Reference", "Object"):
             try:
@@ -97,13 +97,13 @@ def nodes_of(state: Any, kind: str) -> list[tuple[int, Any]]:
 
 
 def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
-    """A spectrum plugin, or an emitter, at 360 … 830 nm in steps of 1 nm, as Mitsuba returns it."""
+    """Evaluate a spectrum plugin or an emitter in Mitsuba at 360 … 830 nm in steps of 1 nm."""
     with speaking_mitsuba(variant, Path()) as mi:
         return _at_each_wavelength(mi, variant, mi.load_dict(description).eval)
 
 
 def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str) -> Array:
-    """What a smooth conductor reflects of light at an angle to its normal, on the same grid."""
+    """Return the reflectance of a smooth conductor at an angle to its normal, at 360 … 830 nm in steps of 1 nm."""
     with speaking_mitsuba(variant, Path()) as mi:
         bsdf, context = mi.load_dict(description), mi.BSDFContext()
         towards = [math.sqrt(1 - cosine**2), 0.0, cosine]
@@ -116,19 +116,19 @@ def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str
 
 
 def spectrum_dict(table: Any) -> dict[str, Any]:
-    """A spectrum that the parser keeps, as a plugin."""
+    """Return the plugin description of a spectrum that the parser stores."""
     if table.is_uniform():
         return {"type": "uniform", "value": float(table.values[0])}
-    columns = {name: ", ".join(repr(float(each)) for each in getattr(table, name)) for name in ("wavelengths", "values")}
+    columns = {name: ", ".join(repr(float(value)) for value in getattr(table, name)) for name in ("wavelengths", "values")}
     return {"type": "irregular", **columns}
 
 
 def _at_each_wavelength(mi: Any, variant: str, value: Callable[[Any], Any]) -> Array:
-    """`value` of surface interactions that differ in wavelength only, (471,)."""
+    """Evaluate `value` for surface interactions that differ in wavelength only, (471,)."""
     import drjit as dr
 
     wavelengths = grid_nm()
-    rows = np.resize(wavelengths, (-(-wavelengths.size // 4), 4))  # Mitsuba carries four wavelengths a ray
+    rows = np.resize(wavelengths, (-(-wavelengths.size // 4), 4))  # a ray of Mitsuba has four wavelengths
     if variant.startswith("scalar"):
         values = []
         for row in rows:

@@ -1,4 +1,4 @@
-"""From what a scene contains to the least work that serves it; each thing left out with its reason and what it can cost."""
+"""Plan a render: decide what can be left out of it, why, and what error that can cause."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
-# Of the tolerance: bands alone, and bands and pulses together. The rest is for blur and diffraction (rules.py).
+# Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
-LUMINANCE_SLACK = 5.0  # the luminance of strongly coloured surfaces may be this much worse than their electrons
-RESPONSES = ("0.35um", "4t-bsi")  # technologies with the packaged response curves, for a render without a pixel
+LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
+RESPONSES = ("0.35um", "4t-bsi")  # technologies with the two packaged response curves, for a plan without a pixel
 
 
 @dataclass(frozen=True)
 class Light:
-    """Lamps of one spectrum, and the pulses that measure what they send to the lens."""
+    """Lamps of one spectrum, and the pulses that measure their light at the lens."""
 
     lamp: Lamp
     fit: Fit
@@ -52,19 +52,19 @@ class Plan:
 
     lights : one for each lamp spectrum
     bands : of the result
-    white_cd_per_m2 : luminance of an emissive chart's texel value 1, or None
-    lens : "thinlens", or "perspective" where the aperture needs no sampling
-    integrator : plugin and its values, or None for the scene's own
-    spp : samples of each film cell in each pass
-    diffraction : whether the picture changes by it
-    regular_tables : whether tables at equal steps are read by index
-    decisions : for people; `bound_e` adds them up
-    full_passes, full_spp : what it would take with nothing left out
-    chart : a lone one and what it needs, or None
-    tolerance_e : relative error of the mean electrons that was asked for
-    warnings : what may be wrong with the scene
-    resolution : a coarser film that is enough, where the scene leaves it open
-    sampler : Mitsuba's
+    white_cd_per_m2 : luminance of texel value 1 of an emissive chart, or None
+    lens : "thinlens", or "perspective" if the aperture need not be sampled
+    integrator : plugin and its parameters, or None for that of the scene
+    spp : samples per film cell in each pass
+    diffraction : whether diffraction is computed
+    regular_tables : whether tables with equal steps are converted to regular spectra
+    decisions : each with its reason; `bound_e` is the sum of their error bounds
+    full_passes, full_spp : passes and samples with nothing left out
+    chart : an emissive chart that is alone and fills the film, or None
+    tolerance_e : relative error of the mean electrons that the plan may cause
+    warnings : possible problems of the scene
+    resolution : a coarser film that is sufficient, if the scene leaves the resolution open
+    sampler : plugin of Mitsuba
     """
 
     lights: tuple[Light, ...]
@@ -86,29 +86,29 @@ class Plan:
 
     @property
     def passes(self) -> int:
-        """Over all lights."""
+        """Number of passes over all lights."""
         return sum(len(light.fit.passes) for light in self.lights)
 
     @property
     def bound_e(self) -> float:
-        """Relative error of the mean electrons that all decisions can cost together."""
-        return sum(each.bound_e for each in self.decisions)
+        """Bound for the relative error of the mean electrons, summed over all decisions."""
+        return sum(decision.bound_e for decision in self.decisions)
 
     @property
     def bounded(self) -> bool:
-        """Whether `bound_e` covers everything."""
-        return all(each.bounded for each in self.decisions)
+        """Whether `bound_e` covers all decisions."""
+        return all(decision.bounded for decision in self.decisions)
 
     @property
     def factored(self) -> bool:
-        """Fewer pictures than bands; or a fitted lamp beside others, whose share of a band may be a little below zero."""
+        """Whether the image is stored as factors: fewer pictures than bands, or spectra with negative values."""
         fewer = sum(len(light.fit.pulses) for light in self.lights) < self.bands.width_nm.size
         return fewer or any(bool(light.fit.spectra.min() < 0) for light in self.lights)
 
     def as_dict(self) -> dict[str, Any]:
-        """For `pixsim plan --json`."""
+        """Return the plan for `pixsim plan --json`."""
         return {
-            "decisions": [asdict(each) for each in self.decisions],
+            "decisions": [asdict(decision) for decision in self.decisions],
             "tolerance_e": self.tolerance_e,
             "bound_e": self.bound_e,
             "bounded": self.bounded,
@@ -129,7 +129,7 @@ class Plan:
     def __repr__(self) -> str:
         return (
             f"<Plan {self.passes} of {self.full_passes} passes, {self.spp} of {self.full_spp} samples, {self.lens}, "
-            f"mean electrons to {self.bound_e:.1e}>"
+            f"error of mean electrons up to {self.bound_e:.1e}>"
         )
 
 
@@ -142,47 +142,47 @@ def make_render_plan(
     full: bool = False,
     band_count: int | None = None,
 ) -> Plan:
-    """Decide what to render from the parsed tree.
+    """Return the plan of a render, from the parsed tree of a scene.
 
     Parameters
     ----------
-    pixel : whose electrons must be right; None takes the packaged response curves
-    tolerance_e : relative error of the mean electrons that all decisions may cost together
-    full : leave nothing out: every band of every lamp, the scene's own integrator, a sampled lens
-    band_count : so many bands of equal width instead of those that the tolerance asks for
+    pixel : the tolerance is for its electrons; None takes the packaged response curves
+    tolerance_e : relative error of the mean electrons that all decisions together may cause
+    full : leave nothing out: every band of every lamp, the scene's integrator, a sampled lens
+    band_count : number of bands of equal width, in place of the bands that the tolerance requires
 
-    Raises PixsimError for emitters that are negative or not finite, and for a tolerance that is not positive.
+    Raises PixsimError if an emitter is negative or not finite, or if the tolerance is not between 0 and 1.
     """
     if not 0 < tolerance_e < 1:
-        raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1: a relative error of mean electrons")
+        raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1, a relative error of mean electrons")
     camera = camera or scene.camera()
     state = scene.for_camera(camera)
     sensor = sensor_node(state, scene.sensor_id)[1]
-    height, width = (max(1, each) for each in film_size(state, sensor))  # the renderer refuses the others
+    height, width = (max(1, side) for side in film_size(state, sensor))  # the renderer checks the size
     bodies = find_bodies(state, sensor)
     lamps = checked_lamps(find_lamps(state, scene.choice.variant))
     surfaces = find_surfaces(state, scene.choice.variant)
     if not lamps:
-        raise invalid("scene", "no emitter that shines", "a lamp, a chart or a sky with light", "Is its scale above 0?")
+        raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
     integrator, met, bounces = decide_bounces(state, bodies, full)
     lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
     by_index, tables = decide_tables(state, full)
     lens, focus = decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
-    # Out of focus a chart is not the picture, and the lens takes samples of its own.
+    # An unfocused chart differs from its picture, and the lens needs samples too.
     chart = lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
-    most = sample_count(state, sensor)
+    scene_spp = sample_count(state, sensor)
     passes = sum(len(light.fit.passes) for light in lights)
-    spp, samples = decide_samples(chart, most, passes, tolerance_e, full, explicit="spp" in scene.parameters)
+    spp, samples = decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit="spp" in scene.parameters)
     diffraction = decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
     emitters = nodes_of(state, "Emitter")
-    bound_e = sum(each.bound_e for each in (*spectral, focus, diffraction))
-    told = []
+    bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
+    warnings = []
     if surfaces.short:
         ranges = ", ".join(surfaces.short)
-        told.append(f"reflectance tables of {ranges}: Mitsuba takes 0 outside; extend them to 360-830 nm")
+        warnings.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
     if bound_e > tolerance_e:
-        finest = f"bands of {spectral_bands.NARROWEST_BAND_NM:g} nm, or {spectral_bands.MAX_BANDS} of them, are the finest"
-        told.append(f"mean electrons are right to {bound_e:.1e} only, asked for {tolerance_e:g}: {finest}")
+        limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
+        warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
     return Plan(
         lights=tuple(lights),
@@ -195,21 +195,21 @@ def make_render_plan(
         regular_tables=by_index,
         decisions=(*spectral, tables, bounces, focus, samples, diffraction),
         full_passes=full_passes,
-        full_spp=most,
+        full_spp=scene_spp,
         chart=chart,
         tolerance_e=tolerance_e,
-        warnings=tuple(told),
+        warnings=tuple(warnings),
     )
 
 
 def _witnesses(pixel: Pixel | None) -> list[Witness]:
-    """Responses in electrons per joule, and the eye's."""
+    """Return the responses that the bands must reproduce: electrons per joule of the pixels, and the luminance."""
     pixels = [pixel] if pixel else [Pixel(technology=name, pitch_um=10.0) for name in RESPONSES]
 
     def response(physics: Any) -> spectral_bands.Response:
         return lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm)
 
-    return [*(Witness(response(derive(each))) for each in pixels), Witness(photopic_efficiency, LUMINANCE_SLACK)]
+    return [*(Witness(response(derive(one))) for one in pixels), Witness(photopic_efficiency, LUMINANCE_SLACK)]
 
 
 def _lights(
@@ -221,7 +221,7 @@ def _lights(
     full: bool,
     band_count: int | None,
 ) -> tuple[list[Light], Bands, int, list[Decision]]:
-    """What to render of each lamp, in which bands, how many passes all bands would take, and why."""
+    """Return the pulses of each lamp, the bands, the number of passes without leaving out any band, and the reasons."""
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
     if band_count:
@@ -233,20 +233,20 @@ def _lights(
     for lamp in lamps:
         every = spectral_bands.every_band(lamp.spectrum, bands)
         most += len(every.passes)
-        found: Fit | None = None
+        fitted: Fit | None = None
         if lamp.spectrum:
             errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, met), witnesses)
             alone = max(alone, float(np.abs(errors.sum(axis=2)).max()))
             if known and not full:
-                found = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE)
-        lights.append(Light(lamp, found or every))
+                fitted = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE)
+        lights.append(Light(lamp, fitted or every))
         count = len(lights[-1].fit.pulses)
-        reasons.append(f"{count} pulse{'s' * (count > 1)}" if found else f"{count} bands")
+        reasons.append(f"{count} pulse{'s' * (count > 1)}" if fitted else f"{count} bands")
     widths = bands.width_nm
     uniform = bool(np.all(np.isin(widths, (5.0, 10.0)))) and widths.size == spectral_bands.BAND_EDGES_NM.size - 1
     sizes = "uniform, 10 nm" if uniform else f"{widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change"
-    told = f"{widths.size} bands, {sizes}, lamp-shaped: no line is missed"
-    placing = Decision("wavelength bands", True, told, bound_e=alone)
+    reason_of_bands = f"{widths.size} bands, {sizes}, pulses shaped like the lamp, so that no line is missed"
+    placing = Decision("wavelength bands", True, reason_of_bands, bound_e=alone)
     fewest = sum(len(light.fit.passes) for light in lights)
     error = max(light.fit.error for light in lights)
     reason, saved = _rank_reason(lamps, surfaces, met, reasons, full), f"{fewest} of {most} passes" if fewest < most else ""
@@ -257,21 +257,21 @@ def _lights(
 
 
 def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list[str], full: bool) -> str:
-    each = " and ".join(counts) or "no light"
+    pulses = " and ".join(counts) or "no light"
     lit = f"{len(lamps)} lamp spectr{'um' if len(lamps) == 1 else 'a'}"
     if full:
-        return f"nothing left out: {lit}, {each}"
+        return f"nothing left out: {lit}, {pulses}"
     if any(lamp.spectrum is None for lamp in lamps):
-        return f"{lit}, one with colours that vary over it and stay in place: {each}"
+        return f"{lit}, one with a colour that varies over the emitter: {pulses}"
     if surfaces.spectra is None:
-        return f"{lit}; all bands, for {surfaces.unknown}: {each}"
+        return f"{lit}; all bands, because of {surfaces.unknown}: {pulses}"
     if not len(met):
-        return f"{lit} on neutral surfaces or none: {each} for all bands"
-    return f"{lit} × {len(surfaces.spectra)} surface spectra ({len(met)} with what meets several): {each} tell all bands"
+        return f"{lit} on neutral surfaces or none: {pulses} for all bands"
+    return f"{lit} × {len(surfaces.spectra)} surface spectra ({len(met)} with interreflections): {pulses} determine all bands"
 
 
 GREEN_NM = 550.0
-UNIFORM_RESOLUTION = 64  # tells the lens's fall-off to 3e-5 of the mean electrons at 20° off axis
+UNIFORM_RESOLUTION = 64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
 
 
 def make_plan(
@@ -283,22 +283,22 @@ def make_plan(
     tolerance_e: float = TOLERANCE_E,
     full: bool = False,
 ) -> Plan:
-    """What a scene needs, what is left out, why, and what that can cost at most.
+    """Plan a simulation: what is rendered, what is left out and why, and a bound for the error.
 
     Parameters
     ----------
     scene : from `load_scene`
-    camera : None takes what the file says
-    pixel : None takes the default one
-    exposure : None takes the default one; its longest time says from which charge on a photodiode saturates
-    tolerance_e : relative error of the mean electrons that all decisions may cost together
+    camera : None takes the camera of the file
+    pixel : None takes the default pixel
+    exposure : None takes the default; its longest time sets the charge at which a photodiode saturates
+    tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out
 
-    Raises PixsimError for what cannot be rendered or sensed.
+    Raises PixsimError if the scene cannot be rendered, or if the pixel is impossible.
 
     >>> from pixsim import load_scene
     >>> plan = make_plan(load_scene("csf", resolution=64))
-    >>> plan.passes, plan.bound_e < plan.tolerance_e  # a chart under one lamp: one picture tells all bands
+    >>> plan.passes, plan.bound_e < plan.tolerance_e  # a chart under one lamp: one picture determines all bands
     (1, True)
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
@@ -317,48 +317,48 @@ def make_plan(
 def decide_oversampling(
     plan: Plan, camera: Camera, physics: PixelPhysics, width: int, full: bool, free: bool
 ) -> tuple[int | None, Decision]:
-    """A coarser film for a scene without detail; else the scene's own, and how it compares with the lens and the photodiode."""
+    """Choose a coarser film for a scene without detail; compare the film of others with the lens and the photodiode."""
     pitch_um = 1e3 * camera.die_mm / width
     nyquist = 1e3 / (2 * pitch_um)
     cutoff = float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
     left = float(diffraction_otf(nyquist, GREEN_NM, camera.effective_f_number))
-    told = (
-        f"{width} samples of {pitch_um:.3g} µm across: {physics.photodiode_side_um / pitch_um:.2g} a photodiode side; "
+    sampling = (
+        f"{width} samples of {pitch_um:.3g} µm across, {physics.photodiode_side_um / pitch_um:.2g} per photodiode side; "
         f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
     )
     uniform = plan.chart is not None and plan.chart.uniform
-    # Of the fall-off at the middle of a sample as its mean over it: by halving the sample, since it goes with the width's square.
+    # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width squared, so halve the samples.
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
     n = UNIFORM_RESOLUTION
-    middle, parts = (field_factor((each, each), 1e3 * camera.die_mm / each, *lens) for each in (n, 2 * n))
+    middle, parts = (field_factor((side, side), 1e3 * camera.die_mm / side, *lens) for side in (n, 2 * n))
     error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
     if uniform and not full and free and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
-        reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across tell the fall-off"
+        reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across resolve the fall-off of the lens"
         return UNIFORM_RESOLUTION, Decision("oversampling", False, reason, f"{UNIFORM_RESOLUTION}² of {width}² samples", error)
-    return None, Decision("oversampling", True, told)
+    return None, Decision("oversampling", True, sampling)
 
 
 def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
-    """Which law turns generated into kept charge, from which charge on it counts, and whether V(Q) is bent.
+    """Describe how generated charge is stored, and from which charge on the response is not linear.
 
-    The bound is on pictures that stay below the limit: 1e-6 of the well, relative to the limit itself.
+    The bound, 1e-6 of the well relative to the limit, holds for pictures below the limit.
     """
     pixel, diode = physics.pixel, physics.diode
     bent = pixel.conversion == "junction" and diode is not None and not diode.constant
-    conversion = "; V(Q) by the junction, at every level" if bent else ""
+    conversion = "; V(Q) of the junction at every level" if bent else ""
     if pixel.well_limit == "swing" or diode is None:
         reason = f"linear charge up to a hard clip at the well, {physics.full_well_e:.3g} e-{conversion}"
         return Decision("saturation", True, reason)
     limit_e = linear_limit_e(diode, physics.full_well_e, integration_s)
-    told = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / physics.full_well_e:.0%} of the well)"
+    limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / physics.full_well_e:.0%} of the well)"
     if bent:
-        return Decision("saturation", True, f"the diode turns forward above {told}{conversion}")
-    reason = f"linear for pictures whose brightest pixel stays below {told}; others by the diode's table"
+        return Decision("saturation", True, f"the diode turns forward above {limit}{conversion}")
+    reason = f"linear if the brightest pixel stays below {limit}; else a table of the diode"
     return Decision("saturation", False, reason, "the table", LINEAR_WITHIN * physics.full_well_e / limit_e)
 
 
 def decide_noise(physics: PixelPhysics, full: bool) -> Decision:
-    """A noise source that is zero costs nothing."""
+    """List the noise sources that are zero."""
     sources = {
         "PRNU": physics.prnu,
         "dark current": physics.dark_current_e_per_s,
@@ -375,8 +375,8 @@ def decide_noise(physics: PixelPhysics, full: bool) -> Decision:
 
 
 def decide_transforms(full: bool) -> Decision:
-    """The viewer's filters: grey on a D65 display has three opponent channels, all multiples of one picture."""
+    """Count the transforms of the viewer: the opponent channels of a grey image are multiples of one picture."""
     if full:
-        return Decision("repeated transforms", True, "three forward and three inverse transforms an image")
-    reason = "a grey image: one forward transform; its three opponent channels are blurred each in its own way; the ideal once"
-    return Decision("repeated transforms", False, reason, "2 of 6 transforms an image")
+        return Decision("repeated transforms", True, "three forward and three inverse transforms per image")
+    reason = "a grey image: one forward transform for three opponent channels; the reference image only once"
+    return Decision("repeated transforms", False, reason, "2 of 6 transforms per image")

@@ -1,4 +1,4 @@
-"""Run the plan in Mitsuba: radiance at an oversampled resolution, then spectral irradiance on the sensor plane."""
+"""Render a plan in Mitsuba: radiance on an oversampled film, then spectral irradiance on the sensor plane."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from pixsim.scene.plan import Light, Plan, make_render_plan
 from pixsim.scene.rules import irregular_tables
 from pixsim.scene.scene import Scene, film_size, hash_of_tree, sensor_node
 
-SCALAR_BLOCK = 32  # fixed: left to itself Mitsuba makes blocks, and with them seeds, by the number of threads
+SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
-    """A specfilm for some rows: float32 and a box, so that a cell holds its mean and runs repeat."""
+    """Describe a specfilm for some rows: float32 with a box filter, so that cells are means and runs are reproducible."""
     height, width = size
     return {
         "type": "specfilm",
@@ -54,8 +54,7 @@ def _regular(low_nm: float, high_nm: float, values: Array) -> dict[str, Any]:
 
 
 def load_light(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, regular_tables: bool) -> Any:
-    """The scene with the emitters of one light only, each as its neutral picture or relative power: the spectrum is in the
-    pulses. Emitters whose colours vary stay as they are, and the pulses are flat."""
+    """Build the scene with one light's emitters only, each as its neutral picture or power: the pulses have its spectrum."""
     emitters = nodes_of(state, "Emitter")
     dark = {index for index, _ in emitters} - light.lamp.pictures.keys()
     for parent in state.nodes if dark else ():
@@ -77,7 +76,7 @@ def load_light(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, re
     config = mi.parser.ParserConfig(scene.choice.variant)
     mi.parser.transform_all(config, state)
     built = mi.parser.instantiate(config, state)
-    return next(each for each in built if isinstance(each, mi.Scene)) if isinstance(built, list) else built
+    return next(item for item in built if isinstance(item, mi.Scene)) if isinstance(built, list) else built
 
 
 Pictures = list[NDArray[np.float32]]
@@ -85,8 +84,7 @@ KIND = "render"
 
 
 def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int) -> str:
-    """Of all that makes the light of a job's runs, and of nothing else: neither the pixel nor the display, unless the plan
-    differs for them.
+    """Return a hash of everything that the runs of a job depend on; pixel and display matter only through the plan.
 
     state : the scene as parsed for the camera
     """
@@ -94,39 +92,39 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
     for light in plan.lights:
         pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
         lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
-    how = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
+    settings = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
     tree = hash_of_tree(state, scene.path.parent)
-    version_fingerprint = cache.version_fingerprint("mitsuba", "drjit")
-    return content_hash([tree, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, how, seed, version_fingerprint])
+    version = cache.version_fingerprint("mitsuba", "drjit")
+    return content_hash([tree, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
 
 
 class CachedRenders:
-    """The runs of one job: as many are kept as fit into one entry's share of the cache, those made first."""
+    """The cached runs of one job: the first ones, as many as fit into the cache's share of one entry."""
 
     def __init__(self, job: str) -> None:
         self.job, self.size_bytes = job, 0
 
     def find(self, index: int, level: int) -> tuple[Pictures, int] | None:
-        """The pictures of a run and its samples a film cell, or None."""
+        """Return the pictures of a run and its samples per film cell, or None."""
         content = cache.arrays(KIND, self._key(index, level))
         if content is None:
             return None
         pictures = [content[f"light{number}"] for number in range(len(content) - 1)]
-        self.size_bytes += sum(each.nbytes for each in pictures)
+        self.size_bytes += sum(picture.nbytes for picture in pictures)
         return pictures, int(content["spp"])
 
-    def keep(self, index: int, level: int, pictures: Pictures, spp: int) -> None:
-        self.size_bytes += sum(each.nbytes for each in pictures)
+    def store(self, index: int, level: int, pictures: Pictures, spp: int) -> None:
+        self.size_bytes += sum(picture.nbytes for picture in pictures)
         if cache.has_room(self.size_bytes):
-            named = {f"light{number}": each for number, each in enumerate(pictures)}
+            named = {f"light{number}": picture for number, picture in enumerate(pictures)}
             cache.store_arrays(KIND, self._key(index, level), {"spp": np.array(spp), **named})
 
     def runs_in_time(self, limits: str) -> int | None:
-        """After how many runs the clock ended the job under the same limits, or None: the clock would not say so twice."""
+        """Return the number of runs after which time ran out under the same limits, or None; the clock is not reproducible."""
         content = cache.arrays(KIND, f"{self.job}-{limits}")
         return None if content is None else int(content["runs"])
 
-    def keep_runs_in_time(self, limits: str, runs: int) -> None:
+    def store_runs_in_time(self, limits: str, runs: int) -> None:
         cache.store_arrays(KIND, f"{self.job}-{limits}", {"runs": np.array(runs)})
 
     def _key(self, index: int, level: int) -> str:
@@ -134,18 +132,18 @@ class CachedRenders:
 
 
 Picture = NDArray[np.float32] | Array
-# A kernel of so many samples runs about 1.5 s on two cores; between kernels Ctrl-C is heard and progress is told.
+# Samples per kernel, about 1.5 s on two cores; Ctrl-C and progress are handled between kernels.
 SAMPLES_PER_KERNEL = 1 << 25
 SCALAR_STRIPS = 16
-SAMPLES_PER_STRIP = 1 << 16  # of scalar variants: below them Mitsuba's own start of a render costs more than they
-SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; longer averages are ours, in float64
+SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
+SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
 ALLOWED_SPP = (1, 1 << 20)
 ALLOWED_RESOLUTION = (1, 16384)
 # Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by the number of samples of
 # a strip, modulo 2³². Consecutive runs take consecutive seeds.
 SEED_STRIDE = 2654435761
 LEVEL_STRIDE = 1000003
-LEVEL_FACTOR = 4  # keeps sample counts such that the bits are the same on any number of threads
+LEVEL_FACTOR = 4  # keeps sample counts for which the result is the same bit for bit on any number of threads
 
 
 def render(
@@ -157,18 +155,18 @@ def render(
     plan: Plan | None = None,
     progress: Progress | None = None,
 ) -> SpectralImage:
-    """Spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over each sample and band.
+    """Render the spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over each sample and band.
 
     Parameters
     ----------
     scene : from `load_scene`; its film and sampler give the resolution and the samples per pixel
-    camera : its numbers replace the file's; None takes what the file says
-    seed : of the sampler; same seed, same bits
-    full : leave nothing out (every band, the scene's own integrator, a sampled lens)
-    plan : from `make_plan`, in place of the default one
+    camera : replaces the camera of the file; None takes that of the file
+    seed : of the sampler; equal seeds give bit-identical results
+    full : leave nothing out (every band, the scene's integrator, a sampled lens)
+    plan : from `make_plan`; None makes the default plan
     progress : called with the fraction done
 
-    Raises PixsimError where Mitsuba refuses the scene, or the picture is black or not finite.
+    Raises PixsimError if Mitsuba cannot render the scene, or if the picture is black or not finite.
 
     >>> from pixsim import load_scene
     >>> light = render(load_scene("flat", resolution=17, spp=4, luminance_cd_per_m2=1000), Camera(f_number=4.0))
@@ -183,9 +181,9 @@ def render(
 
 
 class Renderer:
-    """One scene, loaded once for each lamp spectrum, when first needed; every run is an independent picture of it.
+    """Independent renders of one scene, which is loaded once per lamp spectrum on first use.
 
-    keep : take pictures from the cache where it has them, and leave new ones there
+    keep : use the cache of renders
     """
 
     def __init__(self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False) -> None:
@@ -201,7 +199,7 @@ class Renderer:
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
         self.scalar = scene.choice.variant.startswith("scalar")
         self.sensor = self._sensor(node)
-        self.kept = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
+        self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
 
     @cached_property
     def _loaded(self) -> list[tuple[Any, Any]]:
@@ -209,49 +207,49 @@ class Renderer:
         with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
             states = ((light, self.source.for_camera(self.camera)) for light in self.plan.lights)
             scenes = [load_light(mi, self.source, state, light, self.scalar, self.plan.regular_tables) for light, state in states]
-            return [(each, self._integrator(mi, each)) for each in scenes]
+            return [(built, self._integrator(mi, built)) for built in scenes]
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
-        """Of irradiance, relative to that on the axis, at the middle of each sample of some rows and columns."""
+        """Return the irradiance relative to that on the axis, at the centre of each sample of some rows and columns."""
         lens = self.camera.image_distance_mm, self.camera.f_number, self.camera.magnification
         return field_factor(self.size, self.pitch_um, *lens, (rows, columns)) * (self.camera.transmittance / self.on_axis)
 
     def _integrator(self, mi: Any, scene: Any) -> Any:
-        own = None if self.plan.integrator else scene.integrator()
-        return own or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.plan.integrator or {}))
+        scene_integrator = None if self.plan.integrator else scene.integrator()
+        return scene_integrator or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.plan.integrator or {}))
 
     def _sensor(self, node: Any) -> dict[str, Any]:
         left_out = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")
-        kept = {key: value for key, value in plain(node) if key not in left_out}
-        kept |= {"type": self.plan.lens, "fov": self.camera.fov_deg}
+        properties = {key: value for key, value in plain(node) if key not in left_out}
+        properties |= {"type": self.plan.lens, "fov": self.camera.fov_deg}
         if self.plan.lens == "thinlens":
-            kept |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
-        return kept
+            properties |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
+        return properties
 
     def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
-        """Picture of each pulse of each light, (H, W, pulses) relative to its lamp, and the samples of a film cell.
+        """Return pictures (H, W, pulses) of each light, relative to its lamp, and the samples per film cell.
 
-        Runs of another index or level are independent; each level has four times the samples of the one before.
+        Runs of different index or level are independent; each level has four times the samples of the one before.
         """
-        found = self.kept.find(index, level) if self.kept else None
-        if found is None:
-            found = self._rendered(index, level, progress)
-            if self.kept:
-                self.kept.keep(index, level, *found)
+        result = self.cache.find(index, level) if self.cache else None
+        if result is None:
+            result = self._rendered(index, level, progress)
+            if self.cache:
+                self.cache.store(index, level, *result)
         elif progress:
             progress(1.0)
-        return found
+        return result
 
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
-        """Each strip of each pass is the average of some renders, in float64; all of a job's seeds follow each other."""
+        """Render each strip of each pass as an average of renders in float64, with consecutive seeds."""
         pictures, number = [], 0
         with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
-            # Long renders are averages of shorter ones; most samplers round their samples up to what it can stratify.
+            # Long renders are averages of shorter ones. Most samplers round the number of samples up, to stratify them.
             asked = self.plan.spp * LEVEL_FACTOR**level
             renders = -(-asked // SPP_PER_RENDER)
             sampler = {"type": self.plan.sampler}
             spp = mi.load_dict(sampler | {"sample_count": -(-asked // renders)}).sample_count()
-            parts = [slice(*each) for each in pairwise(self._strip_borders(spp))]
+            parts = [slice(*borders) for borders in pairwise(self._strip_borders(spp))]
             first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
             for light, (scene, integrator) in zip(self.plan.lights, self._loaded, strict=True):
                 planes = np.zeros((*self.size, len(light.fit.pulses)), np.float32)
@@ -273,18 +271,17 @@ class Renderer:
         return pictures, renders * spp
 
     def _strip_borders(self, spp: int) -> list[int]:
-        """Rows at which a render begins anew: some of its pixels at a time, so that Ctrl-C is heard between them."""
+        """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
         height, width = self.size
         samples = height * width * spp
         strips = min(SCALAR_STRIPS, -(-samples // SAMPLES_PER_STRIP)) if self.scalar else -(-samples // SAMPLES_PER_KERNEL)
         return np.linspace(0, height, min(strips, height) + 1).astype(int).tolist()
 
     def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
-        """Irradiance from mean pictures of so many samples a film cell; `more` goes into its header."""
+        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into the header."""
         if not any(picture.any() for picture in pictures):
-            where = "is the chart turned away, behind the camera, hidden by hide_emitters, or unlit?"
-            mend = f"Lamps and charts shine to one side only: {where}"
-            raise invalid("rendered picture", "black everywhere", "some light", mend)
+            hint = "Check that the chart faces the camera and is lit, and that hide_emitters is off: area lights are one-sided."
+            raise invalid("rendered picture", "a black picture", "some light", hint)
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
@@ -301,7 +298,7 @@ class Renderer:
         return self._image(header, data=data)
 
     def _bands(self, pictures: Sequence[Picture], fall_off: Array) -> Iterator[Array]:
-        """The irradiance in each band, one after the other: all of them in float64 would fill the memory."""
+        """Iterate over the irradiance in each band; all bands at once would fill the memory."""
         factor = self.on_axis * fall_off
         for band in range(self.plan.bands.width_nm.size):
             total = np.zeros(fall_off.shape)
@@ -312,12 +309,12 @@ class Renderer:
 
     @property
     def spectra(self) -> Array:
-        """Irradiance on the axis, (pulses, B) W m⁻² nm⁻¹, for each unit of each pulse's picture."""
+        """Irradiance on the axis, (pulses, B) W m⁻² nm⁻¹, per unit of a pulse's picture."""
         return np.vstack([light.fit.spectra for light in self.plan.lights]) * self.on_axis
 
     @property
     def units(self) -> SpectralImage:
-        """An image of one sample for each pulse: a unit of its picture, on the axis."""
+        """An image with one sample per pulse: the irradiance on the axis of a unit of its picture."""
         spectra = self.spectra
         return self._image({}, factors=(spectra, np.eye(len(spectra))[:, None, :]))
 
@@ -328,17 +325,17 @@ class Renderer:
 
 
 def _checked(values: Array, channels: int) -> Array:
-    """PixsimError for what is no light."""
+    """Return the values of a render. Raises PixsimError if one is negative or not finite."""
     if values.shape[2] != channels:
-        raise invalid("integrator", f"{values.shape[2]} channels a pixel", "one that gives radiance alone, as path")
+        raise invalid("integrator", f"{values.shape[2]} channels per pixel", "an integrator for radiance only, such as path")
     if not np.isfinite(values).all() or values.min() < 0:
-        mend = "Check the scene's spectra and textures."
-        raise invalid("rendered picture", "NaN, infinite or negative values", "finite light", mend)
+        hint = "Check the scene's spectra and textures."
+        raise invalid("rendered picture", "NaN, infinite or negative values", "finite values of 0 or more", hint)
     return values
 
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
-    """What made an irradiance; it depends on content only, so that equal inputs give equal files."""
+    """Return the provenance of an irradiance; equal inputs give equal files."""
     header = {
         "scene": scene.path.name,
         "scene_hash": scene.content_hash,
@@ -347,7 +344,7 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
         "seed": seed,
         "spp": spp,
         "variant": scene.choice.variant,
-        "plan": [f"{each.subject}: {'kept' if each.kept else 'left out'}, {each.reason}" for each in plan.decisions],
+        "plan": [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions],
         "bound_e": plan.bound_e if plan.bounded else None,
         "diffraction": plan.diffraction,
         "pixsim": VERSION,

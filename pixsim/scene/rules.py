@@ -1,6 +1,6 @@
-"""What can be left out of a render, judged from the scene's tree and a chart's texels: bounces, lens, samples, diffraction.
+"""Decide from the scene's tree what a render can leave out: bounces, lens samples, texture samples, diffraction.
 
-Such a chart is the picture, so what leaving something out costs can be tried on it before anything is rendered.
+A chart that fills the film is the picture itself, so the error is computed from its texels before rendering.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from pixsim.scene.contents import FLAT, LAMBERTIAN, Body, emitted_picture, face_
 from pixsim.scene.mitsuba import children, nodes_of
 from pixsim.sensor.pixel import derive
 
-# Samples whose pictures have the same bits on any number of threads.
+# Sample counts for which pictures are the same bit for bit on any number of threads.
 SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
-TRIED_CELLS = 1024
+TRIED_CELLS = 1024  # random cells on which sampling is tested
 REFERENCE_SAMPLES = 16  # along each side of a cell
-TRIED_SIDE = 2048  # samples: three transforms of a part of that size need 0.1 GiB
-BORDER = 64  # samples of a part that the reflection at its sides may have changed
-DARKEST = 0.01  # of the brightest cell: errors of darker ones are told relative to it
+TRIED_SIDE = 2048  # samples of a part of the film; its three transforms need 0.1 GiB
+BORDER = 64  # samples of a part that reflection at its sides may change
+DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to this
 
 
 @dataclass(frozen=True)
 class Chart:
     """A chart that fills the film.
 
-    texels : (rows, columns), or None where it is uniform
-    texels_per_sample : (down, across) the film
+    texels : (rows, columns), or None if it is uniform
+    texels_per_sample : (vertical, horizontal) texels per sample of the film
     shape : (H, W) of the film
     """
 
@@ -43,17 +43,16 @@ class Chart:
     shape: tuple[int, int]
 
     def picture(self, shape: tuple[int, int], part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
-        """Cell means on a film of that shape, or on some of its rows and columns, 0 … brightest texel; the middle of the chart
-        where it is larger."""
+        """Return cell means on a film of that shape, or on a part of it; the film shows the middle of a larger chart."""
         values = np.ones((1, 1)) if self.texels is None else self.texels
-        # First along the axis that shrinks more: the other then has less to do.
+        # Begin with the axis that shrinks more, which leaves less work for the other.
         for axis in sorted((0, 1), key=lambda axis: shape[axis] / values.shape[axis]):
             count, film, n = shape[axis], self.shape[axis], values.shape[axis]
             covered = min(self.texels_per_sample[axis] * film, n) if self.texels is not None else n
             first, stop, _ = part[axis].indices(count)
             edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count
             running = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
-            # The integral between the edges, straight between texels' borders.
+            # The running integral is linear between texel borders.
             index = np.minimum(edges.astype(int), n - 1)
             over = np.expand_dims(edges - index, 1 - axis)
             low, high = np.take(running, index, axis), np.take(running, index + 1, axis)
@@ -66,11 +65,11 @@ class Chart:
 
 
 def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, float]:
-    """The fewest samples a film cell, not above `most`, whose RMS relative error stays below `tolerance`; and that error."""
+    """Return the fewest samples per film cell, at most `most`, with an RMS relative error below `tolerance`, and the error."""
     if chart.uniform:
         return min(SAMPLE_COUNTS[0], most), 0.0
     error = np.inf
-    for count in [each for each in SAMPLE_COUNTS if each < most]:
+    for count in [count for count in SAMPLE_COUNTS if count < most]:
         error = sampling_error(chart, count)
         if error <= tolerance:
             return count, error
@@ -79,16 +78,16 @@ def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, floa
 
 
 def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
-    """RMS relative error of cell means from correlated multi-jittered samples (Kensler 2013), tried on random cells."""
+    """Return the RMS relative error of cell means from correlated multi-jittered samples (Kensler 2013) in random cells."""
     assert chart.texels is not None
     rng = np.random.default_rng(seed)
     side = round(spp**0.5)
     spans = zip(chart.texels.shape, chart.texels_per_sample, strict=True)
     corner = [rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in spans]
     grid = (np.arange(REFERENCE_SAMPLES) + 0.5) / REFERENCE_SAMPLES
-    v, u = (each.ravel() for each in np.meshgrid(grid, grid, indexing="ij"))
+    v, u = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
     truth = _bilinear(chart, corner, np.broadcast_to(v, (TRIED_CELLS, v.size)), np.broadcast_to(u, (TRIED_CELLS, u.size)))
-    i, j = (each.ravel() for each in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
+    i, j = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
     down, across = (rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1) for _ in range(2))
     v = (i + (down[:, j] + rng.random((TRIED_CELLS, i.size))) / side) / side
     u = (j + (across[:, i] + rng.random((TRIED_CELLS, i.size))) / side) / side
@@ -97,8 +96,8 @@ def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
 
 
 def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
-    """Mean over samples at fractions (v, u) of cells at `corner` texels, (cells,)."""
-    from scipy.ndimage import map_coordinates  # 0.05 s, for charts only
+    """Return means over samples at fractions (v, u) of cells that begin at `corner` texels, (cells,)."""
+    from scipy.ndimage import map_coordinates  # imported here, since it takes 0.05 s
 
     assert chart.texels is not None
     places = zip(corner, (v, u), chart.texels_per_sample, strict=True)
@@ -109,10 +108,10 @@ def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
 def diffraction_effect(
     chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, enough: float = np.inf
 ) -> float:
-    """Greatest relative change of any sample by diffraction, on the whole film: a coarser one would average detail away.
+    """Return the largest relative change of any sample by diffraction, at the full resolution of the film.
 
-    On a film that is larger than `TRIED_SIDE` a part around the chart's steepest texels is tried first: where diffraction
-    counts there, the rest is not asked, and the change is that of the part.
+    On a film larger than `TRIED_SIDE` a part around the chart's steepest texels is tested first. If its change exceeds
+    `enough`, that is the result.
     """
     if chart.uniform:
         return 0.0
@@ -123,13 +122,13 @@ def diffraction_effect(
         inner = tuple(slice(border, -border) if n > 2 * border > 0 else WHOLE for n in picture.shape)
         return float((np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max()))[inner].max())
 
-    if max(chart.shape) > TRIED_SIDE and enough < np.inf and (found := change(_steepest(chart), BORDER)) > enough:
-        return found
+    if max(chart.shape) > TRIED_SIDE and enough < np.inf and (effect := change(_steepest(chart), BORDER)) > enough:
+        return effect
     return change((WHOLE, WHOLE), 0)
 
 
 def _steepest(chart: Chart) -> tuple[slice, slice]:
-    """A part of the film, `TRIED_SIDE` along each side that is longer, around where neighbouring texels differ most."""
+    """Return a part of the film, at most `TRIED_SIDE` samples a side, around the largest step between texels."""
     assert chart.texels is not None
     steps = [np.abs(np.diff(chart.texels, axis=axis)) for axis in (0, 1)]
     place = max((step for step in steps if step.size), key=lambda step: float(step.max()))
@@ -143,20 +142,20 @@ def _steepest(chart: Chart) -> tuple[slice, slice]:
 
 
 TOLERANCE_E = 1e-3  # relative error of the mean electrons
-BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance
-# A disc of diameter c carries 2c/(3π) of the light across an edge, which is on average in the middle of a pixel.
+BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance, for leaving out blur and diffraction
+# A blur disc of diameter c moves 2c/(3π) of the light across an edge, which is at the centre of a pixel on average.
 BLURRED_EDGE = 2 / (3 * math.pi)
 AIRY_DIAMETER = 2.44  # first dark ring over λN (Goodman)
 UNLIMITED = -1
-MIN_OF_A_PATH = 16  # samples: of 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
-ALIGNED = 1e-6  # of a chart's half width: so little may be off the axis, turned or short
-# Emitters that a pinhole sees as the lens does: they shine alike to all sides, or cannot be seen.
+MIN_OF_A_PATH = 16  # samples; with 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
+ALIGNED = 1e-6  # of a chart's half width: tolerance for its position, rotation and size
+# Emitters that look the same from every point of the lens, or cannot be seen.
 ALIKE = ("area", "constant", "point", "spot", "directional", "projector")
 
 
 @dataclass(frozen=True)
 class Decision:
-    """One line of the plan. `bound_e` is the greatest relative error of mean electrons that it can cost, where `bounded`."""
+    """One decision of the plan; `bound_e` bounds the relative error of mean electrons that it causes, if `bounded`."""
 
     subject: str
     kept: bool
@@ -167,40 +166,40 @@ class Decision:
 
 
 def decide_bounces(state: Any, bodies: list[Body], full: bool) -> tuple[dict[str, Any] | None, int, Decision]:
-    """(integrator in place of the scene's own, surfaces that light can meet, why).
+    """Return an integrator in place of the scene's, the number of surfaces that light can meet, and the decision.
 
-    A flat emitter alone: depth 1. One surface at most, since flat, matt, one-sided surfaces that face one way are lit from
-    outside, or since the scene says so: `direct` samples as `path` does, in less time. Else the scene's own.
+    A flat emitter alone needs depth 1. Light meets one surface at most if the scene sets that depth, or if flat, diffuse,
+    one-sided surfaces face the same way: `direct` then samples as `path` does, in less time.
     """
-    own = next((int(node.props.get("max_depth", UNLIMITED)) for _, node in nodes_of(state, "Integrator")), UNLIMITED)
-    told = "any number" if own < 0 else f"{max(own - 1, 0)}"
-    met = UNLIMITED if own < 0 else max(own - 1, 0)
+    max_depth = next((int(node.props.get("max_depth", UNLIMITED)) for _, node in nodes_of(state, "Integrator")), UNLIMITED)
+    allowed = "any number" if max_depth < 0 else f"{max(max_depth - 1, 0)}"
+    met = UNLIMITED if max_depth < 0 else max(max_depth - 1, 0)
     if full:
-        return None, met, Decision("bounces", True, f"the scene's own: {told}")
+        return None, met, Decision("bounces", True, f"as set in the scene: {allowed}")
     paths = [node for _, node in nodes_of(state, "Integrator")]
     names = [node.props.plugin_name() for node in paths] or ["path"]
-    if names != ["path"] or own in (0, 1) or nodes_of(state, "Medium"):
-        return None, 1 if names == ["direct"] else met, Decision("bounces", True, f"the scene's own integrator, '{names[0]}'")
+    if names != ["path"] or max_depth in (0, 1) or nodes_of(state, "Medium"):
+        return None, 1 if names == ["direct"] else met, Decision("bounces", True, f"the scene's integrator, '{names[0]}'")
     hidden = {"hide_emitters": True} if paths and paths[0].props.get("hide_emitters", False) else {}
     emitters = {index for index, _ in nodes_of(state, "Emitter")}
     shining = {index for index, node in nodes_of(state, "Shape") if emitters & set(children(node, state).values())}
     alone = len(bodies) == 1 and len(emitters) == 1 and bodies[0].node in shining
     if alone and bodies[0].normal is not None:
-        reason = "a flat emitter alone: its light meets nothing before the lens"
-        return {"type": "path", "max_depth": 1, **hidden}, 0, Decision("bounces", False, reason, f"all of {told}")
+        reason = "a flat emitter alone: its light goes straight to the lens"
+        return {"type": "path", "max_depth": 1, **hidden}, 0, Decision("bounces", False, reason, f"all of {allowed}")
     direct = {"type": "direct", **hidden}
-    if own == 2:
-        return direct, 1, Decision("bounces", False, "one, as the scene says: paths need no loop", "a third of the time")
+    if max_depth == 2:
+        return direct, 1, Decision("bounces", False, "one, as set in the scene: no loop over bounces", "a third of the time")
     matt = all(node.props.plugin_name() == "diffuse" for _, node in nodes_of(state, "BSDF")) and not shining
     if matt and bodies and face_one_way(bodies):
-        reason = "flat, one-sided, matt surfaces that face one way send each other no light"
-        return direct, 1, Decision("bounces", False, reason, f"all but 1 of {told}")
-    return None, met, Decision("bounces", True, f"surfaces may light each other; the scene's own: {told}")
+        reason = "flat, one-sided, diffuse surfaces that face the same way do not light each other"
+        return direct, 1, Decision("bounces", False, reason, f"all but 1 of {allowed}")
+    return None, met, Decision("bounces", True, f"surfaces may light each other; as set in the scene: {allowed}")
 
 
 def irregular_tables(state: Any) -> dict[tuple[int, str], tuple[Spectrum, Array]]:
-    """(node, property) -> (table, its values at equal steps) of every surface's table that has equal steps in it."""
-    found = {}
+    """Return (node, property) -> (table, values at equal steps) of the surface tables that allow equal steps."""
+    tables = {}
     for index, node in enumerate(state.nodes):
         if node.type.name not in ("BSDF", "Texture"):
             continue
@@ -209,45 +208,45 @@ def irregular_tables(state: Any) -> dict[tuple[int, str], tuple[Spectrum, Array]
                 table = parsed_table(node.props[name])
                 regular = regular_values(table)
                 if regular is not None:
-                    found[index, name] = table, regular
-    return found
+                    tables[index, name] = table, regular
+    return tables
 
 
 def decide_tables(state: Any, full: bool) -> tuple[bool, Decision]:
-    """Tables at equal steps can be looked up by index; Mitsuba searches those that are written as pairs."""
+    """Decide whether tables with equal steps are looked up by index; Mitsuba searches tables of pairs."""
     count = len(irregular_tables(state))
     if full or not count:
-        return False, Decision("spectrum tables", True, "as they are" if full else "none that would be searched")
-    return True, Decision("spectrum tables", False, f"{count} with equal steps: read by index, not searched", "the searches")
+        return False, Decision("spectrum tables", True, "unchanged" if full else "none with equal steps")
+    return True, Decision("spectrum tables", False, f"{count} with equal steps: looked up by index", "the searches")
 
 
 def decide_lens(
     state: Any, camera: Camera, bodies: list[Body], aspect: float, pixel: Pixel | None, tolerance_e: float, full: bool
 ) -> tuple[Literal["thinlens", "perspective"], Decision]:
-    """A pinhole sees the same as the lens where all that is seen is matt (or shines alike to all sides) and in focus."""
-    seen = [body for body in bodies if body.in_view(camera, aspect)]
-    blur = max((greatest_blur_um(camera, body) for body in seen), default=0.0)
+    """Replace the lens by a pinhole if everything in view is in focus and looks the same from every point of the lens."""
+    visible = [body for body in bodies if body.in_view(camera, aspect)]
+    blur = max((greatest_blur_um(camera, body) for body in visible), default=0.0)
     side_um = derive(pixel).photodiode_side_um if pixel else 1.0
-    told = f"blur up to {blur:.3g} µm" if math.isfinite(blur) else "shapes of unknown size, or at the lens"
+    blur_text = f"blur up to {blur:.3g} µm" if math.isfinite(blur) else "shapes of unknown size or at the lens"
     if full:
-        return "thinlens", Decision("lens samples", True, f"nothing left out ({told})")
+        return "thinlens", Decision("lens samples", True, f"nothing left out ({blur_text})")
     if nodes_of(state, "Medium"):
         return "thinlens", Decision("lens samples", True, "a medium")
     coloured = [node.props.plugin_name() for _, node in nodes_of(state, "BSDF") if node.props.plugin_name() not in LAMBERTIAN]
     distant = [node.props.plugin_name() for _, node in nodes_of(state, "Emitter")]
     if coloured:
-        return "thinlens", Decision("lens samples", True, f"'{coloured[0]}' looks different from each point of the lens; {told}")
+        return "thinlens", Decision("lens samples", True, f"'{coloured[0]}' looks different across the lens; {blur_text}")
     if not set(distant) <= set(ALIKE):
-        return "thinlens", Decision("lens samples", True, "a picture at infinity, or an emitter that is not matt")
+        return "thinlens", Decision("lens samples", True, "a picture at infinity, or an emitter that is not diffuse")
     error = BLURRED_EDGE * blur / side_um
     if error > tolerance_e * BLUR_SHARE:
-        return "thinlens", Decision("lens samples", True, f"not all in focus: {told}; samples are added until its noise is small")
-    reason = f"all that is seen is matt and in focus ({told})"
+        return "thinlens", Decision("lens samples", True, f"not all in focus: {blur_text}; more samples reduce the noise")
+    reason = f"everything in view is diffuse and in focus ({blur_text})"
     return "perspective", Decision("lens samples", False, reason, "2 of 5 dimensions", error)
 
 
 def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
-    """The one flat emitter, where it faces the lens upright, on its axis, and fills the film; else None."""
+    """Return the chart if the scene is one flat emitter that faces the lens upright, centred, and fills the film."""
     emitters = nodes_of(state, "Emitter")
     if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].props.plugin_name() != "area":
         return None
@@ -276,37 +275,38 @@ def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], sha
 def decide_samples(
     chart: Chart | None, most: int, passes: int, tolerance_e: float, full: bool, explicit: bool
 ) -> tuple[int, Decision]:
+    """Return the samples per film cell and pass, and the decision; `most` is the number in the scene."""
     subject = "texture samples"
     if full or explicit:
-        return most, Decision(subject, True, f"{most} a film cell, as {'the scene says' if full else 'asked for'}")
+        return most, Decision(subject, True, f"{most} per film cell, as set in the {'scene' if full else 'options'}")
     if chart is None and most < MIN_OF_A_PATH:
-        told = f"{MIN_OF_A_PATH} a film cell, the scene says {most}: with so few, multijitter makes paths too dark"
-        return MIN_OF_A_PATH, Decision(subject, True, told)
+        reason = f"{MIN_OF_A_PATH} per film cell, not {most} as in the scene: with so few, multijitter is biased"
+        return MIN_OF_A_PATH, Decision(subject, True, reason)
     if chart is None:
-        told = f"{most} a film cell, as the scene says: edges and depth are known to the renderer only"
+        reason = f"{most} per film cell, as set in the scene: its edges and depth are unknown before rendering"
         if passes == 1:
-            return most, Decision(subject, True, told)
-        # Passes have seeds of their own, and the sum over bands averages their noise.
-        each = next((count for count in SAMPLE_COUNTS if count >= max(most / passes, MIN_OF_A_PATH)), most)
-        each = min(each, most)
-        saved = f"{each} of {most} samples a pass" if each < most else ""
-        return each, Decision(subject, each == most, f"{told}; shared by {passes} passes, {each} each", saved)
+            return most, Decision(subject, True, reason)
+        # Passes have different seeds, and the sum over bands averages their noise.
+        share = next((count for count in SAMPLE_COUNTS if count >= max(most / passes, MIN_OF_A_PATH)), most)
+        share = min(share, most)
+        saved = f"{share} of {most} samples per pass" if share < most else ""
+        return share, Decision(subject, share == most, f"{reason}; {share} in each of {passes} passes", saved)
     spp, error = samples_needed(chart, tolerance_e, most)
     if spp < most:
-        told = f"{spp} a film cell: the chart's detail gives {error:.1e} RMS"
-        return spp, Decision(subject, False, told, f"{spp} of {most} samples")
-    return most, Decision(subject, True, f"{most} a film cell, as the scene says: {error:.1e} RMS by the chart's detail")
+        reason = f"{spp} per film cell: RMS error {error:.1e} for the chart's detail"
+        return spp, Decision(subject, False, reason, f"{spp} of {most} samples")
+    return most, Decision(subject, True, f"{most} per film cell, as set in the scene: RMS error {error:.1e} for the chart's detail")
 
 
 def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tolerance_e: float, full: bool) -> Decision:
-    """Left out where it changes no sample of a lone chart by more than its share, at the longest wavelength."""
+    """Leave out diffraction if it changes no sample of a chart by more than its share, at the longest wavelength."""
     disc_um = AIRY_DIAMETER * HIGH_NM / 1e3 * camera.effective_f_number
-    told = f"Airy disc up to {disc_um:.3g} µm"
+    reason = f"Airy disc up to {disc_um:.3g} µm"
     if chart is None or full:
-        return Decision("diffraction", True, f"{told}; what it does is known only from the picture" if not full else told)
+        return Decision("diffraction", True, f"{reason}; its effect is unknown before rendering" if not full else reason)
     allowed = tolerance_e * DIFFRACTION_SHARE
     effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.effective_f_number, allowed)
     if effect > allowed:
-        return Decision("diffraction", True, f"{told}; changes samples of this chart by up to {effect:.1%}")
-    told += f"; changes no sample of this chart by more than {effect:.1e}"
-    return Decision("diffraction", False, told, "2 transforms", effect)
+        return Decision("diffraction", True, f"{reason}; changes samples of this chart by up to {effect:.1%}")
+    reason += f"; changes no sample of this chart by more than {effect:.1e}"
+    return Decision("diffraction", False, reason, "2 transforms", effect)

@@ -1,4 +1,4 @@
-"""Read a Mitsuba 3 XML: its parameters, its camera, and what it contains, before anything is built or rendered."""
+"""Read a Mitsuba 3 XML: parameters, camera and contents, before Mitsuba builds or renders the scene."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from pixsim.scene.mitsuba import children, nodes_of, parse, plain
 
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
-WHITE = "white_cd_per_m2"  # a <default> that Mitsuba does not use: what the viewer's display shows as white
+WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
 INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
-FILM_35_MM = (36.0, 24.0)  # what Mitsuba's `focal_length` refers to
+FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A parsed Mitsuba scene: a file, the parameters it is read with, and the variant that will render it.
+    """A Mitsuba scene: its file, its parameters, and the variant that renders it.
 
     path : of the XML
-    parameters : values of its <default> parameters that were given
-    names : of all parameters that the XML has
-    sensor_id : which of several sensors; None where there is one
-    choice : Mitsuba variant, and why
-    white_cd_per_m2 : what the file says that a display shows as white
+    parameters : given values of <default> parameters
+    names : of all parameters in the XML
+    sensor_id : id of the sensor; None if there is only one
+    choice : Mitsuba variant, and why it was chosen
+    white_cd_per_m2 : luminance that the display shows as white, if the file states it
     """
 
     path: Path
@@ -49,16 +49,16 @@ class Scene:
     white_cd_per_m2: float | None = None
 
     def parse(self, **more: object) -> Any:
-        """Mitsuba's parser state, with `more` parameters where the user gave none."""
+        """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
         return parse(self.path, self.choice.variant, {**{k: str(v) for k, v in more.items()}, **self.parameters})
 
     def camera(self, options: CameraOptions | None = None) -> Camera:
-        """The camera that the file tells, with the options laid over it.
+        """Return the camera of the file, overridden by the options.
 
-        The die is no part of a Mitsuba scene. Where the lens is numbers, a die option changes the focal length that is
-        read from them; where it is parameters, the focal length stays and the field of view follows.
+        A Mitsuba scene does not state the die. If its lens is given by numbers, a die option scales the focal length; if the
+        lens is given by parameters, the focal length stays and the field of view changes.
 
-        Raises PixsimError for a lens that cannot be.
+        Raises PixsimError if the lens is invalid.
         """
         options = options or CameraOptions()
         fixed = any(name not in self.names or name in self.parameters for name in LENS_PARAMETERS)
@@ -69,18 +69,18 @@ class Scene:
         return options.over(read_camera(sensor, die_mm, width / max(height, 1)))
 
     def for_camera(self, camera: Camera) -> Any:
-        """The parser state with the camera's numbers in the scene's parameters, the chart's size with them."""
+        """Return the parser state with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
         lens["chart_half_width"] = camera.chart_half_width_m
         return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
 
     def with_parameters(self, **more: object) -> Scene:
-        """The same scene with other values of its parameters, `more`."""
+        """Return the scene with other values of some parameters, `more`."""
         return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
 
     @property
     def content_hash(self) -> str:
-        """Of the parsed tree and the bytes of its textures."""
+        """Hash of the parsed tree and the bytes of its textures."""
         return hash_of_tree(self.parse(), self.path.parent)
 
     def __repr__(self) -> str:
@@ -89,7 +89,7 @@ class Scene:
 
 
 def packaged_scenes() -> dict[str, Path]:
-    """Name -> path of the scenes that come with pixsim (in the wheel, or beside an editable checkout)."""
+    """Return name -> path of the packaged scenes, in the wheel or in a checkout."""
     root = Path(str(resources.files("pixsim")))
     packaged = root / "data/scenes"
     folder = packaged if packaged.is_dir() else root.parent / "scenes"
@@ -99,52 +99,52 @@ def packaged_scenes() -> dict[str, Path]:
 def load_scene(
     scene: str | os.PathLike[str], *, variant: str | None = None, sensor: str | None = None, **parameters: object
 ) -> Scene:
-    """Read a scene: an XML file, or the name of a packaged one.
+    """Load a scene from an XML file, or a packaged one by its name.
 
     Parameters
     ----------
-    scene : path, or name as of `pixsim run`
-    variant : Mitsuba variant; None takes the fastest that works here
-    sensor : id of the sensor, where the scene has several
+    scene : path, or a name as in `pixsim run`
+    variant : Mitsuba variant; None takes the fastest that works on this machine
+    sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
-        in a scene that has `emitter_scale`
+        in a scene with a parameter `emitter_scale`
 
-    Raises PixsimError for a file that is missing or broken, a parameter that the scene does not have, a missing or
-    unusable texture, no sensor or several, a sensor that is not a thin lens, an LLVM that is too old.
+    Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
+    one, the sensor is not a thin lens, or LLVM is too old.
 
     >>> load_scene("csf", resolution=64).camera().focal_length_mm
     3.86
     """
     path = packaged_scenes().get(str(scene)) or Path(scene)
     if path.suffix == ".toml":
-        mend = f"The file of a sensor goes with a scene: pixsim run csf --config {path}"
-        raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", mend)
+        hint = f"To use a parameter file: pixsim run csf --config {path}"
+        raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
     if not os.path.lexists(path) or path.is_dir():
         known = packaged_scenes()
         raise invalid("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     given = {name: str(value) for name, value in parameters.items()}
-    told = judge_scene(path, given)
-    names = frozenset(told.names)
-    settable = {name for name, needed in ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE)) if needed in names | told.defaults.keys()}
+    text = judge_scene(path, given)
+    names = frozenset(text.names)
+    settable = {name for name, needed in ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE)) if needed in names | text.defaults.keys()}
     allowed = names | settable
     if wrong := [name for name in given if name not in allowed]:
-        near = difflib.get_close_matches(wrong[0], allowed, 1)
-        mend = f"Did you mean '{near[0]}'?" if near else ""
-        raise invalid("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), mend)
-    own_white = told.defaults.get(WHITE)
-    if white is not None and own_white is None:
+        similar = difflib.get_close_matches(wrong[0], allowed, 1)
+        hint = f"Did you mean '{similar[0]}'?" if similar else ""
+        raise invalid("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), hint)
+    file_white = text.defaults.get(WHITE)
+    if white is not None and file_white is None:
         got = f"'{white}', but '{path.name}' has no such <default>"
-        raise invalid(WHITE, got, "scenes that have", "Set display.white_cd_per_m2.")
-    shown = own_white if white is None else white
+        raise invalid(WHITE, got, "a scene with this <default>", "Set display.white_cd_per_m2.")
+    display_white = file_white if white is None else white
     choice = variants.choose(variant)
-    loaded = Scene(path.resolve(), given, names, sensor, choice, None if shown is None else _positive(WHITE, shown))
+    loaded = Scene(path.resolve(), given, names, sensor, choice, None if display_white is None else _positive(WHITE, display_white))
     state = loaded.parse()
     judge_tree([list(children(node, state).values()) for node in state.nodes])
-    eye = sensor_node(state, sensor)[1]
-    read_camera(eye, Camera().die_mm)
-    film_size(state, eye)
-    sample_count(state, eye)
+    sensor_of_scene = sensor_node(state, sensor)[1]
+    read_camera(sensor_of_scene, Camera().die_mm)
+    film_size(state, sensor_of_scene)
+    sample_count(state, sensor_of_scene)
     check_supported(state)
     check_transforms(state)
     check_textures(state, loaded.path.parent)
@@ -161,7 +161,7 @@ def _with_luminance(scene: Scene, luminance: object) -> Scene:
     unit = parse(scene.path, scene.choice.variant, {**scene.parameters, EMITTER_SCALE: "1"})
     lamp = find_lamp(unit, scene.choice.variant)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
-        raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is not known", "one lamp spectrum above zero")
+        raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is unknown", "emitters of one spectrum, above 0")
     scale = repr(value / lamp.luminance_cd_per_m2)
     return replace(scene, parameters={**scene.parameters, EMITTER_SCALE: scale})
 
@@ -177,47 +177,47 @@ def _positive(name: str, value: object) -> float:
 
 
 def check_supported(state: Any) -> None:
-    """Refuse what the renderer would leave out or fake: media without volumetric paths, dispersion, polarisation."""
+    """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, polarisation."""
     integrators = [node.props.plugin_name() for _, node in nodes_of(state, "Integrator")]
     for name in integrators:
         if name not in INTEGRATORS:
-            mend = 'Write <integrator type="path"/>; polarisation, depth and AOVs are no light on a sensor.'
-            raise invalid("integrator", f"'{name}'", ", ".join(INTEGRATORS), mend)
+            hint = 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.'
+            raise invalid("integrator", f"'{name}'", ", ".join(INTEGRATORS), hint)
     for _, node in nodes_of(state, "Sensor"):
         if any(state.nodes[index].type.name == "Medium" for index in children(node, state).values()):
-            raise invalid("sensor", "a camera in a medium", "one in air", "Let the medium begin in front of the lens.")
+            raise invalid("sensor", "a camera in a medium", "a camera in air", "Let the medium begin in front of the lens.")
     for _, node in nodes_of(state, "Film"):
         cropped = [name for name in node.props.keys() if name.startswith("crop_")]  # noqa: SIM118
         if cropped:
-            raise invalid("film", ", ".join(cropped), "a whole film", "Leave the crop out: the die is what the film shows.")
+            raise invalid("film", ", ".join(cropped), "an uncropped film", "Remove the crop: the film is the die.")
     if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
         got = f"a participating medium with {integrators or 'no integrator'}"
-        raise invalid("scene", got, "volpath or volpathmis with media", 'Write <integrator type="volpath"/>.')
+        raise invalid("scene", got, "volpath or volpathmis for media", 'Write <integrator type="volpath"/>.')
     for _, node in nodes_of(state, "BSDF"):
         for name in ("int_ior", "ext_ior"):
             if name in node.props and node.props.type(name).name not in ("Float", "Integer", "String"):
                 allowed = "one index for all wavelengths, as Mitsuba's dielectrics have"
-                what, mend = f"{node.props.plugin_name()}.{name}", "Give the index at 589 nm."
-                raise invalid(what, "a spectrum: dispersive glass", allowed, mend)
+                what, hint = f"{node.props.plugin_name()}.{name}", "Give the index at 589 nm."
+                raise invalid(what, "a spectrum: dispersive glass", allowed, hint)
 
 
 def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
-    """The scene's sensor; PixsimError for none, several without a choice, or one that is not a thin lens."""
+    """Return the scene's sensor. Raises PixsimError if it is missing, ambiguous or not a thin lens."""
     sensors = nodes_of(state, "Sensor")
     ids = ", ".join(f"'{node.props.id()}'" for _, node in sensors)
     if sensor_id is not None:
         sensors = [(index, node) for index, node in sensors if node.props.id() == sensor_id]
     if len(sensors) != 1:
         got = "no sensor" if not ids else f"sensors {ids}" + (f", none named '{sensor_id}'" if sensor_id else "")
-        raise invalid("scene", got, "one thinlens sensor", "Name one of several: --sensor ID." if ids else "")
+        raise invalid("scene", got, "one thinlens sensor", "Choose one with --sensor ID." if ids else "")
     index, node = sensors[0]
     plugin = node.props.plugin_name()
     if plugin != "thinlens":
-        mend = 'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.'
-        raise invalid("sensor", f"'{plugin}'", "thinlens: a pixel's exposure and blur need an aperture", mend)
+        hint = 'Write <sensor type="thinlens"> with aperture_radius = f/(2N) and focus_distance, in metres.'
+        raise invalid("sensor", f"'{plugin}'", "thinlens, since exposure and blur need an aperture", hint)
     for offset in ("principal_point_offset_x", "principal_point_offset_y"):
         if sensor_offset := float(node.props.get(offset, 0.0)):
-            raise invalid("sensor", f"{offset} = {sensor_offset:g}", "0: the die is centred on the axis of the lens")
+            raise invalid("sensor", f"{offset} = {sensor_offset:g}", "0, since the die is centred on the lens axis")
     for needed in ("aperture_radius", "focus_distance"):
         if needed not in node.props:
             raise invalid("sensor", f"a thinlens without {needed}", "fov, aperture_radius and focus_distance, in metres")
@@ -225,17 +225,18 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
 
 
 def film_size(state: Any, sensor: Any) -> tuple[int, int]:
-    """(height, width) of the sensor's film, in samples; the renderer refuses those out of range."""
-    film = _beside(state, sensor, "Film")
+    """Return (height, width) of the sensor's film in samples; the renderer checks their range."""
+    film = _child(state, sensor, "Film")
     return _whole(film, "height", 576), _whole(film, "width", 768)
 
 
 def sample_count(state: Any, sensor: Any) -> int:
-    return _whole(_beside(state, sensor, "Sampler"), "sample_count", 4)
+    """Return the samples per film cell of the sensor's sampler."""
+    return _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
 
 
-def _beside(state: Any, sensor: Any, kind: str) -> Any:
-    """The sensor's film or sampler, or None."""
+def _child(state: Any, sensor: Any, kind: str) -> Any:
+    """Return the sensor's film or sampler, or None."""
     return next((state.nodes[index] for index in children(sensor, state).values() if state.nodes[index].type.name == kind), None)
 
 
@@ -249,7 +250,7 @@ def _whole(node: Any, name: str, default: int) -> int:
 
 
 def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
-    """Horizontal field of view, from `fov` along its axis or from `focal_length` (35 mm equivalent)."""
+    """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm equivalent)."""
     axis = str(sensor.props.get("fov_axis", "x"))
     if "focal_length" in sensor.props:
         equivalent_mm = float(str(sensor.props["focal_length"]).removesuffix("mm"))
@@ -268,7 +269,7 @@ def fov_x_deg(sensor: Any, aspect: float = 1.0) -> float:
 
 
 def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
-    """The camera behind a thinlens node; f and N to six digits, since XMLs round their fields of view."""
+    """Return the camera of a thinlens node; f and N are rounded to six digits, since XMLs round the field of view."""
     aperture, focus = (_positive(name, sensor.props[name]) for name in ("aperture_radius", "focus_distance"))
     try:
         exact = Camera.from_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
@@ -279,7 +280,7 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
 
 
 def hash_of_tree(state: Any, folder: Path) -> str:
-    """16 hexadecimal digits. PixsimError for a file that is missing."""
+    """Return a hash of a parsed tree and its textures, 16 hexadecimal digits. Raises PixsimError if a file is missing."""
     tree = []
     for node in state.nodes:
         values = sorted((name, in_full(value)) for name, value in plain(node, numbers_only=False))
@@ -292,8 +293,8 @@ def hash_of_tree(state: Any, folder: Path) -> str:
 
 
 def in_full(value: Any) -> str:
-    """A property to its last digit: Mitsuba's own text of a spectrum tells its length, that of vectors six digits."""
-    kind = type(value).__name__  # a Dr.Jit vector has every attribute: it takes the name for a swizzle
+    """Return a property with all its digits; Mitsuba's text has only the length of a spectrum and six digits of vectors."""
+    kind = type(value).__name__  # not hasattr: a Dr.Jit vector takes any attribute for a swizzle
     if kind == "Spectrum":
         return f"{value.wavelengths} {value.values}"
     if "Transform" in kind:

@@ -1,8 +1,8 @@
-"""Light to mean electrons: what each photodiode of an array collects a second from the irradiance on the sensor plane.
+"""Irradiance on the sensor plane to the mean electrons per second of each photodiode.
 
-Box-film samples are exact means over their cells, so the running sum of a column is its running integral at the borders of
-its cells. A spline through it gives the integral between any two positions.
-Each column has a spline of its own: columns can be taken in strips of any width, with the same result.
+The samples are exact means over their cells, so the running sum of a column is its running integral at the cell borders.
+A spline through it gives the integral between any two positions. Every column has its own spline, so the result does not
+depend on how columns are grouped into strips.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.diffraction import diffract_sum
 from pixsim.sensor.pixel import PixelPhysics
 
-STRIP_COLUMNS = 64  # of 1024 samples, 0.5 MiB: what is made of a strip stays in a core's second cache
-EDGE_CONTRAST = 100.0  # of neighbouring samples: a step rings by 1 % of its bright side a sample and more away from it
-SPLINE_DEGREE = 5  # of the running integral: 0.02 % contrast error at 60 lp/mm on a 2.65 µm grid; cubic 0.55 %
+STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
+EDGE_CONTRAST = 100.0  # ratio of neighbouring samples; a step rings by 1 % of its bright side, one sample and more away from it
+SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A picture (H, W) of which columns are made when they are asked for, so that it is never whole in memory.
+    """A picture (H, W) whose columns are computed on request, so that it is never in memory as a whole.
 
-    columns : gives columns first … last - 1, (H, last - first), of any real type. They are asked for in order, `STRIP_COLUMNS`
-        at a time (fewer at the end), once; and all of them once more where light would ring below zero at an edge.
+    columns : returns columns first … last - 1, (H, last - first), of any real type. It is called in order, for
+        `STRIP_COLUMNS` at a time, once per strip; twice if the light would ring below zero at an edge.
     """
 
     shape: tuple[int, int]
@@ -43,33 +43,33 @@ class Columns:
 
 
 def map_columns(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
-    """What `of_columns`, (which, (n, columns)) -> (count, columns), makes of a picture (H, W) along an axis, strip by strip.
+    """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an axis, strip by strip.
 
-    Beside the picture and the result only a strip is in memory.
+    Only the picture, the result and one strip are in memory.
     """
     if axis == 1 and not isinstance(picture, Columns):
         return map_columns(picture.T, 0, count, of_columns).T
-    found = np.empty((count, picture.shape[1]))
+    result = np.empty((count, picture.shape[1]))
     for which in strips(picture.shape[1], 1, STRIP_COLUMNS):
         strip = picture.columns(which.start, which.stop) if isinstance(picture, Columns) else picture[:, which]
-        found[:, which] = of_columns(which, np.asarray(strip, float))
-    return found
+        result[:, which] = of_columns(which, np.asarray(strip, float))
+    return result
 
 
 @dataclass(frozen=True)
 class Knots:
-    """Spline through the borders 0 … n of n cells of width 1, not a knot at the second and third from either end."""
+    """Spline through the borders 0 … n of n cells of width 1, with not-a-knot end conditions."""
 
     knots: Array
     degree: int
-    reach: int  # of the matrix of the spline's values at the borders, on either side of its diagonal
-    factors: Array  # its LU factors, in LAPACK's band storage
+    reach: int  # bandwidth, on either side of the diagonal, of the matrix of the spline's values at the borders
+    factors: Array  # LU factors of that matrix, in LAPACK's band storage
     pivots: NDArray[np.int32]
 
 
 @lru_cache(maxsize=16)
 def knots_of(n: int) -> Knots:
-    """Of the highest odd degree that n cells carry, up to `SPLINE_DEGREE`."""
+    """Return the spline of the highest odd degree that n cells allow, up to `SPLINE_DEGREE`."""
     degree = min(SPLINE_DEGREE, n if n % 2 else n - 1) if n > 1 else 1
     borders, half = np.arange(n + 1.0), (degree + 1) // 2
     knots = np.concatenate([np.zeros(degree + 1), borders[half:-half], np.full(degree + 1, float(n))])
@@ -82,9 +82,9 @@ def knots_of(n: int) -> Knots:
 
 
 def design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
-    """Values of each B-spline of a degree at positions between the outer knots, (positions, splines): de Boor's recurrence.
+    """Return the values of all B-splines of a degree at positions between the outer knots, (positions, splines).
 
-    (C. de Boor, A Practical Guide to Splines, 2001, ch. X, BSPLVB. `scipy.interpolate` has it too, and takes 0.3 s to import.)
+    De Boor's recurrence (A Practical Guide to Splines, 2001, ch. X, BSPLVB); importing `scipy.interpolate` takes 0.3 s.
     """
     x = np.asarray(positions, float)
     interval = np.clip(np.searchsorted(knots, x, "right") - 1, degree, knots.size - degree - 2)
@@ -92,10 +92,10 @@ def design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
     values[:, 0] = 1.0
     for order in range(1, degree + 1):
         saved: Array | float = 0.0
-        for each in range(order):
-            right, left = knots[interval + each + 1] - x, x - knots[interval + each + 1 - order]
-            part = values[:, each] / (right + left)
-            values[:, each] = saved + right * part
+        for spline in range(order):
+            right, left = knots[interval + spline + 1] - x, x - knots[interval + spline + 1 - order]
+            part = values[:, spline] / (right + left)
+            values[:, spline] = saved + right * part
             saved = left * part
         values[:, order] = saved
     columns = interval[:, None] + np.arange(-degree, 1)
@@ -104,7 +104,7 @@ def design_matrix(positions: Array, knots: Array, degree: int) -> csr_array:
 
 
 def spline_coefficients(samples: Array) -> Array:
-    """(n + 1, columns) of the spline through the running sums of cell means (n, columns)."""
+    """Return the coefficients (n + 1, columns) of the spline through the running sums of cell means (n, columns)."""
     spline = knots_of(len(samples))
     running = np.empty((len(samples) + 1, samples.shape[1]), order="F")
     running[0] = 0.0
@@ -113,36 +113,37 @@ def spline_coefficients(samples: Array) -> Array:
 
 
 def running_integral(samples: Array) -> Array:
-    """`spline_coefficients` of all columns of a picture (n, columns), strip by strip."""
+    """Return `spline_coefficients` of all columns of a picture (n, columns), strip by strip."""
     return map_columns(samples, 0, len(samples) + 1, lambda _, strip: spline_coefficients(strip))
 
 
 def has_hard_edge(samples: Array) -> bool:
-    """Whether light changes by more than `EDGE_CONTRAST` : 1 from one sample of a column to the next."""
+    """Return whether neighbouring samples of a column differ by more than a factor of `EDGE_CONTRAST`."""
     first, second = samples[:-1], samples[1:]
     return bool(np.any(np.maximum(first, second) > EDGE_CONTRAST * np.minimum(first, second)))
 
 
 def make_monotonic(running: Array, edges: Array) -> Array:
-    """The running integral of what is nowhere negative, never falling from one edge to the next; sums stay as they are."""
+    """Return a running integral that never falls from one edge to the next; the total is preserved."""
     order = np.argsort(edges, kind="stable")
     return np.maximum.accumulate(running[order])[np.argsort(order, kind="stable")]
 
 
 def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
-    """The running integral at `edges` (in samples), limited to what the light within each cell can be.
+    """Return the running integral at `edges` (in samples), limited by the range of light that each cell may have.
 
-    A cell's light lies within the range of itself and its neighbours, by half of that range on either side (so that the
-    crests of what the grid resolves stay as they are), and not below zero. Cell borders stay exact.
+    The light in a cell stays within the range of the cell and its neighbours, widened by half of that range on either side
+    so that resolved crests are unchanged, and at or above zero. Integrals at cell borders stay exact.
     """
     cell = np.minimum(edges.astype(int), len(samples) - 1)
     part = (edges - cell)[:, None]
-    lowest, highest = (each(samples, 3, axis=0, mode="nearest") for each in (minimum_filter1d, maximum_filter1d))
+    lowest, highest = (extreme(samples, 3, axis=0, mode="nearest") for extreme in (minimum_filter1d, maximum_filter1d))
     slack = (highest - lowest) / 2
     before = np.cumsum(samples, axis=0) - samples
-    start, own, least, most = (each[cell] for each in (before, samples, np.maximum(lowest - slack, 0.0), highest + slack))
-    from_below = np.maximum(part * least, own - (1 - part) * most)
-    from_above = np.minimum(part * most, own - (1 - part) * least)
+    bounds = np.maximum(lowest - slack, 0.0), highest + slack
+    start, cell_light, least, most = (values[cell] for values in (before, samples, *bounds))
+    from_below = np.maximum(part * least, cell_light - (1 - part) * most)
+    from_above = np.minimum(part * most, cell_light - (1 - part) * least)
     return start + np.clip(running - start, from_below, from_above)
 
 
@@ -151,16 +152,16 @@ MAX_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
 
 
 def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
-    """QE · λ/hc · Δλ, (B,): electrons s⁻¹ m⁻² of photodiode from an image's W m⁻² nm⁻¹, to be summed over bands."""
+    """Return QE · λ/hc · Δλ, (B,): electrons s⁻¹ m⁻² of photodiode per W m⁻² nm⁻¹ in each band."""
     part_nm = image.band_width_nm[:, None] / image.within[0].shape[1]
     return image.band_mean(lambda nm: physics.band_quantum_efficiency(nm, part_nm) * photons_per_joule(nm)) * image.band_width_nm
 
 
 def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
-    """Electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, (H, W).
+    """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W).
 
-    One convolution for each spectrum of a factored image (with the white-light OTF, exact), one a band otherwise; none where
-    the plan found that it changes nothing. Values that rang below zero stay: `mean_signal_rate` clips what is left of them.
+    There is one convolution per spectrum of a factored image (exact, with the white-light OTF), else one per band, and none
+    if the plan left diffraction out. Negative values from ringing remain; `mean_signal_rate` clips them after integration.
     """
     if irradiance.header.get("diffraction") is False:
         return ideal_rate(irradiance, physics)
@@ -177,21 +178,21 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
 
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:
-    """Electrons s⁻¹ µm⁻² of photodiode behind a lens without diffraction, (H, W)."""
+    """Return electrons s⁻¹ µm⁻² of photodiode behind a lens without diffraction, (H, W)."""
     rate = irradiance.weighted(electrons_per_joule(physics, irradiance))
     rate *= M2_PER_UM2
     return rate
 
 
 def pixel_count(length_um: float, pitch_um: float) -> int:
-    """⌊length/pitch⌋; a pitch that divides the length but for rounding counts as dividing it. At most `MAX_PIXELS`."""
+    """Return ⌊length/pitch⌋, with a tolerance for rounding. Raises PixsimError above `MAX_PIXELS`."""
     pixels = length_um / pitch_um * (1 + 1e-9)
     check_pixel_count([pixels], pitch_um)
     return math.floor(pixels)
 
 
 def pixels_along(length_um: float, pitch_um: float) -> int:
-    """`pixel_count`; PixsimError where not one pixel fits."""
+    """Return `pixel_count`. Raises PixsimError if not one pixel fits."""
     count = pixel_count(length_um, pitch_um)
     if count < 1:
         raise invalid("pixel.pitch_um", f"{pitch_um:g}", f"at most the die, {length_um:g} µm")
@@ -199,7 +200,7 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
 
 
 def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
-    """PixsimError for more pixels than memory holds."""
+    """Raise PixsimError if there are more than `MAX_PIXELS` pixels."""
     if (pixels := math.prod(shape)) > MAX_PIXELS:
         raise invalid("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MAX_PIXELS:.3g} pixels")
 
@@ -207,31 +208,32 @@ def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
 def integrate_axis(
     samples: Array | Columns, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int, running: Array | None = None
 ) -> Array:
-    """Integral of lines of cell means between pairs of positions, along one axis, in (sample unit) · µm.
+    """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm.
 
-    What lies between neighbouring edges is counted once and only once, so the sum is conserved. At an edge of great contrast
-    the spline would ring into the dark side, and below zero: a picture with one is limited, everywhere. `running`:
-    `running_integral` of the samples, where it is at hand; axis 0 only.
+    Light between neighbouring edges is counted exactly once, so the sum is conserved. At a high-contrast edge the spline would
+    ring into the dark side and below zero; a picture with such an edge is limited everywhere (`limit_overshoot`).
+
+    running : `running_integral` of the samples if available, for axis 0 only
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = knots_of(samples.shape[axis])
-    at_edges = design_matrix(edges, spline.knots, spline.degree)  # times coefficients: running integrals at the edges
+    at_edges = design_matrix(edges, spline.knots, spline.degree)  # times the coefficients: running integrals at the edges
     below_zero: list[bool] = []
     ringing: list[bool] = []
 
     def integrals(which: slice, strip: Array, limited: bool = False) -> Array:
         sums = at_edges @ (spline_coefficients(strip) if running is None else running[:, which])
         low, high = np.split(make_monotonic(limit_overshoot(sums, strip, edges), edges) if limited else sums, 2)
-        found = high - low
+        integral = high - low
         below_zero.append(bool(strip.min() < 0))
-        ringing.append(bool(found.min() < 0) or has_hard_edge(strip))
-        return found * sample_pitch_um
+        ringing.append(bool(integral.min() < 0) or has_hard_edge(strip))
+        return integral * sample_pitch_um
 
-    found = map_columns(samples, axis, low_um.size, integrals)
+    integral = map_columns(samples, axis, low_um.size, integrals)
     if any(ringing) and not any(below_zero):
-        del found
+        del integral
         return map_columns(samples, axis, low_um.size, partial(integrals, limited=True))
-    return found
+    return integral
 
 
 def integrate_pixels(
@@ -241,16 +243,16 @@ def integrate_pixels(
     photodiode_side_um: float,
     running: Array | None = None,
 ) -> Array:
-    """Integrate a picture over square, centred photodiodes of an array that is centred on it.
+    """Integrate a picture over the square, centred photodiodes of a pixel array that is centred on the picture.
 
     Parameters
     ----------
-    rate : (H, W) per µm², means over square cells of `sample_pitch_um`; `Columns` where they are made a strip at a time
-    pitch_um, photodiode_side_um : of the pixels; the pitch need not divide the picture
-    running : `running_integral(rate)`, which pixels of all pitches share, where it is at hand
+    rate : (H, W) per µm², means over square cells of `sample_pitch_um`, or `Columns` that are computed strip by strip
+    pitch_um, photodiode_side_um : of the pixels; the pitch need not divide the width of the picture
+    running : `running_integral(rate)` if available; it is the same for all pitches
 
-    Returns (rows, columns), rows = ⌊H · sample pitch / pitch⌋. Beside the picture, (rows, W) and the result are in memory.
-    Raises PixsimError where not one pixel fits.
+    Returns (rows, columns), rows = ⌊H · sample pitch / pitch⌋. Only the picture, (rows, W) and the result are in memory.
+    Raises PixsimError if not one pixel fits.
     """
     check_pixel_count([pixel_count(n * sample_pitch_um, pitch_um) for n in rate.shape], pitch_um)
     y_um, x_um = (photodiode_edges_um(n * sample_pitch_um, pitch_um, photodiode_side_um) for n in rate.shape)
@@ -259,14 +261,14 @@ def integrate_pixels(
 
 
 def photodiode_edges_um(length_um: float, pitch_um: float, side_um: float) -> tuple[Array, Array]:
-    """Where the photodiodes of a centred line of pixels begin and where they end, (pixels,) each."""
+    """Return the first and the last edge of each photodiode in a centred line of pixels, (pixels,) each."""
     count = pixels_along(length_um, pitch_um)
     centre_um = length_um / 2 + (np.arange(float(count)) - (count - 1) / 2) * pitch_um
     return centre_um - side_um / 2, centre_um + side_um / 2
 
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
-    """Mean photo-electrons a second of every pixel, (rows, columns), before any non-uniformity."""
+    """Return the mean photo-electrons per second of every pixel, (rows, columns), before any non-uniformity."""
     irradiance.validate()
     rate = diffracted_rate(irradiance, camera, physics, workers)
     signal = integrate_pixels(rate, irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um)

@@ -1,24 +1,23 @@
-"""Light to charge: how a photodiode discharges into forward bias, and from generated charge to the level that is read.
+"""Charge that a photodiode collects as it discharges into forward bias, and the signal level that is read.
 
-With V the reverse bias, C(V) dV/dt = -(i_ph + I_s (1 - e^(-V/V_T))). Time scales run from hours to picoseconds, since near
-V_oc = -V_T ln(1 + i_ph/I_s) the diode conducts as much as the light brings. Two steps take the stiffness out:
+With V the reverse bias, C(V) dV/dt = -(i_ph + I_s (1 - e^(-V/V_T))). The equation is stiff: near
+V_oc = -V_T ln(1 + i_ph/I_s) the diode current balances the photocurrent. Two steps remove the stiffness.
 
 With a = i_ph + I_s, the net current is a(1 - e^-x), x = (V - V_oc)/V_T, and with p = -ln(e^x - 1)
 
-    a t = V_T ∫ C(V_oc + V_T ln(1 + e^-p)) dp        from p(V_0) to p(V):
+    a t = V_T ∫ C(V_oc + V_T ln(1 + e^-p)) dp        from p(V_0) to p(V).
 
-the integrand is the capacitance itself, without a pole at V_oc, and for a constant C it is the closed form. Minus the
-collected charge Q = ∫C dV (known in closed form) there remains what the diode took,
+The integrand is the capacitance, without a pole at V_oc; for a constant C the integral is the closed form. The difference
+to the collected charge Q = ∫C dV (known in closed form) is the charge that the diode conducts,
 
     a t - Q = V_T C(V_oc) [ln(1 + e^p)] + V_T ∫ (C - C(V_oc)) / (1 + e^-p) dp,
 
 whose integral is a smooth bump around p = 0: Gauss-Legendre panels, with borders where SPICE's tangents begin.
 
-Two well limits. `swing`: charge up to the voltage swing, then a hard clip. `diode`: the photodiode is read until it turns
-forward; for one integration time the kept charge is a function f_t of the generated one alone, equal to
-it at first. Two conversions. `linear`: voltage proportional to charge. `junction`: V(Q) of the capacitance, stretched so that
-an empty and a full well keep their codes. All but the hard clip is one interpolation in a table that is kept for the next
-picture.
+There are two well limits. `swing` clips the charge at the voltage swing. `diode` uses the charge down to forward bias: for
+one integration time the stored charge is a function f_t of the generated charge, which begins as the identity.
+There are two conversions. `linear` has the voltage proportional to the charge. `junction` uses V(Q) of the capacitance,
+scaled so that an empty and a full well keep their codes. Everything except the hard clip is interpolated in a cached table.
 """
 
 from __future__ import annotations
@@ -36,66 +35,66 @@ from pixsim.base.errors import invalid
 from pixsim.base.parameters import Pixel
 from pixsim.sensor.pixel import E_PER_FC, Diode, PixelPhysics, derive
 
-# What the reference shows; the rest is for pixsim itself.
+# The public names; everything else is internal.
 __all__ = ["charge_from_total_e", "collected_charge_e", "default_diode", "diode_of"]
 
-BUMP = 32.5  # in p, either side: beyond it the integral holds less than 1e-12 of the charge C V_T
-PANEL = 5.0  # in p; the poles of 1/(1 + e^-p) are π away: 16 nodes leave 1e-14
+BUMP = 32.5  # half-width in p; outside it the integral is below 1e-12 of the charge C V_T
+PANEL = 5.0  # width in p; the poles of 1/(1 + e^-p) are π away, so 16 nodes give an error of 1e-14
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
-NEWTON_STEPS = 30  # found: 3 to 5, since the slope is a capacitance
+NEWTON_STEPS = 30  # at most; 3 to 5 are needed, since the slope is a capacitance
 BLOCK = 2048  # photocurrents at a time: 20 MB
 
 
 def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
-    """The photodiode of a pixel with its node.
+    """Return the photodiode of a 3T pixel, with its sense node.
 
-    Raises PixsimError for a pinned photodiode, which hands its charge over, and as `derive` does.
+    Raises PixsimError for a pinned photodiode, which transfers its charge, and as `derive` does.
     """
     physics = derive(pixel) if isinstance(pixel, Pixel) else pixel
     if physics.diode is None:
-        raise invalid("photodiode", f"the pinned one of {physics.technology.name}", "those of 3T pixels")
+        raise invalid("photodiode", f"the pinned one of {physics.technology.name}", "the photodiode of a 3T pixel")
     return physics.diode
 
 
 @lru_cache
 def default_diode() -> Diode:
-    """The photodiode of `Pixel()`: 6.5 µm at 0.35 µm, 300.15 K."""
+    """Return the photodiode of `Pixel()`: 6.5 µm at 0.35 µm, 300.15 K."""
     return diode_of(Pixel())
 
 
 def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike, diode: Diode | None = None) -> Array:
-    """Charge that a photodiode collects from its reset on, by quadrature; dark charge is a part of it.
+    """Return the charge that a photodiode collects after its reset, dark charge included, by quadrature.
 
     Parameters
     ----------
     photocurrent_e_per_s, integration_s : finite, ≥ 0, broadcast together
-    diode : that of the default pixel where None; `diode_of` gives any pixel's
+    diode : from `diode_of`; None takes that of the default pixel
 
-    Returns electrons, float64, in the broadcast shape: (i_ph + I_s)·t at first, then, as the diode turns forward, towards the
-    charge down to V_oc; accurate to 1e-10 of itself (found: 4e-15 for the packaged processes from 77 to 400 K, against finer
-    panels). Where I_s is 0 there is no forward current and the charge is i_ph·t, without a limit.
+    Returns electrons, float64, in the broadcast shape: (i_ph + I_s)·t at first, approaching the charge down to V_oc as the
+    diode turns forward. The relative error is below 1e-10 (measured: 4e-15 for the packaged processes from 77 to 400 K, against
+    finer panels). Without a diode current, I_s = 0, the charge is i_ph·t without a limit.
 
-    Raises PixsimError for arguments that are negative or not finite.
+    Raises PixsimError if an argument is negative or not finite.
 
-    >>> dark_e_per_s = derive(Pixel()).dark_current_e_per_s  # it is collected too, and nothing is lost so far from forward bias
+    >>> dark_e_per_s = derive(Pixel()).dark_current_e_per_s  # dark charge is collected too, and far from forward bias none is lost
     >>> round(float(collected_charge_e(1e5, 0.03)) - 0.03 * (1e5 + dark_e_per_s), 6)
     0.0
     """
     kind = diode or default_diode()
     current, time_s = np.asarray(photocurrent_e_per_s, float), np.asarray(integration_s, float)
     for name, values in (("photocurrent_e_per_s", current), ("integration_s", time_s)):
-        if (wrong := values[~(np.isfinite(values) & (values >= 0))]).size:
-            raise invalid(name, wrong[0], "finite numbers, not below 0")
+        if (invalid_values := values[~(np.isfinite(values) & (values >= 0))]).size:
+            raise invalid(name, invalid_values[0], "finite numbers, not below 0")
     current, time_s = np.broadcast_arrays(current, time_s)
     return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
 
 
 def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:
-    """Collected charge for a = i_ph + I_s (e-/s, ≥ 0) and equally shaped times, (...) in e-; the module tells how.
+    """Return the collected charge in e-, (...) as the arguments, for a = i_ph + I_s (e-/s, ≥ 0); see the module.
 
-    diode : as `diode_of` gives it
+    diode : from `diode_of`
 
-    `a` below I_s e^(-V_0/V_T), which only a negative photocurrent gives, would charge the diode: 0 there.
+    The charge is 0 where `a` is below I_s e^(-V_0/V_T), which only a negative photocurrent can cause.
     """
     with np.errstate(over="ignore"):
         generated = np.minimum(total_e_per_s * integration_s, np.finfo(float).max)
@@ -105,29 +104,29 @@ def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode
         log_ratio = np.log(total_e_per_s) - np.log(diode.saturation_current_e_per_s)
     result = np.where(_reset_to_equilibrium(log_ratio, diode) > 0, generated, 0.0)
     turning = np.flatnonzero((result > _charge_before_turning_e(log_ratio, diode)).ravel())
-    for some in np.array_split(turning, -(-turning.size // BLOCK)) if turning.size else ():
-        result.flat[some] = _charge_while_turning_e(generated.flat[some], log_ratio.flat[some], diode)
+    for block in np.array_split(turning, -(-turning.size // BLOCK)) if turning.size else ():
+        result.flat[block] = _charge_while_turning_e(generated.flat[block], log_ratio.flat[block], diode)
     return result
 
 
 def _reset_to_equilibrium(log_ratio: Array, diode: Diode) -> Array:
-    """x_0 = (V_0 - V_oc)/V_T, from ln(a/I_s) = -V_oc/V_T."""
+    """Return x_0 = (V_0 - V_oc)/V_T, from ln(a/I_s) = -V_oc/V_T."""
     return diode.reset_voltage_v / diode.thermal_v + log_ratio
 
 
 def _charge_before_turning_e(log_ratio: Array, diode: Diode) -> Array:
-    """Charge down to p = -`BUMP`, all of which is kept: the diode has taken e^-`BUMP` C V_T. 0 where the reset is beyond."""
+    """Return the charge down to p = -`BUMP`, where the diode loss is only e^-`BUMP` C V_T; 0 if the reset is beyond."""
     drop_v = diode.thermal_v * np.maximum(_reset_to_equilibrium(log_ratio, diode) - BUMP, 0.0)
     return diode.charge_e(diode.reset_voltage_v, np.where(np.isfinite(drop_v), drop_v, 0.0))
 
 
 def _other_side(x: Array) -> Array:
-    """-ln(e^x - 1) for x > 0, without overflow; the inverse is ln(1 + e^-p)."""
+    """Return p = -ln(e^x - 1) for x > 0 without overflow; the inverse is ln(1 + e^-p)."""
     return -x - np.log(-np.expm1(-x))
 
 
 def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
-    """p at the ends of panels on which the integrand is smooth, rising, from the reset or -`BUMP` on; (n, panels + 1)."""
+    """Return increasing p at the borders of panels with a smooth integrand, from the reset or -`BUMP` on; (n, panels + 1)."""
     regular = np.linspace(-BUMP, BUMP, round(2 * BUMP / PANEL) + 1)
     knees = np.array(diode.knees_v) / diode.thermal_v + log_ratio[:, None]  # x
     reached = knees > 0
@@ -137,7 +136,7 @@ def _panel_borders(log_ratio: Array, diode: Diode) -> Array:
 
 
 def _bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Array:
-    """V_T ∫ (C - C(V_oc))/(1 + e^-p) dp, in the shape of the limits; `equilibrium_v` broadcasts to it."""
+    """Return V_T ∫ (C - C(V_oc))/(1 + e^-p) dp in the shape of the limits; `equilibrium_v` broadcasts to it."""
     half = (high - low)[..., None] / 2
     p, v_oc = low[..., None] + half * (1 + NODES), equilibrium_v[..., None]
     excess_ff = diode.capacitance_ff(v_oc + diode.thermal_v * np.logaddexp(0.0, -p)) - diode.capacitance_ff(v_oc)
@@ -145,41 +144,41 @@ def _bump_e(low: Array, high: Array, equilibrium_v: Array, diode: Diode) -> Arra
 
 
 def _charge_while_turning_e(generated_e: Array, log_ratio: Array, diode: Diode) -> Array:
-    """Invert a·t(p) for generated charges beyond `_charge_before_turning_e`: find the panel, then Newton within it. (n,)"""
+    """Return the collected charge (n,) beyond `_charge_before_turning_e`: invert a·t(p) by panel, then by Newton."""
     v_t = diode.thermal_v
     v_oc, x_0 = -v_t * log_ratio, _reset_to_equilibrium(log_ratio, diode)
     scale_e = E_PER_FC * v_t * diode.capacitance_ff(v_oc)  # C(V_oc) V_T
     borders = _panel_borders(log_ratio, diode)
     p_0 = _other_side(x_0)
     x = np.logaddexp(0.0, -borders)
-    # Exactly nothing at the reset itself, so that the smallest charges keep their digits.
+    # The drop at the reset is exactly 0, so that the smallest charges keep their precision.
     drop_v = np.where(borders > p_0[:, None], v_t * np.maximum(x_0[:, None] - x, 0.0), 0.0)
-    kept = diode.charge_e(diode.reset_voltage_v, drop_v)
+    collected = diode.charge_e(diode.reset_voltage_v, drop_v)
     taken = scale_e[:, None] * (np.logaddexp(0.0, borders) - np.logaddexp(0.0, p_0)[:, None])
     taken[:, 1:] += np.cumsum(_bump_e(borders[:, :-1], borders[:, 1:], v_oc[:, None], diode), axis=1)
-    row, panel = np.arange(x_0.size), np.maximum((kept + taken <= generated_e[:, None]).sum(axis=1) - 1, 0)
-    start, wanted = borders[row, panel], generated_e - (kept + taken)[row, panel]
-    width = borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start  # 0 behind the last: V_oc is reached
+    row, panel = np.arange(x_0.size), np.maximum((collected + taken <= generated_e[:, None]).sum(axis=1) - 1, 0)
+    start, wanted = borders[row, panel], generated_e - (collected + taken)[row, panel]
+    width = borders[row, np.minimum(panel + 1, borders.shape[1] - 1)] - start  # 0 after the last panel, where V_oc is reached
     step = _solve_panel(wanted, start, width, v_oc, scale_e, diode)
-    return kept[row, panel] + _charge_of_step_e(step, start, v_oc, diode)[0]
+    return collected[row, panel] + _charge_of_step_e(step, start, v_oc, diode)[0]
 
 
 def _charge_of_step_e(step: Array, start: Array, equilibrium_v: Array, diode: Diode) -> tuple[Array, Array]:
-    """(charge collected, fall of x) while p goes from `start` on by `step`; small steps lose no digits."""
+    """Return (collected charge, fall of x) while p rises from `start` by `step`; exact for small steps too."""
     x = np.logaddexp(0.0, -start)
     fall = -np.log1p(-np.expm1(-x) * np.expm1(-step))
     return diode.charge_e(equilibrium_v + diode.thermal_v * x, diode.thermal_v * fall), fall
 
 
 def _solve_panel(wanted_e: Array, start: Array, width: Array, equilibrium_v: Array, scale_e: Array, diode: Diode) -> Array:
-    """Step in p from `start`, within the panel, that generates a charge. The slope is a capacitance: Newton is quick."""
+    """Return the step in p from `start`, within the panel, that generates the wanted charge, by Newton's method."""
     step = np.zeros_like(start)
     for _ in range(NEWTON_STEPS):
-        kept, fall = _charge_of_step_e(step, start, equilibrium_v, diode)
+        collected, fall = _charge_of_step_e(step, start, equilibrium_v, diode)
         taken = scale_e * (step - fall) + _bump_e(start, start + step, equilibrium_v, diode)
         bias_v = equilibrium_v + diode.thermal_v * (np.logaddexp(0.0, -start) - fall)
         slope = E_PER_FC * diode.thermal_v * diode.capacitance_ff(bias_v)
-        better = np.clip(step + (wanted_e - kept - taken) / slope, 0.0, width)
+        better = np.clip(step + (wanted_e - collected - taken) / slope, 0.0, width)
         done = np.abs(better - step) <= 1e-14 * better
         step = better
         if done.all():
@@ -187,36 +186,37 @@ def _solve_panel(wanted_e: Array, start: Array, width: Array, equilibrium_v: Arr
     return step
 
 
-LINEAR_WITHIN = 1e-6  # of the well: what the linear law may be off below `linear_limit_e`
-LINEAR_SHARE = 0.9  # of `linear_limit_e`, where a table begins: the diode has taken 1e-8 of the well
-TABLE_WITHIN = 8e-7  # of the well, between two entries
-FIRST_ENTRIES = 129  # below and beyond the knee, before intervals are halved
-MAX_KEPT = 4.0  # wells: levels end there, beyond the ADC's top code whatever the offsets; all knees are below
-MAX_GENERATED = 1e20  # of the well, where the table ends: 1e17 e-/s fill 1e3 e- so often in 10 h
-SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well, for the limit
+LINEAR_WITHIN = 1e-6  # of the well: largest error of the linear law below `linear_limit_e`
+LINEAR_SHARE = 0.9  # of `linear_limit_e`, where a table begins; the diode loss is 1e-8 of the well there
+TABLE_WITHIN = 8e-7  # of the well: largest interpolation error
+FIRST_ENTRIES = 129  # on each side of the knee, before refinement
+MAX_STORED = 4.0  # wells; all knees are below, and the ADC saturates there whatever the offsets
+MAX_GENERATED = 1e20  # of the well, where the table ends: about 1e17 e-/s for 10 h into a well of 1e3 e-
+SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well: range in which the linear limit is searched
 
 
 def stored_charge_e(generated_e: Array, integration_s: float, diode: Diode) -> Array:
-    """f_t: charge that stays of what light and dark current together generate in a time, in the shape of `generated_e`."""
+    """Return f_t: the charge stored of what light and dark current generate in a time, in the shape of `generated_e`."""
     total = np.asarray(generated_e, float) / integration_s
     return charge_from_total_e(total, np.full(total.shape, integration_s), diode)
 
 
 def converted_e(charge_e: Array, full_well_e: float, diode: Diode) -> Array:
-    """ΔV(Q)/ΔV(full well), as a level in electrons: 0 and the full well stay where they are."""
+    """Return ΔV(Q)/ΔV(full well) as a level in electrons; 0 and the full well are unchanged."""
     return diode.drop_v(charge_e) / float(diode.drop_v(full_well_e)) * full_well_e
 
 
 @lru_cache(maxsize=256)
 def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> float:
-    """Generated charge up to which f_t is the identity to 1e-6 of the well, e-; infinite without a diode current.
+    """Return the generated charge in e- up to which f_t is the identity to 1e-6 of the well.
 
-    What the diode takes grows with the generated charge, so one search finds it; longer times have lower limits.
+    It is infinite without a diode current, and lower for longer times. The loss grows with the generated charge, so the limit
+    can be bracketed.
     """
     if not diode.saturation_current_e_per_s:
         return float("inf")
-    low, high = (each * full_well_e for each in SEARCHED)
-    for _ in range(4):  # each narrows the interval 256 times
+    low, high = (limit * full_well_e for limit in SEARCHED)
+    for _ in range(4):  # each pass narrows the interval 256 times
         grid = np.geomspace(low, high, 257)
         lost = grid - stored_charge_e(grid, integration_s, diode)
         below = max(int(np.searchsorted(np.maximum.accumulate(lost), LINEAR_WITHIN * full_well_e, "right")) - 1, 0)
@@ -226,7 +226,7 @@ def linear_limit_e(diode: Diode, full_well_e: float, integration_s: float) -> fl
 
 @dataclass(frozen=True)
 class LevelTable:
-    """Level (e-) of a generated charge (e-): straight lines over its logarithm, proportional below the first entry."""
+    """Signal level (e-) against generated charge (e-): linear in its logarithm, proportional below the first entry."""
 
     log_generated: Array
     level_e: Array
@@ -238,51 +238,52 @@ class LevelTable:
 
 
 def refined(function: Callable[[Array], Array], entries: Array, within: float) -> tuple[Array, Array]:
-    """(entries, values) of a rising function, cut into thirds until straight lines between them are right to `within` there."""
+    """Tabulate an increasing function: intervals are cut into thirds until linear interpolation is right to `within`."""
     values = function(entries)
     low, high = np.stack([entries[:-1], values[:-1]]), np.stack([entries[1:], values[1:]])
-    found = [np.stack([entries, values])]
+    pieces = [np.stack([entries, values])]
     while low.size:
         lines = low + (high - low) / 3, high - (high - low) / 3
         first, second = (np.stack([line[0], function(line[0])]) for line in lines)
         off = np.maximum(np.abs(first - lines[0])[1], np.abs(second - lines[1])[1]) > within
-        found += [first, second]
+        pieces += [first, second]
         low, high = (
-            np.hstack([each[:, off] for each in (low, first, second)]),
-            np.hstack([each[:, off] for each in (first, second, high)]),
+            np.hstack([ends[:, off] for ends in (low, first, second)]),
+            np.hstack([ends[:, off] for ends in (first, second, high)]),
         )
-    table = np.hstack(found)
+    table = np.hstack(pieces)
     entries, values = table[:, np.argsort(table[0])]
     return entries, np.maximum.accumulate(values)
 
 
 @lru_cache(maxsize=64)
 def level_table(diode: Diode, full_well_e: float, integration_s: float | None, bent: bool) -> LevelTable:
-    """The table of a well limit and a conversion, right to 1e-6 of the well.
+    """Return the table of a well limit and a conversion, right to 1e-6 of the well.
 
-    `integration_s` is None for the swing's hard clip; `bent`: with the junction's V(Q).
+    integration_s : None for the hard clip of `swing`
+    bent : whether the conversion is the junction's V(Q)
     """
 
     def level(log_generated: Array) -> Array:
         generated_e = np.exp(log_generated)
-        kept = generated_e if integration_s is None else stored_charge_e(generated_e, integration_s, diode)
-        kept = np.minimum(kept, MAX_KEPT * full_well_e)
-        return converted_e(kept, full_well_e, diode) if bent else kept
+        stored = generated_e if integration_s is None else stored_charge_e(generated_e, integration_s, diode)
+        stored = np.minimum(stored, MAX_STORED * full_well_e)
+        return converted_e(stored, full_well_e, diode) if bent else stored
 
     first_e, last_e = LINEAR_WITHIN * full_well_e, full_well_e
     if integration_s is not None:
         last_e = MAX_GENERATED * full_well_e
         first_e = first_e if bent else LINEAR_SHARE * min(linear_limit_e(diode, full_well_e, integration_s), full_well_e)
-    knee = np.linspace(np.log(first_e), np.log(min(MAX_KEPT * full_well_e, last_e)), FIRST_ENTRIES)
+    knee = np.linspace(np.log(first_e), np.log(min(MAX_STORED * full_well_e, last_e)), FIRST_ENTRIES)
     beyond = np.linspace(knee[-1], np.log(last_e), FIRST_ENTRIES)[1:] if last_e > full_well_e else knee[:0]
     return LevelTable(*refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e)
 
 
 def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
-    """Generated charge (e-) from which a pixel loses some: the full well of a hard clip, `linear_limit_e` of a diode.
+    """Return the generated charge (e-) at which saturation begins: the full well of a hard clip, or `linear_limit_e`.
 
-    A soft saturation begins there: 1e-6 of the well is lost, at 0.7 to 0.95 of the full well in the packaged processes
-    (1 s to 0.1 ms). Infinite without a diode current.
+    At that limit a soft saturation has lost 1e-6 of the well, at 0.7 to 0.95 of the full well in the packaged processes (1 s
+    to 0.1 ms). It is infinite without a diode current.
     """
     if physics.diode is None or physics.pixel.well_limit == "swing":
         return physics.full_well_e
@@ -290,9 +291,10 @@ def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
 
 
 def stored_signal_e(generated_e: Array, integration_s: float, physics: PixelPhysics) -> Array:
-    """Level in electrons of each pixel's generated charge (light and dark), by the pixel's well limit and conversion.
+    """Return the signal level in electrons of each pixel's generated charge (light and dark).
 
-    A picture whose brightest pixel stays below `linear_limit_e` is taken as it is, unless V(Q) is bent.
+    It follows the pixel's well limit and conversion. With a linear conversion, a picture whose brightest pixel stays below
+    `linear_limit_e` is returned unchanged.
     """
     diode, pixel = physics.diode, physics.pixel
     bent = pixel.conversion == "junction" and diode is not None and not diode.constant

@@ -1,7 +1,7 @@
-"""From a pixel's layout and process to what the sensor needs: areas, capacitance, well, QE, dark current, DR and SNR.
+"""Derive a pixel from its layout and process: areas, capacitance, full well, QE, dark current, noise, DR and SNR.
 
-C(V) = area · CJ (1 + V/PB)^-MJ + perimeter · CJSW (1 + V/PBSW)^-MJSW + node, V the reverse bias. The powers have no value
-beyond V = -PB (0.4 V forward for the sidewall at 0.18 µm), so below V = -FC·PB SPICE goes on along the tangent.
+C(V) = area · CJ (1 + V/PB)^-MJ + perimeter · CJSW (1 + V/PBSW)^-MJSW + node, V the reverse bias. The powers are
+undefined beyond V = -PB (0.4 V forward for the sidewall at 0.18 µm), so below V = -FC·PB SPICE continues with the tangent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pixsim.base.parameters import MIN_FRACTION, WELL_RANGE_E, EfficiencyCurve, 
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
 
-# What the reference shows; the rest is for pixsim itself.
+# The public names; everything else is internal.
 __all__ = [
     "PixelPhysics", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet", "photodiode_widths_um",
     "physics_of", "pitch_for_fill_factor_um", "response_curve", "silicon_curve", "smallest_pitch_um",
@@ -31,23 +31,23 @@ BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
 C_PER_FF_V = 1e-15
 E_PER_FC = C_PER_FF_V / ELECTRON_C
 FORWARD_COEFFICIENT = 0.5  # SPICE's FC, its default
-INVERSION_STEPS = 100  # of Newton; found: 2 to 7, since Q(V) is nearly straight
+INVERSION_STEPS = 100  # of Newton, at most; 2 to 7 are needed, since Q(V) is nearly linear
 
 
 def junction_ff(bias_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
-    """C0 (1 + V/PB)^-M at a reverse bias; its tangent below V = -FC·PB."""
+    """Return C0 (1 + V/PB)^-M at a reverse bias, or its tangent below V = -FC·PB."""
     bias, knee_v = np.asarray(bias_v, float), -FORWARD_COEFFICIENT * built_in_v
     upper = zero_bias_ff * (1 + np.maximum(bias, knee_v) / built_in_v) ** -grading
     return upper + tangent_ff_per_v(zero_bias_ff, built_in_v, grading) * np.maximum(knee_v - bias, 0.0)
 
 
 def tangent_ff_per_v(zero_bias_ff: float, built_in_v: float, grading: float) -> float:
-    """-dC/dV at V = -FC·PB."""
+    """Return -dC/dV at V = -FC·PB."""
     return zero_bias_ff * grading / built_in_v * (1 - FORWARD_COEFFICIENT) ** (-1 - grading)
 
 
 def junction_charge_fc(high_v: ArrayLike, drop_v: ArrayLike, zero_bias_ff: float, built_in_v: float, grading: float) -> Array:
-    """∫C dV from a reverse bias down by `drop_v` ≥ 0, of `junction_ff`; small drops lose no digits."""
+    """Return ∫C dV of `junction_ff` from a reverse bias down by `drop_v` ≥ 0, exact for small drops too."""
     high, drop, knee_v = np.asarray(high_v, float), np.asarray(drop_v, float), -FORWARD_COEFFICIENT * built_in_v
     upper = np.minimum(drop, np.maximum(high - knee_v, 0.0))
     from_v = built_in_v + np.maximum(high, knee_v)
@@ -61,7 +61,7 @@ def junction_charge_fc(high_v: ArrayLike, drop_v: ArrayLike, zero_bias_ff: float
 
 @dataclass(frozen=True)
 class Diode:
-    """A photodiode as its discharge sees it; the saturation current is its dark current in reverse."""
+    """A photodiode as a discharging junction; its saturation current is its dark current in reverse bias."""
 
     area_um2: float
     perimeter_um: float
@@ -77,7 +77,7 @@ class Diode:
     temperature_k: float
 
     def __post_init__(self) -> None:
-        """PixsimError for a number that is not finite or has the wrong sign."""
+        """Raise PixsimError if a number is not finite or has the wrong sign."""
         for name, value in vars(self).items():
             positive = name in ("pb_v", "pbsw_v", "reset_voltage_v", "temperature_k")
             if not math.isfinite(value) or value < 0 or (positive and value == 0):
@@ -98,24 +98,24 @@ class Diode:
 
     @property
     def knees_v(self) -> tuple[float, ...]:
-        """Where the junctions' tangents begin."""
+        """Bias at which the tangent of each junction begins."""
         return tuple(-FORWARD_COEFFICIENT * built_in_v for _, built_in_v, _ in self.junctions)
 
     def capacitance_ff(self, bias_v: ArrayLike) -> Array:
-        """C(V)."""
+        """Return C(V)."""
         area, side = self.junctions
         return self.node_capacitance_ff + junction_ff(bias_v, *area) + junction_ff(bias_v, *side)
 
     def charge_e(self, high_v: ArrayLike, drop_v: ArrayLike) -> Array:
-        """∫C dV/q from a reverse bias down by `drop_v` ≥ 0."""
+        """Return ∫C dV/q from a reverse bias down by `drop_v` ≥ 0."""
         area, side = self.junctions
         fixed_fc = self.node_capacitance_ff * np.asarray(drop_v, float)
         return E_PER_FC * (fixed_fc + junction_charge_fc(high_v, drop_v, *area) + junction_charge_fc(high_v, drop_v, *side))
 
     def drop_v(self, charge_e: ArrayLike) -> Array:
-        """Fall of the reverse bias from the reset on that a charge ≥ 0 makes: the inverse of `charge_e`.
+        """Return the drop of the reverse bias from the reset that a charge ≥ 0 causes: the inverse of `charge_e`.
 
-        Newton from the capacitance at reset, the least of all: it comes down to the root without ever passing it.
+        Newton's method starts with the capacitance at reset, the smallest, and so approaches the root from one side.
         """
         charge = np.asarray(charge_e, float)
         drop = charge / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v))
@@ -132,15 +132,15 @@ class Diode:
         return not any(zero_bias_ff * grading for zero_bias_ff, _, grading in self.junctions)
 
     def open_circuit_v(self, photocurrent_e_per_s: float) -> float:
-        """Reverse bias at which the forward diode carries a photocurrent, -V_T ln(1 + i/I_s); -∞ without diode current."""
+        """Return the open-circuit bias -V_T ln(1 + i/I_s) of a photocurrent; -∞ without a diode current."""
         if not photocurrent_e_per_s or not self.saturation_current_e_per_s:
             return -math.inf if photocurrent_e_per_s else 0.0
-        # The ratio of a large current to a tiny one has no value where its logarithm has.
+        # The ratio of a large current to a tiny one may overflow; its logarithm does not.
         ratio_log = math.log(photocurrent_e_per_s) - math.log(self.saturation_current_e_per_s)
         return float(-self.thermal_v * np.logaddexp(0.0, ratio_log))
 
     def scaled(self, factor: float) -> Diode:
-        """As much more capacitance at every bias, and the same currents."""
+        """Return a diode with `factor` times the capacitance at every bias and the same currents."""
         return replace(
             self,
             cj_ff_per_um2=factor * self.cj_ff_per_um2,
@@ -149,13 +149,13 @@ class Diode:
         )
 
 
-# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the authors' habitual 1 V.
+# The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the 1 V swing that its authors use.
 PAPER_NODE_FF, PAPER_FF_PER_UM2, PAPER_SWING_V = 2.6, 0.22, 1.0
-WELL_REFERENCE_S = 0.03  # integration time of Fig. 2 of Chen et al. (2000): that of the light that fills a `diode` well
+WELL_REFERENCE_S = 0.03  # integration time of Fig. 2 of Chen et al. (2000), which defines the full `diode` well
 
 
 def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, high_v: float, low_v: float) -> float:
-    """Mean over a reverse-bias range of C0 (1 + V/PB)^-M: what turns a swing into a charge."""
+    """Return the mean of C0 (1 + V/PB)^-M over a reverse-bias range, which turns a swing into a charge."""
 
     def charge(v: float) -> float:
         return built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading)
@@ -164,7 +164,7 @@ def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, hig
 
 
 def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[float, float]:
-    """Of a square photodiode and its node: the mean over the swing, and at the reset voltage, where kTC noise freezes."""
+    """Return the capacitance of a square photodiode and its node: mean over the swing, and at reset, which sets kTC noise."""
     j, high_v = junction, junction.reset_voltage_v
     area_ff, side_ff = j.cj_ff_per_um2 * area_um2, j.cjsw_ff_per_um * 4 * math.sqrt(area_um2)
     swing_v = high_v, high_v - j.voltage_swing_v
@@ -174,57 +174,56 @@ def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[flo
 
 
 def reset_noise_e(capacitance_ff: float, temperature_k: float, factor: float = 1.0) -> float:
-    """√(n kTC)/q, standard deviation."""
+    """Return the standard deviation √(n kTC)/q of the reset noise."""
     return math.sqrt(factor * BOLTZMANN_J_PER_K * temperature_k * capacitance_ff * C_PER_FF_V) / ELECTRON_C
 
 
 @dataclass(frozen=True)
 class Well:
-    """Where the charge is kept. All but the charge is None for a pinned photodiode, whose well is given."""
+    """The full well and its capacitances; a pinned photodiode has only the charge."""
 
     full_well_e: float
-    mean_ff: float | None = None  # over the biases that the well uses: what the charge sees
-    reset_ff: float | None = None  # at the reset voltage: what kTC noise sees
+    mean_ff: float | None = None  # over the biases that the well uses
+    reset_ff: float | None = None  # at the reset voltage, for kTC noise
     diode: Diode | None = None
 
 
 def diode_full_v(diode: Diode) -> float:
-    """Reverse bias at which a photodiode that is read down to its forward bias counts as full, V.
+    """Return the reverse bias, V, at which a photodiode that may turn forward is defined as full.
 
-    V_oc of the light that discharges it to V = 0 in `WELL_REFERENCE_S`, and no further than where SPICE's tangent of the area
-    begins, which a photodiode without a forward current would pass. In swings, at 0.5, 0.35, 0.25 and 0.18 µm and 300 K:
+    It is V_oc of the light that discharges the photodiode to V = 0 in `WELL_REFERENCE_S`, limited to the bias at which the
+    area's tangent begins. Full wells in units of the swing's, at 0.5, 0.35, 0.25 and 0.18 µm and 300 K, if full means:
 
-    down to V = 0          2.33  2.00  2.22  2.46   the diode has taken nothing yet: the ADC would clip what is soft
-    down to this bias      2.69  2.27  2.59  2.88   -0.24, -0.23, -0.21, -0.16 V: the corner is at the top code
-    down to -FC·PB         3.13  2.52  3.14  3.46   never reached: auto exposure would aim into the saturation
+    V = 0                  2.33  2.00  2.22  2.46   the diode conducts nothing yet: the ADC would clip the soft saturation
+    this bias              2.69  2.27  2.59  2.88   -0.24, -0.23, -0.21, -0.16 V: the knee is at the top code
+    -FC·PB                 3.13  2.52  3.14  3.46   never reached: auto exposure would aim into the saturation
 
-    Light of another integration time moves the corner by V_T for each factor e: to 0.98 of the well in 0.1 s, 1.05 in 1 ms.
+    The knee moves by V_T for each factor e of the integration time: to 0.98 of the well in 0.1 s, 1.05 in 1 ms.
     """
     zero_bias_e = float(diode.charge_e(diode.reset_voltage_v, diode.reset_voltage_v))
     return max(diode.open_circuit_v(zero_bias_e / WELL_REFERENCE_S), diode.knees_v[0])
 
 
 def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float) -> Well:
-    """The junction's charge over the swing or down to the forward bias, by the process or by the paper's constant capacitance;
-    or the given density."""
+    """Return the well: of a 3T junction over its swing or down to forward bias, or of a pinned photodiode by its density."""
     junction = technology.junction
     if junction is None:
         assert technology.full_well_e_per_um2 is not None  # the record's validator
         for name, allowed in (("capacitance", "mosis"), ("well_limit", "swing"), ("conversion", "linear")):
             if (value := getattr(pixel, name)) != allowed:
-                told = f"'{allowed}', or a 3T technology: a pinned photodiode's well is given, and its charge is handed over"
-                raise invalid(f"pixel.{name}", f"'{value}' for {technology.name}", told)
+                allowed_value = f"'{allowed}' for a pinned photodiode, or a 3T technology"
+                raise invalid(f"pixel.{name}", f"'{value}' for {technology.name}", allowed_value)
         return Well(technology.full_well_e_per_um2 * area_um2)
-    own = junction.model_dump(exclude={"voltage_swing_v"})
+    diode_values = junction.model_dump(exclude={"voltage_swing_v"})
     if pixel.capacitance == "paper":
         mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
         swing_v = PAPER_SWING_V
-        own |= {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": mean_ff}
+        diode_values |= {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": mean_ff}
     else:
         mean_ff, reset_ff = photodiode_capacitances_ff(area_um2, junction)
         swing_v = junction.voltage_swing_v
-    own |= {"saturation_current_e_per_s": dark_current_e_per_s, "temperature_k": pixel.temperature_k}
-    diode = Diode(area_um2=area_um2, perimeter_um=4 * math.sqrt(area_um2), **own)
+    diode_values |= {"saturation_current_e_per_s": dark_current_e_per_s, "temperature_k": pixel.temperature_k}
+    diode = Diode(area_um2=area_um2, perimeter_um=4 * math.sqrt(area_um2), **diode_values)
     if pixel.well_limit == "swing":
         return Well(mean_ff * C_PER_FF_V * swing_v / ELECTRON_C, mean_ff, reset_ff, diode)
     drop_v = junction.reset_voltage_v - diode_full_v(diode)
@@ -232,17 +231,17 @@ def well(pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_p
     return Well(full_well_e, full_well_e * ELECTRON_C / C_PER_FF_V / drop_v, reset_ff, diode)
 
 
-REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, where dark currents are quoted
+REFERENCE_TEMPERATURE_K = 300.15  # 27 °C, the temperature of quoted dark currents
 A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
 # Peak quantum efficiency of the chip whose response curve is packaged (0.35 µm).
 RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
 def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
-    """Photodiode area over pixel area, η((p - s)² - (p0 - s)²)/p², (...) as the pitches; negative below the smallest pitch p0.
+    """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape (...) of the pitches; negative below the smallest pitch p0.
 
-    s, the width that is lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²). Fitted to what Chen et al.
-    (2000) state at 0.35 µm: 5, 30 and 73 % at 5.3, 6.5 and 15 µm.
+    s, a width lost at every pitch, is zero in the packaged processes: η(1 - (p0/p)²). It is fitted to the fill factors of Chen
+    et al. (2000) at 0.35 µm: 5, 30 and 73 % at 5.3, 6.5 and 15 µm.
 
     >>> fill_factor_law([5.3, 6.5, 15.0], load_technology("0.35um")).round(3).tolist()
     [0.051, 0.311, 0.729]
@@ -253,17 +252,17 @@ def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
 
 
 def smallest_pitch_um(technology: Technology) -> float:
-    """p0 of `fill_factor_law`: where the transistors leave no room for a photodiode."""
+    """Return p0 of `fill_factor_law`, the pitch in µm at which the transistors fill the pixel."""
     return technology.fill_factor_zero_pitch_features * technology.feature_size_um
 
 
 def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> float:
-    """Inverse of `fill_factor_law`.
+    """Return the pitch in µm at a fill factor, the inverse of `fill_factor_law`.
 
-    Raises PixsimError for a fill factor at or above the technology's limit.
+    Raises PixsimError if the fill factor is not between 0 and the technology's limit.
     """
     if not 0 < fill_factor < technology.fill_factor_limit:
-        raise invalid("fill factor", fill_factor, f"0 to {technology.fill_factor_limit} (limit of {technology.name})")
+        raise invalid("fill factor", fill_factor, f"above 0, below {technology.fill_factor_limit} (limit of {technology.name})")
     p0_um, inset_um = smallest_pitch_um(technology), technology.fill_factor_inset_features * technology.feature_size_um
     limit = technology.fill_factor_limit
     # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
@@ -278,20 +277,20 @@ def _response_table(curve: str) -> Array:
 
 
 def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> Array:
-    """QE of a generic silicon photodiode scaled to a peak, (...) as the wavelengths; zero outside 359-1029 nm.
+    """Return the QE of a generic silicon photodiode, scaled to a peak, (...) as the wavelengths; 0 outside 359-1029 nm.
 
-    ISETCam, cmosPhotodetectorQE (2008); `peak_quantum_efficiency` is the ratio of electrons to photons at the peak.
+    The curve is ISETCam's cmosPhotodetectorQE (2008). `peak_quantum_efficiency` is in electrons per photon.
     """
     table_nm, qe = _response_table("silicon").T
     return np.interp(np.asarray(wavelength_nm, float), table_nm, qe * peak_quantum_efficiency / qe.max(), left=0.0, right=0.0)
 
 
 def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficiency: float) -> Array:
-    """QE of the HP/MOSIS photodiode, (...) as the wavelengths; zero outside 400-800 nm. ISETCam, pdHPMosis (2003, estimated).
+    """Return the QE of the HP/MOSIS photodiode in the shape (...) of the wavelengths; 0 outside 400-800 nm.
 
-    `reading`, as of `Pixel.response`: with `literal` the file's number is the QE (peak 4.2 %), with `scaled` it is A/W per pixel
-    area, so QE = hc/(qλ) · number, scaled to the measured peak of 0.37. Both are scaled further by `peak_quantum_efficiency`,
-    a ratio, over 0.37.
+    The curve is ISETCam's pdHPMosis (2003, estimated). `reading` is `Pixel.response`: with `literal` the numbers are the QE
+    (peak 4.2 %); with `scaled` they are A/W, so QE = hc/(qλ) · number, scaled to the measured peak of 0.37. Both are also
+    scaled by `peak_quantum_efficiency` / 0.37.
     """
     table_nm, raw = _response_table("hp_mosis").T
     if reading == "literal":
@@ -303,9 +302,9 @@ def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficien
 
 
 def given_efficiency(wavelength_nm: ArrayLike, given: float | EfficiencyCurve) -> Array:
-    """QE of a data sheet, (...) as the wavelengths: the number `given`, or straight lines between the points of its curve.
+    """Return the QE of a data sheet in the shape (...) of the wavelengths: the constant `given`, or its curve.
 
-    Nothing beyond the curve's ends.
+    The curve is interpolated linearly and 0 outside its points.
     """
     nm = np.asarray(wavelength_nm, float)
     if not isinstance(given, tuple):
@@ -316,21 +315,21 @@ def given_efficiency(wavelength_nm: ArrayLike, given: float | EfficiencyCurve) -
 
 @dataclass(frozen=True)
 class PixelPhysics:
-    """What a pixel is, derived or measured. Currents and charges are per pixel; noise is a standard deviation.
+    """Physical properties of a pixel. Currents and charges are per pixel; noise is a standard deviation.
 
-    pixel : what was asked for
-    technology : with the fill-factor law that the pixel chose
+    pixel : the parameters that it is derived from
+    technology : with the pixel's fill-factor law
     fill_factor : photodiode area over pixel area
-    capacitance_ff : mean over the swing; None for a pinned photodiode, whose well is given
-    full_well_e : what the ADC's top code stands for
+    capacitance_ff : mean over the swing; None for a pinned photodiode
+    full_well_e : charge at the ADC's top code
     dark_current_e_per_s : at the pixel's temperature
     reset_noise_e : √(n kTC)/q
-    read_noise_e : beside the reset noise
-    prnu : of the gain over its mean
-    dsnu : of the dark current over its mean
-    offset_fpn_e : a pixel's own
-    column_fpn_e : a column's own
-    diode : what discharges; None where the photodiode is pinned
+    read_noise_e : temporal, without the reset noise
+    prnu : of the gain, relative to its mean
+    dsnu : of the dark current, relative to its mean
+    offset_fpn_e : offsets of pixels
+    column_fpn_e : offsets of columns
+    diode : the photodiode; None if it is pinned
     """
 
     pixel: Pixel
@@ -349,7 +348,7 @@ class PixelPhysics:
 
     @property
     def pitch_um(self) -> float:
-        """Centre to centre."""
+        """Centre-to-centre distance of pixels."""
         return self.pixel.pitch_um
 
     @property
@@ -359,12 +358,12 @@ class PixelPhysics:
 
     @property
     def photodiode_side_um(self) -> float:
-        """Of the square photodiode, centred in its pixel."""
+        """Side of the square photodiode, which is centred in its pixel."""
         return math.sqrt(self.fill_factor) * self.pitch_um
 
     @property
     def dn_per_e(self) -> float:
-        """Full well ↔ 2^bits - 1 - black level."""
+        """Gain: the codes above the black level over the full well."""
         return (2**self.pixel.bits - 1 - self.pixel.black_level_dn) / self.full_well_e
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
@@ -375,24 +374,24 @@ class PixelPhysics:
         return response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
 
     def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
-        """Electrons per photon on the photodiode at a wavelength, (B,); zero beyond the infrared cut."""
+        """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the infrared cut."""
         nm = np.asarray(wavelength_nm, float)
         return np.where(nm > self.infrared_cut_nm, 0.0, self._uncut_quantum_efficiency(nm))
 
     @property
     def infrared_cut_nm(self) -> float:
-        """Of `Pixel.infrared_cut_nm`; infinity without one."""
+        """`Pixel.infrared_cut_nm`, or infinity without a filter."""
         return self.pixel.infrared_cut_nm or math.inf
 
     def band_quantum_efficiency(self, wavelength_nm: Array, band_width_nm: Array) -> Array:
-        """Electrons per photon of bands, (B,): at their centres, times the part of each below the infrared cut."""
+        """Return electrons per photon of bands, (B,): at their centres, times the fraction of each below the infrared cut."""
         below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
         return self._uncut_quantum_efficiency(wavelength_nm) * below
 
     def dynamic_range_db(self, integration_s: float) -> float:
-        """Eq. (1) of Chen et al. (2000): 20 log₁₀ of the well less the dark charge, over the noise in the dark.
+        """Return the dynamic range: 20 log₁₀ of the well less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
 
-        Raises PixsimError where the dark charge fills the well.
+        Raises PixsimError if the dark charge fills the well.
 
         >>> paper = derive(Pixel(capacitance="paper"))
         >>> round(paper.dynamic_range_db(0.03), 1)  # Fig. 2a has 35 to 70 dB
@@ -400,15 +399,15 @@ class PixelPhysics:
         """
         dark_e = self.dark_current_e_per_s * integration_s
         if dark_e >= self.full_well_e:
-            allowed, mend = f"less than the well, {self.full_well_e:.4g} e-", "Integrate for a shorter time or cool the sensor."
-            raise invalid("dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, mend)
+            allowed, hint = f"less than the well, {self.full_well_e:.4g} e-", "Shorten the integration time or cool the sensor."
+            raise invalid("dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, hint)
         variance_e2 = self._dark_variance_e2(dark_e)
         return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
     def snr_db(self, signal_e: float, integration_s: float) -> float:
-        """Eq. (2) of Chen et al. (2000), for a signal charge; -inf without one.
+        """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
 
-        Raises PixsimError for one that is negative.
+        Raises PixsimError if the charge is negative.
         """
         if signal_e <= 0:
             if signal_e < 0:
@@ -422,9 +421,9 @@ class PixelPhysics:
 
 
 def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float) -> float:
-    """Photodiode area over that of the pixel that was measured, a ratio; 1 where its pitch is not told.
+    """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
 
-    PixsimError where that pixel has no photodiode, and where too little or too much charge would be left of its well.
+    Raises PixsimError if the measured pitch leaves no photodiode, or if the scaled full well is out of range.
     """
     measured_um = pixel.data_sheet_pitch_um
     if measured_um is None:
@@ -437,17 +436,17 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
     low_e, high_e = WELL_RANGE_E
     if pixel.full_well_e is not None and not low_e <= growth * pixel.full_well_e <= high_e:
         scaled_e = growth * pixel.full_well_e
-        found = f"{pixel.pitch_um:g}, where {pixel.full_well_e:g} electrons at {measured_um:g} µm are {scaled_e:.2g}"
-        raise invalid("pixel.pitch_um", found, f"a full well of {low_e:g} to {high_e:g} electrons")
+        got = f"{pixel.pitch_um:g}, to which {pixel.full_well_e:g} electrons at {measured_um:g} µm scale as {scaled_e:.2g}"
+        raise invalid("pixel.pitch_um", got, f"a full well of {low_e:g} to {high_e:g} electrons")
     return growth
 
 
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
-    """Fill in from the technology what the pixel leaves open.
+    """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
 
-    technology : where it is at hand; None loads the one that the pixel names
+    technology : None loads the one that the pixel names
 
-    Raises PixsimError for an unknown technology, and for a pitch at or below the smallest one (named in the message).
+    Raises PixsimError for an unknown technology, and for a pitch at or below the smallest one, which the message states.
 
     >>> round(derive(Pixel(technology="0.35um", pitch_um=6.5)).fill_factor, 2)  # 30 % in Chen et al. (2000)
     0.31
@@ -461,43 +460,43 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     if fill_factor < MIN_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
         usual = min(0.05, technology.fill_factor_limit / 2)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
-        mend = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
-        raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, mend)
+        hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
+        raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
     area_um2 = fill_factor * pixel.pitch_um**2
     factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
-    warmth = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
-    dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * warmth
+    temperature_factor = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
+    dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * temperature_factor
     growth = growth_from_data_sheet(pixel, technology, area_um2)
     if pixel.dark_current_e_per_s is not None:
         dark_e_per_s = growth * pixel.dark_current_e_per_s
-    kept = well(pixel, technology, area_um2, dark_e_per_s)
-    full_well_e = kept.full_well_e if pixel.full_well_e is None else growth * pixel.full_well_e
+    process_well = well(pixel, technology, area_um2, dark_e_per_s)
+    full_well_e = process_well.full_well_e if pixel.full_well_e is None else growth * pixel.full_well_e
+    scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
     return PixelPhysics(
         pixel=pixel,
         technology=technology,
         fill_factor=fill_factor,
-        capacitance_ff=None if kept.mean_ff is None else kept.mean_ff * full_well_e / kept.full_well_e,
+        capacitance_ff=None if process_well.mean_ff is None else process_well.mean_ff * scale,
         full_well_e=full_well_e,
         dark_current_e_per_s=dark_e_per_s,
-        # A given well is a larger or smaller capacitance with the same swing.
-        reset_noise_e=reset_noise_e((kept.reset_ff or 0.0) * full_well_e / kept.full_well_e, pixel.temperature_k, factor),
+        reset_noise_e=reset_noise_e((process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor),
         read_noise_e=given(pixel.read_noise_e, technology.read_noise_e),
         prnu=given(pixel.prnu, technology.prnu),
         dsnu=given(pixel.dsnu, technology.dsnu),
         offset_fpn_e=given(pixel.offset_fpn, technology.offset_fpn) * full_well_e,
         column_fpn_e=given(pixel.column_fpn, technology.column_fpn) * full_well_e,
-        diode=None if kept.diode is None else kept.diode.scaled(full_well_e / kept.full_well_e),
+        diode=None if process_well.diode is None else process_well.diode.scaled(scale),
     )
 
 
 def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:
-    """A pixel of a study, with the numbers of its processes that the study sets (`Study.process`).
+    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`.
 
     Parameters
     ----------
     technology : a name or path as in `Study.technologies`
-    pitch_um : centre to centre, µm
-    process : of that technology in that study, where it is at hand; None takes `technology_of`
+    pitch_um : centre-to-centre distance
+    process : the result of `technology_of`, if available
 
     Raises PixsimError as `derive` and `technology_of` do.
     """
@@ -505,7 +504,7 @@ def physics_of(study: Study, technology: str, pitch_um: float, process: Technolo
 
 
 def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Array:
-    """Widths in µm of the square photodiodes of a study's pixels, √fill factor · pitch, (n,) as the pitches.
+    """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels, (n,) as the pitches.
 
     technology : a name or path as in `Study.technologies`
 

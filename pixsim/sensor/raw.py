@@ -1,13 +1,13 @@
-"""The raw frame in formats that others open, and back: TIFF and PNG of 16 bits, EXR, npz, each with what its numbers mean.
+"""Read and write raw frames with their metadata: TIFF and PNG of 16 bits, EXR, npz.
 
-Every format holds the digital numbers as they are, neither scaled nor encoded, and the same facts beside them: black and
-white level, bits, pitch, gain, integration time and saturated fraction. Where each format keeps them:
+Every format holds the digital numbers unchanged, and the same metadata: black and white level, bits, pitch, gain,
+integration time and saturated fraction. Each format stores the metadata as follows:
 
-    TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), all of them as JSON in ImageDescription
-    PNG    a text chunk for each; sBIT is left to the file's own 16 bits
-    EXR    an attribute for each, which is a float32, and all of them as JSON in `facts`; the channel DN is float32 too,
-           which holds 24 bits exactly
-    npz    an array for each, `dn` in the smallest unsigned integers that hold it
+    TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), and all of it as JSON in ImageDescription
+    PNG    a text chunk for each item; there is no sBIT chunk
+    EXR    a float32 attribute for each item, and all of it as JSON in `facts`; the channel DN is float32 too, which holds
+           24 bits exactly
+    npz    an array for each item; `dn` has the smallest unsigned integer type that holds it
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
 
 @dataclass(frozen=True, repr=False)
 class RawFrame:
-    """Digital numbers and what they mean; None where a file of another program does not tell it.
+    """Digital numbers of a file and their metadata; None where the file does not state an item.
 
-    dn : (rows, columns) unsigned integers as the file holds them
+    dn : (rows, columns) unsigned integers, as stored
     black_level_dn : DN without light and dark charge
-    white_level_dn : the highest code
+    white_level_dn : highest code
     bits : of the ADC
     pitch_um : centre to centre
-    integration_s : of the exposure
-    dn_per_e : DN for each electron above black; with integration_s it turns them into electrons a second
-    saturated_fraction : of the pixels, those whose charge or DN reached its limit (`Frame`); only the simulation knows the
-        charge, so for a file of another program there is `top_code_fraction` alone
+    integration_s : exposure time
+    dn_per_e : gain, DN per electron above the black level
+    saturated_fraction : fraction of pixels whose charge or DN reached its limit (`Frame`). Only the simulation knows the
+        charge; for files of other programs there is `top_code_fraction`
     """
 
     dn: NDArray[Any] = field(repr=False)
@@ -62,9 +62,9 @@ class RawFrame:
 
     @property
     def top_code_fraction(self) -> float | None:
-        """Of the pixels, those at the white level or above; None where the file gives neither white level nor bits.
+        """Fraction of pixels at or above the white level; None if the file states neither white level nor bits.
 
-        Reset noise and offsets take saturated pixels off the top code: under even light of 14 wells, 42 % of the default pixels.
+        Reset noise and offsets keep saturated pixels off the top code: 42 % of the default pixels under even light of 14 wells.
         """
         top = self.white_level_dn
         if top is None and self.bits is not None:
@@ -74,10 +74,10 @@ class RawFrame:
     def __repr__(self) -> str:
         words = [f"{name}={value:g}" for name in FACTS if (value := getattr(self, name)) is not None]
         if self.saturated_fraction is None:
-            at_top, told = self.top_code_fraction, "saturation not known, without a white level"
+            at_top, saturation = self.top_code_fraction, "saturation unknown (no white level)"
             if at_top is not None:
-                told = f"{at_top:.3g} of the pixels at the top code; saturated ones below it cannot be counted from the file"
-            words.append(told)
+                saturation = f"top_code_fraction={at_top:.3g} (saturated pixels below the top code cannot be counted)"
+            words.append(saturation)
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 
@@ -85,20 +85,20 @@ FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "in
 
 
 def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
-    """What a file tells beside the numbers of a `Frame` or a `RawFrame`."""
+    """Return the metadata that a file stores with the digital numbers of a frame."""
     if isinstance(frame, RawFrame):
         return {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
-    told = {name: float(getattr(frame, name, 2**frame.bits - 1)) for name in FACTS}  # a frame's white is its top code
-    return told | {"bits": int(frame.bits)}
+    facts = {name: float(getattr(frame, name, 2**frame.bits - 1)) for name in FACTS}  # the white level of a Frame is its top code
+    return facts | {"bits": int(frame.bits)}
 
 
 def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
-    """Write a frame's digital numbers, in the format that the path's ending names, moved into place when whole.
+    """Write the digital numbers and metadata of a frame; the file is moved into place when complete.
 
-    path : .tiff or .tif, .png, .exr, .npz; `read_frame` gives the same numbers back
+    path : ends in .tiff, .tif, .png, .exr or .npz, which sets the format; `read_frame` returns the same numbers
     frame : from `capture`, or from `read_frame`
 
-    Raises PixsimError for another ending, more than 16 bits in a TIFF or PNG, and a path that cannot be written.
+    Raises PixsimError for another ending, for more than 16 bits in a TIFF or PNG, and if `path` cannot be written.
     """
     path = Path(path)
     writers = {".exr": _write_exr, ".npz": _write_npz, ".png": _write_png, ".tif": _write_tiff, ".tiff": _write_tiff}
@@ -112,8 +112,8 @@ def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
 
 
 def _write_npz(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
-    kept = dn.astype(np.min_scalar_type(int(dn.max(initial=0))))
-    arrays: dict[str, Any] = {"dn": kept, "unit": UNIT, **facts}
+    stored = dn.astype(np.min_scalar_type(int(dn.max(initial=0))))
+    arrays: dict[str, Any] = {"dn": stored, "unit": UNIT, **facts}
     with writing(path) as unfinished, unfinished.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -121,42 +121,42 @@ def _write_npz(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
 def _write_png(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.PngImagePlugin import PngInfo
 
-    told = PngInfo()
+    metadata = PngInfo()
     for name, value in {"unit": UNIT, **facts}.items():
-        told.add_text(name, str(value))
+        metadata.add_text(name, str(value))
     with writing(path) as unfinished:
-        _picture(path, dn).save(unfinished, "PNG", pnginfo=told)
+        _picture(path, dn).save(unfinished, "PNG", pnginfo=metadata)
 
 
 def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
     from PIL.TiffTags import DOUBLE, LONG
 
-    told = ImageFileDirectory_v2()
-    told[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **facts}, sort_keys=True)
+    tags = ImageFileDirectory_v2()
+    tags[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **facts}, sort_keys=True)
     for tag, name, kind in ((BLACK_LEVEL_TAG, "black_level_dn", DOUBLE), (WHITE_LEVEL_TAG, "white_level_dn", LONG)):
         if name in facts:
-            told.tagtype[tag] = kind
-            told[tag] = facts[name] if kind == DOUBLE else round(facts[name])
+            tags.tagtype[tag] = kind
+            tags[tag] = facts[name] if kind == DOUBLE else round(facts[name])
     with writing(path) as unfinished:
-        _picture(path, dn).save(unfinished, "TIFF", tiffinfo=told)
+        _picture(path, dn).save(unfinished, "TIFF", tiffinfo=tags)
 
 
 def _picture(path: Path, dn: NDArray[Any]) -> Any:
     from PIL import Image
 
     if dn.max(initial=0) >= 2**BITS_OF_PICTURES:
-        mend = "Write .exr or .npz, which hold them all."
-        raise invalid(f"raw frame '{path}'", f"digital numbers up to {dn.max()}", f"{BITS_OF_PICTURES} bits", mend)
+        hint = "Write .exr or .npz instead."
+        raise invalid(f"raw frame '{path}'", f"digital numbers up to {dn.max()}", f"{BITS_OF_PICTURES} bits", hint)
     return Image.fromarray(dn.astype(np.uint16))
 
 
 def read_frame(path: str | os.PathLike[str]) -> RawFrame:
-    """Digital numbers, and what the file tells about them, bit for bit as `write_frame` left them.
+    """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 
-    path : .tiff, .tif, .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array); also of other programs
+    path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array)
 
-    Raises PixsimError for a file that is missing, damaged, in colour, of 8 bits, or larger than 2²⁸ pixels.
+    Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or larger than 2²⁸ pixels.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -171,7 +171,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
         raise invalid("raw frame", f"'{path}'", f"a file that ends in {', '.join(SUFFIXES)}")
     size_of(path, "raw frame", f"a file that ends in {', '.join(SUFFIXES)}")
     try:
-        dn, told = readers[path.suffix.lower()](path)
+        dn, metadata = readers[path.suffix.lower()](path)
     except PixsimError:
         raise
     except DAMAGE as error:
@@ -179,11 +179,11 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
         raise invalid(f"raw frame '{path}'", f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
     if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**32 and (dn == np.floor(dn)).all()):
-        raise invalid(f"raw frame '{path}'", f"values from {dn.min()} to {dn.max()}", "whole numbers from 0 on: digital numbers")
+        raise invalid(f"raw frame '{path}'", f"values from {dn.min()} to {dn.max()}", "whole numbers from 0 to 2³² - 1")
     facts: dict[str, Any] = {}
     for name in FACTS:
-        with suppress(KeyError, TypeError, ValueError):  # others' text under the same name is none
-            value = float(np.asarray(told[name]).item())
+        with suppress(KeyError, TypeError, ValueError):  # another program's item of that name may be no number
+            value = float(np.asarray(metadata[name]).item())
             if math.isfinite(value):
                 facts[name] = round(value) if name == "bits" else value
     return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts)
@@ -192,15 +192,15 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
 def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     channels, header = read_channels(path)
     if len(channels) != 1:
-        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: the digital numbers")
-    told = {name: header[name] if name == "bits" else shortest(header[name]) for name in FACTS if name in header}
-    return next(iter(channels.values())), told | _json_of(header.get("facts"))
+        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one channel of digital numbers")
+    metadata = {name: header[name] if name == "bits" else shortest(header[name]) for name in FACTS if name in header}
+    return next(iter(channels.values())), metadata | _json_of(header.get("facts"))
 
 
 def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     arrays = read_arrays(path, "raw frame", "a readable file of digital numbers")
     if "dn" not in arrays and len(arrays) != 1:
-        raise invalid(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, the digital numbers")
+        raise invalid(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, or a single array of digital numbers")
     name = "dn" if "dn" in arrays else next(iter(arrays))
     return arrays[name], {fact: arrays[fact] for fact in FACTS if fact in arrays}
 
@@ -209,22 +209,22 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     from PIL import Image
 
     judge_picture(path)
-    # Pillow warns of what it finds odd; what it cannot read is an error.
+    # Pillow warns of oddities in files that it can read.
     with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
         if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
-            mend = "One of 8 bits is encoded for a display; write the sensor's own numbers, linear in light."
-            raise invalid(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", mend)
-        told: dict[str, Any] = dict(getattr(image, "text", {}))
+            hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
+            raise invalid(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", hint)
+        metadata: dict[str, Any] = dict(getattr(image, "text", {}))
         tags = getattr(image, "tag_v2", {})
         levels = {BLACK_LEVEL_TAG: "black_level_dn", WHITE_LEVEL_TAG: "white_level_dn"}
-        told |= {name: tags[tag] for tag, name in levels.items() if tag in tags}
-        return np.asarray(image), told | _json_of(tags.get(DESCRIPTION_TAG))
+        metadata |= {name: tags[tag] for tag, name in levels.items() if tag in tags}
+        return np.asarray(image), metadata | _json_of(tags.get(DESCRIPTION_TAG))
 
 
 def _json_of(text: Any) -> dict[str, Any]:
-    """The table in a text, where it is one; others write other things there."""
+    """Return the table of a JSON text, or an empty one if the text is anything else."""
     try:
-        found = json.loads(str(text))
+        table = json.loads(str(text))
     except ValueError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return table if isinstance(table, dict) else {}

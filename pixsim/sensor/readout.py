@@ -1,4 +1,4 @@
-"""Mean electrons to digital numbers: exposure, the individual sensor, noise, well and ADC."""
+"""Mean electrons to digital numbers: exposure, fixed pattern, noise, well and ADC."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixel
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
-# Above this mean NumPy's Poisson is wrong (variance +3.5 % at 1e15) and a rounded normal differs from it by less than
-# 1e-5 in its skewness, which is 1/√mean.
+# Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
+# 1/√mean, 3e-5 and less.
 POISSON_LIMIT_E = 1e9
-BLACK_SIGMAS = 6.0  # of the dark below the black level: a clip at 0 DN destroys the dark's statistics
-MAX_BLACK = 0.5  # of the codes for the black level: more leaves no light to measure
+BLACK_SIGMAS = 6.0  # of the dark signal, below the black level: clipping at 0 DN would bias dark statistics
+MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
 
 # --- exposure ---------------------------------------------------------------------------------------------------------
 
 
 def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: float) -> float:
-    """Manual, or such that the brightest pixel's mean (with its dark charge) reaches the target, up to the maximum.
+    """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
-    brightest_e_per_s : mean photo-electrons of the brightest pixel
+    The target is for the mean charge with dark charge.
+
+    brightest_e_per_s : mean photo-electrons per second of the brightest pixel
     """
     if exposure.integration_s is not None:
         return exposure.integration_s
@@ -39,17 +41,17 @@ def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_pe
     return exposure.well_target * physics.full_well_e / brightest
 
 
-# --- the individual sensor --------------------------------------------------------------------------------------------
+# --- fixed pattern ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """One individual: its fixed pattern stays from frame to frame. Maps are None where their spread is zero.
+    """One sensor with its fixed pattern, the same in every frame. A map is None if its standard deviation is zero.
 
-    physics : of each of its pixels
+    physics : of its pixels
     shape : (rows, columns)
     gain : (rows, columns) relative to the mean pixel, mean 1
-    dark_gain : (rows, columns) dark current relative to the mean one, positive, mean 1
+    dark_gain : (rows, columns) dark current relative to the mean pixel, positive, mean 1
     offset_e : (rows, columns)
     column_offset_e : (1, columns)
     """
@@ -65,7 +67,7 @@ class Sensor:
 def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
-    PRNU is normal (cut at zero), DSNU gamma-distributed, since a normal one of 0.3 would go negative.
+    PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents.
     """
     p = physics
     gain = _gaussian_map(p.prnu, shape, rng)
@@ -81,7 +83,7 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.
 
 
 def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
-    """A normal of mean 0 and that standard deviation; None, and no numbers drawn, where it is 0."""
+    """Draw normal values of mean 0; None, without drawing, if the standard deviation is 0."""
     if not spread:
         return None
     values = rng.standard_normal(shape)
@@ -90,18 +92,18 @@ def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generato
 
 
 def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 1.0) -> Sensor:
-    """An individual sensor that fills the camera's die, its fixed pattern drawn from the seed.
+    """Make a sensor that fills the camera's die, with its fixed pattern drawn from the seed.
 
-    seed : 0 and more; same seed, same sensor
-    aspect : width over height: 1 for the square die of the packaged scenes, else that of the film
+    seed : 0 or more; equal seeds give equal sensors
+    aspect : width over height of the film: 1 for the packaged scenes with a square die
 
-    Raises PixsimError for a pitch that is too small for the technology, larger than the die, or makes too many pixels.
+    Raises PixsimError if the pitch is too small for the technology, larger than the die, or gives too many pixels.
 
     >>> make_sensor(Pixel(pitch_um=5.3), Camera(die_mm=2.7136)).shape  # the die of Chen et al. (2000)
     (512, 512)
     """
     if seed < 0:
-        raise invalid("seed", seed, "an integer of 0 and more")
+        raise invalid("seed", seed, "an integer of 0 or more")
     if not 0 < aspect < math.inf:
         raise invalid("aspect", aspect, "width over height, a finite number above 0")
     physics, die_um = derive(pixel), 1e3 * camera.die_mm
@@ -115,17 +117,17 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 
 
 @dataclass(frozen=True)
 class Frame:
-    """What the camera gives out, with what is known about it.
+    """The digital numbers of one exposure, with the quantities behind them.
 
     dn : (rows, columns) int32, 0 … 2^bits - 1
     mean_e : (rows, columns) mean photo-electrons, before non-uniformity, dark charge and noise
-    integration_s : the exposure's own, or what it came to
-    dn_per_e : DN for each electron
+    integration_s : integration time
+    dn_per_e : gain, DN per electron
     black_level_dn : DN without light and dark charge
-    mean_dark_e : of a pixel, in this exposure
-    pitch_um : centre to centre
+    mean_dark_e : mean dark charge of a pixel in this exposure
+    pitch_um : centre-to-centre distance of pixels
     bits : of the ADC
-    saturated_fraction : of the pixels, those whose charge reached `saturation_level_e` (light and dark, with shot noise,
+    saturated_fraction : fraction of pixels whose charge reached `saturation_level_e` (light and dark, with shot noise,
         before reset noise and offsets) or whose DN is the top code
     """
 
@@ -141,10 +143,10 @@ class Frame:
 
     @property
     def electrons(self) -> Array:
-        """Estimate of the photo-electrons, (rows, columns): black level and expected dark charge (no dark frame) subtracted.
+        """Estimated photo-electrons, (rows, columns): black level and expected dark charge subtracted, no dark frame.
 
-        It takes the response for a straight line, as a camera without a linearisation does: with `conversion = "junction"`
-        it is off by up to 1.8 % of a 0.35 µm pixel's swing, at every level, and in soft saturation it falls short.
+        The response is taken as linear. With `conversion = "junction"` the error is up to 1.8 % of the swing of a 0.35 µm
+        pixel, at every level; in soft saturation the estimate is too low.
         """
         electrons = self.dn.astype(float)
         electrons -= self.black_level_dn
@@ -154,9 +156,9 @@ class Frame:
 
 
 def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
-    """Poisson counts drawn from `rng`, (...) in electrons, mean and variance both `mean_e`; a rounded normal above 1e9.
+    """Draw Poisson counts (...) of mean `mean_e` from `rng`, in electrons; above 1e9 they are rounded normal values.
 
-    There the two agree, and NumPy's Poisson does not: its variance is 3.5 % too large at 1e15.
+    The variance of NumPy's Poisson is 3.5 % too large at 1e15.
     """
     if mean_e.max(initial=0.0) < POISSON_LIMIT_E:
         return rng.poisson(mean_e).astype(float)
@@ -166,7 +168,7 @@ def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
 
 
 def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
-    """Round half to even, clip to 0 … 2^bits - 1, (...). Adds a variance of 1/12 DN² (within 0.3 %) where σ exceeds 0.6 DN.
+    """Round half to even and clip to 0 … 2^bits - 1, (...). This adds a variance of 1/12 DN² (within 0.3 %) if σ exceeds 0.6 DN.
 
     >>> quantise(np.array([-3.0, 0.5, 1.5, 300.0]), bits=8).tolist()
     [0, 0, 2, 255]
@@ -176,17 +178,16 @@ def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
 
 
 def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
-    """One frame from the mean photo-electrons of each pixel, its temporal noise from `rng`: (rows, columns) int32 DN.
+    """Return one frame, (rows, columns) int32 DN, from the mean photo-electrons of each pixel; temporal noise is from `rng`.
 
-    PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) → fixed
-    offsets → gain → black → ADC. A stage whose parameter is zero costs nothing. `frame_mean_dn` and `frame_variance_dn2` are
-    its closed forms.
+    PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) →
+    fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`.
     """
     return _expose(mean_e, integration_s, sensor, rng)[0]
 
 
 def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
-    """`read_out`, and the fraction of saturated pixels, as `Frame` defines it."""
+    """Return the frame of `read_out` and its saturated fraction, as `Frame` defines it."""
     p = sensor.physics
     charge = mean_e if sensor.gain is None else mean_e * sensor.gain
     mean_dark_e = p.dark_current_e_per_s * integration_s
@@ -194,7 +195,7 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
         dark = mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain
         charge = np.add(charge, dark, out=None if charge is mean_e else charge)
     generated = shot_noise(charge, rng)
-    # Counted here: reset noise and negative offsets take half of the full pixels off the top code.
+    # Counted before readout: reset noise and negative offsets keep half of the full pixels off the top code.
     saturated = generated >= saturation_level_e(integration_s, p)
     level = stored_signal_e(generated, integration_s, p)
     noise_e = _gaussian_map(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng)
@@ -209,18 +210,20 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
 
 
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
-    """Expected DN over sensors and frames, (...) as `mean_e`, valid 6σ and more away from 0, the well and the top code.
+    """Return the expected DN over sensors and frames, in the shape (...) of `mean_e`.
 
-    Of the linear law: with `well_limit = "diode"` below `linear_limit_e`, and not with `conversion = "junction"`.
+    It is valid at least 6σ away from 0, the well and the top code, for a linear response: with `well_limit = "diode"` below
+    `linear_limit_e`, and not with `conversion = "junction"`.
     """
     dark_e = physics.dark_current_e_per_s * integration_s
     return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.pixel.black_level_dn
 
 
 def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: PixelPhysics, fixed_pattern: bool = True) -> Array:
-    """Variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors, (...); valid where `frame_mean_dn` is.
+    """Return the variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors, in the shape (...) of `mean_e`.
 
-    The noise of eq. (2) of Chen et al. (2000), with read noise, fixed pattern and the ADC's LSB²/12 beside it.
+    It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's LSB²/12; valid where
+    `frame_mean_dn` is.
     """
     p, signal_e = physics, np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s
@@ -232,30 +235,30 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
 
 
 def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
-    """Standard deviation of a dark frame over pixels and frames, e-."""
+    """Return the standard deviation in e- of a dark signal over pixels and frames."""
     p, dark_e = physics, physics.dark_current_e_per_s * integration_s
     temporal_e2 = dark_e + p.reset_noise_e**2 + p.read_noise_e**2
     return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
 
 
 def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
-    """Whole code that leaves `BLACK_SIGMAS` of the dark and one LSB below it.
+    """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
-    The full well stands for what the black level leaves of the codes M, so b = 6σ(M - b)/F has b on both sides.
+    The full well F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, which is solved for b.
     """
     top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
     return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
 
 
 def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
-    """A frame from the mean photo-electron rates (rows, columns) of a sensor's pixels, with temporal noise from `rng`.
+    """Return a frame from mean photo-electron rates (rows, columns), with temporal noise from `rng`.
 
-    Raises PixsimError for rates of another shape than the sensor's.
+    Raises PixsimError if the shape is not that of the sensor.
     """
     p = sensor.physics
     if signal_e_per_s.shape != sensor.shape:
-        mend = "Make the sensor with the camera and the film's aspect that the irradiance was rendered with."
-        raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", mend)
+        hint = "Make the sensor with the camera and aspect of the irradiance: make_sensor(pixel, camera, aspect=…)."
+        raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", hint)
     time_s = integration_time_s(exposure, p, float(signal_e_per_s.max()))
     dn, saturated_fraction = _expose(signal_e_per_s * time_s, time_s, sensor, rng)
     return make_frame(dn, saturated_fraction, signal_e_per_s, p, exposure)
@@ -264,9 +267,9 @@ def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure
 def make_frame(
     dn: NDArray[np.int32], saturated_fraction: float, signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure
 ) -> Frame:
-    """Digital numbers with what is known about them, from the mean photo-electron rates that gave them, (rows, columns) both.
+    """Return a `Frame` of digital numbers and the mean photo-electron rates behind them, both (rows, columns).
 
-    saturated_fraction : of the pixels, as `Frame` defines it; it cannot be counted in the digital numbers
+    saturated_fraction : as `Frame` defines it; it cannot be counted from the digital numbers
     """
     time_s = integration_time_s(exposure, physics, float(signal_e_per_s.max()))
     return Frame(
@@ -292,12 +295,12 @@ def capture(
 ) -> Frame:
     """Take one picture: diffraction, pixel integration, exposure, temporal noise from `rng`, ADC.
 
-    camera : the one that the irradiance was rendered with
-    sensor : from `make_sensor`; its pixels fill the picture
-    exposure : None takes the default one, automatic
-    rng : of the temporal noise alone; the fixed pattern is the sensor's
+    camera : that of the irradiance
+    sensor : from `make_sensor`, for the same camera
+    exposure : None takes the default, automatic exposure
+    rng : for temporal noise only; the sensor has the fixed pattern
 
-    Raises PixsimError for a sensor that the picture does not fill, and for light that is negative or not finite.
+    Raises PixsimError if the picture does not fill the sensor, or if the light is negative or not finite.
 
     >>> light = SpectralImage([550.0], 10.0, 169.6, data=np.full((16, 16, 1), 1e-3))  # 10 mW/m² of green
     >>> camera, pixel = Camera(), Pixel(pitch_um=100.0, infrared_cut_nm=700.0)

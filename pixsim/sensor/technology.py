@@ -27,7 +27,7 @@ from pixsim.base.parameters import (
 Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
 Grading = Annotated[float, Field(ge=0, le=0.99)]
 Capacitance = Annotated[float, Field(ge=0, le=1e9)]
-MIN_FF = 1e-6  # an electron would swing it by 160 V
+MIN_FF = 1e-6  # one electron changes its voltage by 160 V
 
 
 class Junction(Record):
@@ -44,32 +44,29 @@ class Junction(Record):
     node_capacitance_ff: Capacitance = Field(description="fixed capacitance of the sense node, fF")
 
     @model_validator(mode="after")
-    def _keeps_charge_within_its_swing(self) -> Self:
+    def _swing_and_capacitance_are_consistent(self) -> Self:
         if self.voltage_swing_v > self.reset_voltage_v:
             raise ValueError(f"voltage_swing_v = {self.voltage_swing_v:g} exceeds reset_voltage_v = {self.reset_voltage_v:g}")
         if max(self.cj_ff_per_um2, self.cjsw_ff_per_um, self.node_capacitance_ff) < MIN_FF:
-            raise ValueError(
-                f"no capacitance keeps a charge: one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff "
-                f"must be at least {MIN_FF:g}"
-            )
+            raise ValueError(f"one of cj_ff_per_um2, cjsw_ff_per_um and node_capacitance_ff must be at least {MIN_FF:g}")
         return self
 
 
 class Technology(Record):
-    """A CMOS process, as a pixel sees it. Lengths of the fill-factor law are in units of the feature size."""
+    """The properties of a CMOS process that set those of a pixel."""
 
-    name: str = Field(description="name, as results show it")
+    name: str = Field(description="name in results")
     feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="feature size F of the process")]
     junction: Junction | None = Field(
-        None, description="3T pixel: the full well is the junction's capacitance times the voltage swing"
+        None, description="3T pixel: photodiode junction, whose capacitance times the voltage swing is the full well"
     )
     full_well_e_per_um2: Annotated[float, Field(ge=1e-6, le=1e12)] | None = Field(
-        None, description="4T pixel: full well of the pinned photodiode for each µm² of its area"
+        None, description="4T pixel: full well of the pinned photodiode per µm² of its area"
     )
     reset_noise_factor: ResetFactor = Field(
         1.0, description="n in the reset noise's variance n kTC/q²; 0 for charge transfer with true correlated double sampling"
     )
-    response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="shape of the quantum efficiency, packaged")
+    response_curve: Literal["hp_mosis", "silicon"] = Field("hp_mosis", description="packaged curve of the quantum efficiency")
     dark_current_na_per_cm2: Annotated[float, Field(ge=0, le=1e12)] = Field(
         description="dark current of the photodiode at 27 °C, nA/cm²"
     )
@@ -101,7 +98,7 @@ class Technology(Record):
         if self.fill_factor_inset_features > self.fill_factor_zero_pitch_features:
             raise ValueError(
                 f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds fill_factor_zero_pitch_features = "
-                f"{self.fill_factor_zero_pitch_features:g}: larger pixels would have negative photodiodes"
+                f"{self.fill_factor_zero_pitch_features:g}: the photodiode area of larger pixels would be negative"
             )
         return self
 
@@ -114,47 +111,47 @@ class Technology(Record):
             if not low <= value <= high:
                 raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
             for end in (low, high):
-                self.with_numbers({name: end}, f"range of {name}")  # it has the bounds of the value
+                self.with_numbers({name: end}, f"range of {name}")  # the ends have the bounds of the value
         return self
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Each number of the process by its name, those of the junction among them, in the unit that the name ends in."""
+        """All numbers of the process and its junction by name; the names end in the units."""
         table = self.model_dump(exclude={"junction"}) | (self.junction.model_dump() if self.junction else {})
         return {name: value for name, value in table.items() if isinstance(value, float)}
 
     @property
     def content(self) -> dict[str, Any]:
-        """All that a result depends on: the record without sources and ranges."""
+        """The values that results depend on: the record without sources and ranges."""
         return self.model_dump(exclude={"sources", "ranges"})
 
     def with_numbers(self, values: dict[str, float], source: str) -> Technology:
-        """The technology with other values of some of its `numbers`.
+        """Return the technology with other values of some of its `numbers`.
 
-        values : name of a number -> its value, each in its unit
-        source : where they come from, for messages
+        values : name of a number -> its value, in its unit
+        source : origin of the values, for messages
 
-        Raises PixsimError for a name that it does not have, and for a value out of bounds.
+        Raises PixsimError for an unknown name, and for a value out of bounds.
         """
         for name in values:
             if name not in self.numbers:
                 raise invalid(source, f"'{name}'", ", ".join(self.numbers), did_you_mean(name, self.numbers))
-        told = {
+        new_sources = {
             name: f"set by the study; the file has {self.numbers[name]:g} ({self.sources.get(name, 'no source')})"
             for name in values
         }
-        own = {name: value for name, value in values.items() if name not in Junction.model_fields}
+        process_values = {name: value for name, value in values.items() if name not in Junction.model_fields}
         junction = {name: value for name, value in values.items() if name in Junction.model_fields}
-        over = own | ({"junction": junction} if junction else {})
-        # A value may lie out of its range: that is what a study can ask.
-        base = self.model_dump() | {"sources": self.sources | told, "ranges": {}}
+        over = process_values | ({"junction": junction} if junction else {})
+        # A study may set a value outside its plausible range, so ranges are not checked.
+        base = self.model_dump() | {"sources": self.sources | new_sources, "ranges": {}}
         technology: Technology = checked(Technology, [Layer(base), Layer(over, source)])
         return technology.model_copy(update={"ranges": self.ranges})
 
 
-# Of a sensor that is known by its data sheet (`pixsim.base.parameters.DATA_SHEET`). What that leaves open is absent or ideal: no
-# non-uniformity, no offsets, no reset noise beside the read noise, a photodiode that fills the pixel (a data sheet's quantum
-# efficiency is that of the whole pixel, microlens included). The other numbers stand for none and are not used.
+# For a sensor that is described by a data sheet (`pixsim.base.parameters.DATA_SHEET`). Numbers that the data sheet lacks are
+# ideal: no non-uniformity, no offsets, no reset noise apart from the read noise, and a fill factor of 1, since a data sheet's
+# quantum efficiency is that of the whole pixel with its microlens. The other numbers are placeholders.
 NO_PROCESS = Technology(
     name=NO_TECHNOLOGY,
     feature_size_um=1e-4,
@@ -172,12 +169,12 @@ NO_PROCESS = Technology(
     fill_factor_limit=1.0,
     fill_factor_zero_pitch_features=1e-6,
 )
-# Other laws that meet the paper's three fill factors about as well: (limit, zero pitch, inset), as `fill_factor_law` takes.
+# Other laws that fit the paper's three fill factors about as well: (limit, zero pitch, inset) of `fill_factor_law`.
 OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}
 
 
 def with_fill_factor_law(technology: Technology, law: str) -> Technology:
-    """The technology with another fill-factor law (`Pixel.fill_factor_law`)."""
+    """Return the technology with another fill-factor law (`Pixel.fill_factor_law`)."""
     if law not in OTHER_FILL_FACTOR_LAWS:
         return technology
     names = "fill_factor_limit", "fill_factor_zero_pitch_features", "fill_factor_inset_features"
@@ -185,11 +182,12 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
 
 
 def load_technology(name: str) -> Technology:
-    """A packaged technology by name, a user's by the path of its TOML file, or none.
+    """Load a packaged technology by its name, or a user's by the path of its TOML file.
 
-    Every number is a table `{value, confidence, source}`, with `range = [low, high]` where other values are plausible too.
+    Every number of the file is a table `{value, confidence, source}`, with an optional `range = [low, high]` of plausible
+    values.
 
-    Raises PixsimError for an unknown name, naming the known ones, and for a file that is damaged or lacks something.
+    Raises PixsimError for an unknown name, and for a file that is damaged or incomplete.
 
     >>> load_technology("0.35um").feature_size_um
     0.35
@@ -199,29 +197,29 @@ def load_technology(name: str) -> Technology:
     known = packaged("data/technologies")
     path = known.get(name) or Path(name)
     if path.suffix != ".toml" or not name:
-        mend = f"{did_you_mean(name, known)} Or give the path of a technology's TOML file.".strip()
-        raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), mend)
-    about = path.stat() if path.is_file() else None
-    return _read(path, (about.st_mtime_ns, about.st_size) if about else ())
+        hint = f"{did_you_mean(name, known)} Or give the path of a TOML file.".strip()
+        raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), hint)
+    status = path.stat() if path.is_file() else None
+    return _read(path, (status.st_mtime_ns, status.st_size) if status else ())
 
 
 def technology_of(study: Study, name: str) -> Technology:
-    """A technology of a study, with the numbers that `Study.process` gives in place of its file's; the fill-factor law is its own.
+    """Return a technology of a study with the numbers of `Study.process` in place of the file's.
 
-    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for numbers of a data sheet, which has none.
+    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for process numbers of a data sheet.
     """
     technology, values = load_technology(name), study.process.get(name)
     if not values:
         return technology
     if name == NO_TECHNOLOGY:
-        mend = "Put them into [pixel]."
-        raise invalid(f"process.{name}", ", ".join(values), "technologies: a data sheet has no numbers of a process", mend)
+        hint = "Put them into [pixel]."
+        raise invalid(f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint)
     return technology.with_numbers(values, f"process.{name}")
 
 
 @lru_cache
 def _read(path: Path, _: tuple[int, ...]) -> Technology:
-    """The technology of a file; one that was written anew is read anew."""
+    """Read the technology of a file; the cache key has its modification time and size."""
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
     try:
@@ -229,39 +227,39 @@ def _read(path: Path, _: tuple[int, ...]) -> Technology:
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
         sources = {key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()}
         ranges = {key: entry["range"] for key, entry in numbers.items() if "range" in entry}
-        own = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges}
-        own |= {"junction": junction} if junction else {}
-        technology: Technology = checked(Technology, [Layer(values | own, str(path))])
+        record = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges}
+        record |= {"junction": junction} if junction else {}
+        technology: Technology = checked(Technology, [Layer(values | record, str(path))])
         return technology
     except KeyError as missing:
-        raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence, source") from None
+        raise PixsimError(f"technology '{path}': an entry has no {missing}; each needs value, confidence and source") from None
 
 
 def label_of(technology: str) -> str:
-    """A technology's name for readers: 0.35um, or the stem of a user's TOML."""
+    """Return the display name of a technology: 0.35um, or the stem of a user's TOML file."""
     if technology == NO_TECHNOLOGY:
         return "data sheet"
     return one_line(Path(technology).stem if technology.endswith(".toml") else technology)
 
 
 def file_label(label: str) -> str:
-    """A label as a part of file names."""
+    """Return a label without spaces, for file names."""
     return label.replace(" ", "_")
 
 
 def labels_of(technologies: Sequence[str]) -> tuple[str, ...]:
-    """A label for each technology of a study, no two alike: mine, mine-2.
+    """Return a unique label for each technology of a study: mine, mine-2.
 
-    A number is told from a label that another one has anyway; letters of either case are the same to some file systems.
+    Labels differ by more than case, since some file systems ignore it, and a numbered label is never another's plain label.
     """
-    plain = [label_of(each) for each in technologies]
-    taken: set[str] = {each.casefold() for each in plain}
-    labels, met = [], set[str]()
-    for each in plain:
-        label, number = each, 1
-        while label.casefold() in (met if number == 1 else met | taken):
+    plain = [label_of(technology) for technology in technologies]
+    taken: set[str] = {label.casefold() for label in plain}
+    labels, used = [], set[str]()
+    for label in plain:
+        stem, number = label, 1
+        while label.casefold() in (used if number == 1 else used | taken):
             number += 1
-            label = f"{each}-{number}"
-        met.add(label.casefold())
+            label = f"{stem}-{number}"
+        used.add(label.casefold())
         labels.append(label)
     return tuple(labels)

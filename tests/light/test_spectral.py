@@ -1,4 +1,4 @@
-"""Spectral images and their files: bit for bit, as other readers see them; light units against colour-science."""
+"""Spectral images: bit-identical files, other readers of the files, and light units against colour-science."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ D65_TEXT = "S0.550,000000nm"
 
 
 def any_float32(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
-    """Every kind of float32 that is a number: all exponents, denormals, both zeros, 1e30."""
+    """Return finite float32 values of all kinds: all exponents, denormals, both zeros, 1e30."""
     bits = np.random.default_rng(seed).integers(0, 2**32, shape, np.uint32)
     values = bits.view(np.float32)
     values[~np.isfinite(values)] = 1e30
@@ -50,7 +50,7 @@ def factored(shape: tuple[int, int] = (5, 7)) -> SpectralImage:
 
 
 def assert_comes_back(image: SpectralImage, path: Path) -> None:
-    """Written and read again, bit for bit."""
+    """Check that an image is the same bit for bit after writing and reading."""
     pixsim.write_exr(path, image)
     back = pixsim.read_exr(path)
     assert np.array_equal(bits(back.data), bits(image.data))
@@ -65,7 +65,7 @@ def assert_comes_back(image: SpectralImage, path: Path) -> None:
 
 @pytest.mark.parametrize("spread", [False, True])
 @pytest.mark.parametrize("make", [general, factored])
-def test_an_image_comes_back_bit_for_bit(make, spread, tmp_path):
+def test_write_exr_image_reads_back_bit_for_bit(make, spread, tmp_path):
     image, rng = make(), np.random.default_rng(3)
     if spread:  # over its bands
         image.within = (image.wavelength_nm[:, None] + rng.uniform(-5, 5, (46, 3)), rng.dirichlet(np.ones(3), 46))
@@ -73,7 +73,7 @@ def test_an_image_comes_back_bit_for_bit(make, spread, tmp_path):
 
 
 def fine_bands(seed: int) -> SpectralImage:
-    """10 nm bands halved at random up to three times, as lines ask for it; spectra of both signs."""
+    """Return an image with 10 nm bands that are randomly halved up to three times, and spectra of both signs."""
     rng = np.random.default_rng(seed)
     edges = BAND_EDGES_NM
     for _ in range(3):
@@ -87,7 +87,7 @@ def fine_bands(seed: int) -> SpectralImage:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_factored_image_with_fine_bands_comes_back_bit_for_bit(seed, tmp_path):
+def test_write_exr_factors_with_fine_bands_read_back_bit_for_bit(seed, tmp_path):
     image = fine_bands(seed)
     assert image.band_width_nm.min() < 5
     assert image.band_width_nm.size > 60
@@ -106,7 +106,7 @@ def test_a_factored_image_with_fine_bands_comes_back_bit_for_bit(seed, tmp_path)
     np.testing.assert_allclose(energy, image.weighted(image.band_width_nm), atol=1e-5 * np.abs(energy).max())
 
 
-def test_merged_bands_are_means_of_neighbours():
+def test_merged_narrow_bands_are_means_over_10_nm():
     width_nm = np.array([5, 5, 2.5, 2.5, 1.25, 1.25, 2.5, 10, 15, 5, 5])
     nm = np.cumsum(width_nm) - width_nm / 2
     image = SpectralImage(nm, width_nm, 1.0, factors=(np.arange(11.0), np.ones((1, 1, 1))))
@@ -118,7 +118,7 @@ def test_merged_bands_are_means_of_neighbours():
 
 
 @pytest.mark.parametrize("make", [general, factored])
-def test_the_file_has_fichets_layout(make, tmp_path):
+def test_write_exr_channels_have_fichets_layout(make, tmp_path):
     image = make()
     pixsim.write_exr(tmp_path / "image.exr", image)
     with OpenEXR.File(str(tmp_path / "image.exr"), separate_channels=True) as file:
@@ -134,7 +134,7 @@ def test_the_file_has_fichets_layout(make, tmp_path):
 
 
 @pytest.mark.parametrize("blocks", [1, 4, 5])
-def test_rows_come_in_blocks_of_any_size(blocks, tmp_path, monkeypatch):
+def test_write_exr_block_size_does_not_change_bytes(blocks, tmp_path, monkeypatch):
     image = factored((23, 7))
     pixsim.write_exr(tmp_path / "whole.exr", image)
     monkeypatch.setattr(exr, "BLOCK_BYTES", blocks * (8 + 48 * 7 * 4))
@@ -148,7 +148,7 @@ def test_rows_come_in_blocks_of_any_size(blocks, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("make", [general, factored])
-def test_a_weighted_sum_needs_no_second_picture(make, monkeypatch):
+def test_weighted_large_image_needs_memory_of_result_only(make, monkeypatch):
     monkeypatch.setattr(spectral, "STRIP_VALUES", 1 << 12)
     image = make((256, 256))
     weight = image.luminous_weight()
@@ -159,7 +159,7 @@ def test_a_weighted_sum_needs_no_second_picture(make, monkeypatch):
     assert total.nbytes < most < 1.3 * total.nbytes
 
 
-def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, monkeypatch):
+def test_write_exr_too_many_band_bytes_writes_illuminance(tmp_path, monkeypatch):
     image = factored()
     monkeypatch.setattr(exr, "MAX_BAND_BYTES", 4 * 46 * 5 * 7)
     pixsim.write_exr(tmp_path / "bands.exr", image)
@@ -170,12 +170,12 @@ def test_where_bands_would_fill_the_disk_illuminance_stands_for_them(tmp_path, m
     assert sorted(channels) == ["Y", "factor.0", "factor.1"]
     assert header["illuminanceUnits"] == "lx"
     assert np.array_equal(channels["Y"], image.illuminance_lx().astype(np.float32))
-    pixsim.write_exr(tmp_path / "general.exr", general())  # nothing else tells its bands
+    pixsim.write_exr(tmp_path / "general.exr", general())  # no other channel determines its bands
     assert len(read_header(tmp_path / "general.exr")["channels"]) == 46
 
 
 @pytest.mark.parametrize("make", [general, factored])
-def test_mitsuba_reads_the_file(make, tmp_path):
+def test_write_exr_file_is_read_by_mitsuba(make, tmp_path):
     image = make()
     pixsim.write_exr(tmp_path / "image.exr", image)
     variant.choose(None)
@@ -184,9 +184,11 @@ def test_mitsuba_reads_the_file(make, tmp_path):
     pixels = np.array(bitmap)
     for band, nm in enumerate(range(370, 821, 10)):
         assert np.array_equal(pixels[:, :, names.index(f"S0.{nm},000000nm")], image.data[:, :, band])
+    for number, picture in enumerate(image.factors[1] if image.factors else ()):
+        assert np.array_equal(pixels[:, :, names.index(f"factor.{number}")], picture)
 
 
-def test_strided_arrays_are_written_as_they_look(tmp_path):
+def test_write_exr_strided_arrays_are_written_correctly(tmp_path):
     whole = any_float32((12, 14, 2 * BANDS_NM.size))
     image = SpectralImage(BANDS_NM, 10.0, 1.0, data=whole[::-2, ::2, 1::2])
     pixsim.write_exr(tmp_path / "image.exr", image)
@@ -201,12 +203,12 @@ def test_strided_arrays_are_written_as_they_look(tmp_path):
 @pytest.mark.parametrize(
     ("content", "got"),
     [
-        (b"not an EXR", "does not begin as one"),
+        (b"not an EXR", "does not start like an EXR file"),
         (struct.pack("<II", 20000630, 2) + b"\xff" * 400, "damaged"),
         (None, "which does not exist"),
     ],
 )
-def test_another_kind_of_file_is_refused(tmp_path, content, got):
+def test_read_exr_other_file_raises(tmp_path, content, got):
     if content:
         (tmp_path / "image.exr").write_bytes(content)
     with pytest.raises(PixsimError, match=rf"{got}.*; allowed: a readable OpenEXR file"):
@@ -231,14 +233,14 @@ OWN = {"wavelength_nm": [550.0], "band_width_nm": [10.0], "pitch_um": 1.0, "head
     ],
     ids=["plain", "no header", "radiance", "torn header", "half a header", "no such channel", "no such factor"],
 )
-def test_an_exr_from_elsewhere_is_refused(tmp_path, header):
+def test_read_exr_foreign_header_raises(tmp_path, header):
     write_channels(tmp_path / "image.exr", {D65_TEXT: np.ones((2, 2))}, header)
     with pytest.raises(PixsimError, match=r"image\.exr"):
         pixsim.read_exr(tmp_path / "image.exr")
 
 
 @pytest.mark.parametrize("where", ["no/such/folder/image.exr", "a_file/image.exr", "a_folder"])
-def test_a_path_that_cannot_be_written_is_left_as_it_was(tmp_path, where):
+def test_write_exr_unwritable_path_raises_and_leaves_files(tmp_path, where):
     (tmp_path / "a_file").write_text("kept")
     (tmp_path / "a_folder").mkdir()
     before = sorted(tmp_path.rglob("*"))
@@ -248,7 +250,7 @@ def test_a_path_that_cannot_be_written_is_left_as_it_was(tmp_path, where):
     assert (tmp_path / "a_file").read_text() == "kept"
 
 
-def test_an_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
+def test_write_exr_interrupted_leaves_old_file(tmp_path, monkeypatch):
     path = tmp_path / "image.exr"
     pixsim.write_exr(path, factored())
     before = path.read_bytes()
@@ -264,7 +266,7 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_equal_images_give_equal_files(tmp_path):
+def test_write_exr_equal_images_give_equal_files(tmp_path):
     for name in ("a.exr", "b.exr"):
         pixsim.write_exr(tmp_path / name, general())
     assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
@@ -273,13 +275,13 @@ def test_equal_images_give_equal_files(tmp_path):
 # --- Light ---
 
 
-def test_tables_are_cies():
+def test_photometric_tables_match_cie():
     import colour
 
     nm = np.arange(360.0, 781.0)
     y_bar = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(360, 780, 1)).values[:, 1]
     np.testing.assert_allclose(spectral.photopic_efficiency(nm), y_bar, rtol=1e-9)
-    # CIE 15 tabulates D65 every 5 nm and says to interpolate linearly.
+    # CIE 15 tabulates D65 every 5 nm and prescribes linear interpolation.
     d65 = colour.SDS_ILLUMINANTS["D65"]
     np.testing.assert_allclose(spectral.d65(nm[::5]), d65[nm[::5]], rtol=1e-9)
     np.testing.assert_allclose(spectral.d65(nm), np.interp(nm, nm[::5], d65[nm[::5]]), rtol=1e-5)  # six digits
@@ -289,7 +291,7 @@ def test_tables_are_cies():
 
 
 @pytest.mark.parametrize("name", ["E", "D65", "A"])
-def test_illuminance_of_bands(name):
+def test_illuminance_of_standard_lamps_matches_colour_science(name):
     import colour
 
     # colour-science sums at 1 nm, pixsim knows ten-nanometre means only.
@@ -301,7 +303,7 @@ def test_illuminance_of_bands(name):
     assert image.illuminance_lx()[0, 0] == pytest.approx(colour.colorimetry.luminous_flux(lamp), rel=1e-4)
 
 
-def test_light_is_taken_at_the_centre_unless_told_where_it_is():
+def test_band_mean_uses_band_centre_by_default():
     centred = SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)))
     np.testing.assert_array_equal(centred.band_mean(lambda nm: nm**2), [550.0**2, 600.0**2])
     np.testing.assert_array_equal(centred.luminous_weight(), spectral.luminous_weight([550.0, 600.0], 10.0))
@@ -312,7 +314,7 @@ def test_light_is_taken_at_the_centre_unless_told_where_it_is():
     np.testing.assert_allclose(image.band_mean(lambda nm: nm**2) - [551.25**2, 600**2], [49 * 3 / 16, 8], rtol=1e-9)
 
 
-def test_illuminance_of_a_laser():
+def test_illuminance_of_laser_is_683_lm_per_w():
     image = SpectralImage([555.0], 1.0, 1.0, data=np.full((2, 3, 1), 2.0))
     # 2 W/m² where the eye is best: 683 lm/W by the SI, for 555.016 nm in air.
     np.testing.assert_allclose(image.illuminance_lx(), np.full((2, 3), 2 * 683), rtol=1e-5)
@@ -323,7 +325,7 @@ def test_illuminance_of_a_laser():
     assert SpectralImage([530.0], 10.0, 1.0, data=data).illuminance_lx()[0, 0] == pytest.approx(2 * 683.002 * 0.862, rel=1e-6)
 
 
-def test_photons_of_a_joule():
+def test_photons_per_joule_matches_si_constants():
     import scipy.constants as si
 
     assert spectral.photons_per_joule(555.0) == pytest.approx(555e-9 / (si.h * si.c), rel=1e-15)
@@ -332,7 +334,7 @@ def test_photons_of_a_joule():
     assert spectral.photons_per_joule([400, 800]) == pytest.approx(np.array([1, 2]) * spectral.photons_per_joule(400.0))
 
 
-def test_factors_are_the_data_they_stand_for():
+def test_spectral_image_factors_equal_their_data():
     rng = np.random.default_rng(0)
     spectra, pictures = rng.uniform(0, 1, (3, BANDS_NM.size)), rng.uniform(0, 1, (3, 6, 9))
     image = SpectralImage(BANDS_NM, 10.0, 1.0, factors=(spectra, pictures))
@@ -343,15 +345,15 @@ def test_factors_are_the_data_they_stand_for():
     np.testing.assert_allclose(image.weighted(weight), expected @ weight, rtol=1e-6)
     whole = SpectralImage(BANDS_NM, 10.0, 1.0, data=expected)
     np.testing.assert_allclose(image.illuminance_lx(), whole.illuminance_lx(), rtol=1e-6)
-    for each in (image, whole):
-        np.testing.assert_allclose(each.mean_spectrum(), expected.mean(axis=(0, 1)), rtol=1e-6)
+    for item in (image, whole):
+        np.testing.assert_allclose(item.mean_spectrum(), expected.mean(axis=(0, 1)), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "made of data or of factors, one of them"),
-        ({"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))}, "one of them"),
+        ({}, "give either data or factors, not both or neither"),
+        ({"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))}, "not both or neither"),
         ({"data": np.ones((2, 2))}, r"data: got \(2, 2\); allowed: \(H, W, 1\)"),
         ({"data": np.ones((2, 2, 3))}, r"data: got \(2, 2, 3\); allowed: \(H, W, 1\)"),
         ({"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))}, r"factors: got \(2, 1\) and \(1, 2, 2\)"),
@@ -365,7 +367,7 @@ def test_factors_are_the_data_they_stand_for():
         ({"data": np.ones((2, 2, 1)), "within": ([[550.0], [560.0]], [[0.5], [0.5]])}, r"within: got \(2, 1\) and \(2, 1\)"),
     ],
 )
-def test_shapes_that_do_not_fit_are_refused(arguments, message):
+def test_spectral_image_wrong_shapes_raise(arguments, message):
     with pytest.raises(PixsimError, match=message):
         SpectralImage(**{"wavelength_nm": [550.0], "band_width_nm": 10.0, "pitch_um": 1.0, **arguments})
 
@@ -376,11 +378,11 @@ NO_TABLES = [([], []), ([500], [1]), ([500, 400, 600], [1, 0, 0]), ([400, 500], 
 @pytest.mark.parametrize(
     ("nodes", "values", "got"),
     [
-        *((nodes, values, "two nodes or more, in rising order") for nodes, values in NO_TABLES),
-        ([400, 500], [1.0, np.nan], "nan or infinity"),
-        ([400, 500], [np.inf, 1.0], "nan or infinity"),
+        *((nodes, values, "two nodes or more, in increasing order") for nodes, values in NO_TABLES),
+        ([400, 500], [1.0, np.nan], "NaN or infinity"),
+        ([400, 500], [np.inf, 1.0], "NaN or infinity"),
     ],
 )
-def test_what_is_no_spectrum_is_refused(nodes, values, got):
+def test_spectrum_invalid_table_raises(nodes, values, got):
     with pytest.raises(PixsimError, match=rf"spectrum: got .*{got}"):
         Spectrum(np.array(nodes, float), np.array(values, float))

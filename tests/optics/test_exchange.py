@@ -1,4 +1,4 @@
-"""Light that others made: files written here by OpenEXR, NumPy and SPy alone, read as irradiance; what is unclear is refused."""
+"""Files that OpenEXR, NumPy and SPy write, read as irradiance; ambiguous files are errors."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def npz(path: Path, **arrays: object) -> Path:
 
 
 def cube(path: Path, data: np.ndarray, interleave: str = "bil", byte_order: int = 0, **fields: object) -> Path:
-    told = {"wavelength": NM, "wavelength units": "Nanometers", "data units": UNIT} | {
+    fields_of_file = {"wavelength": NM, "wavelength units": "Nanometers", "data units": UNIT} | {
         name.replace("_", " "): value for name, value in fields.items()
     }
-    metadata = {name: value for name, value in told.items() if value is not None}
+    metadata = {name: value for name, value in fields_of_file.items() if value is not None}
     envi.save_image(str(path), data, dtype=data.dtype, interleave=interleave, byteorder=byte_order, metadata=metadata, ext="raw")
     return path
 
@@ -63,7 +63,7 @@ def refused(path: Path, *parts: str, **options: object) -> None:
     assert "; allowed: " in str(caught.value)
 
 
-# --- pixsim's own ---
+# --- Files of pixsim ---
 
 
 def own_image() -> SpectralImage:
@@ -72,24 +72,24 @@ def own_image() -> SpectralImage:
     return SpectralImage(nm, 10.0, 1 / 3, factors=(spectra, pictures), header={"luminance_cd_per_m2": 1000.0})
 
 
-def test_pixsims_own_file_comes_back_bit_for_bit(tmp_path):
+def test_read_irradiance_pixsim_exr_is_bit_identical(tmp_path):
     image = own_image()
     pixsim.write_exr(tmp_path / "own.exr", image)
     back = pixsim.read_irradiance(tmp_path / "own.exr")
     assert np.array_equal(bits(back.data), bits(image.data))
     assert np.array_equal(back.factors[0], image.factors[0])
     assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
-    refused(tmp_path / "own.exr", "W.m^-2.um^-1 stated", "one unit", units="W.m^-2.um^-1", pitch_um=None)
+    refused(tmp_path / "own.exr", "W.m^-2.um^-1 given", "the same unit", units="W.m^-2.um^-1", pitch_um=None)
     refused(tmp_path / "own.exr", "0.333333333 µm by the file, 2.5 µm by pitch_um")
     dark = SpectralImage(NM, 10.0, 1.0, data=np.zeros((2, 2, 3)))
     pixsim.write_exr(tmp_path / "dark.exr", dark)
-    refused(tmp_path / "dark.exr", "black everywhere", pitch_um=None)
+    refused(tmp_path / "dark.exr", "a black picture", pitch_um=None)
     dark.data[1, 0, 2] = np.nan
     pixsim.write_exr(tmp_path / "nan.exr", dark)
     refused(tmp_path / "nan.exr", "nan at row 1, column 0 of the band at 520 nm", pitch_um=None)
 
 
-def test_npz_comes_back_bit_for_bit(tmp_path):
+def test_write_npz_image_reads_back_bit_for_bit(tmp_path):
     image = own_image()
     image.data.flat[:3] = 0.0, 1e-42, 3e38
     pixsim.write_npz(tmp_path / "image.npz", image)
@@ -104,7 +104,7 @@ def test_npz_comes_back_bit_for_bit(tmp_path):
         "pixsim": pixsim.__version__,
         "luminance_cd_per_m2": 1000.0,
     }
-    assert [each.name for each in tmp_path.iterdir()] == ["image.npz"]
+    assert [path.name for path in tmp_path.iterdir()] == ["image.npz"]
     with pytest.raises(PixsimError, match=r"output file: got '.*image\.npz' .*; allowed: a path that can be written"):
         pixsim.write_npz(tmp_path / "nowhere" / "image.npz", image)
 
@@ -134,7 +134,7 @@ def test_npz_comes_back_bit_for_bit(tmp_path):
         ("W/m^3/sr", 1e-9, True),
     ],
 )
-def test_spellings_of_units(text, factor, radiance):
+def test_parse_light_unit_spellings_have_equal_factor(text, factor, radiance):
     unit = parse_light_unit(text)
     assert (unit.factor, unit.radiance, unit.spectral) == (factor, radiance, True)
 
@@ -144,13 +144,13 @@ W.m^-4,W.m^-3.sr,W.m^9999999999999999999"""
 
 
 @pytest.mark.parametrize("text", [*WRONG.split(","), "W.m^-2.nm^-1 twice", "3 W.m^-3", "(" * 5000, "W" * 5000, "W.m^" + "5" * 5000])
-def test_what_is_no_unit_of_light_is_refused(tmp_path, text):
-    mend = 'State them: units="W.m^-2.nm^-1" in Python, --units W.m^-2.nm^-1 on the command line.'
-    refused(npz(tmp_path / "a.npz", units=text), f"got '{text}'", "allowed: spectral irradiance or radiance, as", mend)
+def test_parse_light_unit_other_text_raises(tmp_path, text):
+    hint = 'State them: units="W.m^-2.nm^-1" in Python, --units W.m^-2.nm^-1 on the command line.'
+    refused(npz(tmp_path / "a.npz", units=text), f"got '{text}'", "allowed: spectral irradiance or radiance, as", hint)
 
 
 @pytest.mark.parametrize("make", ["exr", "npz", "hdr"])
-def test_units_that_no_one_tells_are_asked_for(tmp_path, make):
+def test_read_irradiance_missing_units_raises(tmp_path, make):
     paths = {
         "exr": lambda: exr(tmp_path / "a.exr", stokes(light())),
         "npz": lambda: npz(tmp_path / "a.npz", units=None),
@@ -163,18 +163,18 @@ def test_units_that_no_one_tells_are_asked_for(tmp_path, make):
     assert back.header["units"] == "mW/m^2/nm"
 
 
-def test_stated_units_may_not_contradict_the_file(tmp_path):
+def test_read_irradiance_contradicting_units_raises(tmp_path):
     path = npz(tmp_path / "a.npz", units="mW/m2/nm")
-    refused(path, "mW/m2/nm in the file, W.m^-2.nm^-1 stated", "Leave the stated one out", units=UNIT)
+    refused(path, "mW/m2/nm in the file, W.m^-2.nm^-1 given", "Leave units (--units) out", units=UNIT)
     refused(path, "in the file", units="mW/m2/sr/nm", camera=CAMERA)
     same = pixsim.read_irradiance(path, units="W m^-2 um^-1")  # the same, spelled otherwise
     np.testing.assert_allclose(same.data, 1e-3 * light(), rtol=1e-6)
-    # A unit without a wavelength leaves room for one, but stays a radiance; what is no unit says nothing.
+    # A unit that is not per wavelength may be completed, but stays a radiance; other text is ignored.
     half = npz(tmp_path / "half.npz", units="W.m^-2.sr^-1", pitch_um=None)
-    refused(half, "W.m^-2.sr^-1, which names no wavelength", "State them", pitch_um=None, camera=pixsim.Camera())
-    refused(half, "one unit", pitch_um=None, camera=CAMERA, units=UNIT)
-    told = pixsim.read_irradiance(half, pixsim.Camera(die_mm=0.0125), units="W.m^-2.sr^-1.um^-1")
-    assert told.header["units"] == "W.m^-2.sr^-1.um^-1"
+    refused(half, "W.m^-2.sr^-1, which is not per wavelength", "State them", pitch_um=None, camera=pixsim.Camera())
+    refused(half, "the same unit", pitch_um=None, camera=CAMERA, units=UNIT)
+    spelled = pixsim.read_irradiance(half, pixsim.Camera(die_mm=0.0125), units="W.m^-2.sr^-1.um^-1")
+    assert spelled.header["units"] == "W.m^-2.sr^-1.um^-1"
     assert pixsim.read_irradiance(npz(tmp_path / "dn.npz", units="DN"), units=UNIT).header["units"] == UNIT
 
 
@@ -186,7 +186,7 @@ assert PBRT[:3] == ["374,688", "404,062", "433,438"]
 assert PBRT[15] == "815,312"
 
 
-def test_pbrts_spectral_film(tmp_path):
+def test_read_irradiance_pbrt_film_is_radiance_per_nm(tmp_path):
     radiance = light((2, 2, 16)).astype(np.float16)
     channels = stokes(radiance, tuple(f"S0.{nm}nm" for nm in PBRT)) | dict.fromkeys("RGB", np.ones((2, 2), np.float16))
     path = exr(tmp_path / "pbrt.exr", channels, spectralLayoutVersion="1.0", emissiveUnits="W.m^-2.sr^-1")
@@ -201,12 +201,12 @@ def test_pbrts_spectral_film(tmp_path):
     assert image.header["camera"] == camera.model_dump()
     assert image.header["units"] == "W.m^-2.sr^-1"
     refused(path, "radiance (W.m^-2.sr^-1) without a camera", "--camera.f-number")
-    refused(path, "stated", units=UNIT, camera=camera, pitch_um=None)
+    refused(path, "W.m^-2.nm^-1 given", units=UNIT, camera=camera, pitch_um=None)
     flux = exr(tmp_path / "flux.exr", channels, emissiveUnits="W.m^-2")  # not the layout's unit
-    refused(flux, "W.m^-2, which names no wavelength")
+    refused(flux, "W.m^-2, which is not per wavelength")
 
 
-def test_wavelengths_in_any_spelling_and_order(tmp_path):
+def test_read_spectral_exr_channel_names_give_sorted_wavelengths(tmp_path):
     # A frequency is c/λ; 1000 nm sorts before 380 nm as text.
     names = ("S0.1000nm", "S0.380,5nm", "S0.0,55um", "S0.4,5E-7m", "S0.6e2nm", "S0.499654,0966666667GHz", "S0.0,7e-3mm")
     expected = [1000, 380.5, 550, 450, 600, 600.0000000001, 700]
@@ -221,31 +221,32 @@ def test_wavelengths_in_any_spelling_and_order(tmp_path):
     refused(doubled, "550.0, 550.0 nm for 2 bands", "increasing")
 
 
-def test_only_unpolarised_light_is_taken(tmp_path):
+def test_read_spectral_exr_polarised_reflectance_or_rgb_raises(tmp_path):
     data, dark = light(), np.zeros((4, 5), np.float32)
     units = {"emissiveUnits": UNIT}
     zeros = dict.fromkeys(("S1.500nm", "S2.500nm", "S3.500nm"), dark)
     image = pixsim.read_irradiance(exr(tmp_path / "a.exr", stokes(data) | zeros | {"A": dark + 1}, **units), pitch_um=1.0)
     assert np.array_equal(bits(image.data), bits(data))
     refused(exr(tmp_path / "b.exr", stokes(data) | zeros | {"S2.500nm": dark - 1}, **units), "polarised light", "S2.500nm")
-    refused(exr(tmp_path / "c.exr", {"T.500nm": dark + 1, **stokes(data)}, **units), "reflectances", "T.500nm", "render it")
+    refused(exr(tmp_path / "c.exr", {"T.500nm": dark + 1, **stokes(data)}, **units), "reflectances", "T.500nm", "Render")
     rgb = exr(tmp_path / "d.exr", dict.fromkeys("RGB", dark + 1), **units)
-    refused(rgb, "the channels B, G, R", "S0.550,0nm", "RGB has no spectrum", 'Film "spectral"')
+    refused(rgb, "the channels B, G, R", "S0.550,0nm", "RGB is not a spectrum", 'Film "spectral"')
     many = exr(tmp_path / "e.exr", {f"layer.{index:02}": dark for index in range(40)})
     refused(many, "layer.11 … in")
 
 
-def test_crops_and_oblong_samples_are_refused(tmp_path):
+def test_read_spectral_exr_crop_or_oblong_pixels_raise(tmp_path):
     def box(right: int) -> tuple[np.ndarray, np.ndarray]:
         return np.array([0, 0], np.int32), np.array([right, 3], np.int32)
 
     crop = exr(tmp_path / "a.exr", stokes(light()), emissiveUnits=UNIT, dataWindow=box(4), displayWindow=box(9))
-    refused(crop, "a crop", "the whole picture")
-    refused(exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT, pixelAspectRatio=2.0), "oblong", "square samples")
+    refused(crop, "a crop", "a full image")
+    oblong = exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT, pixelAspectRatio=2.0)
+    refused(oblong, "non-square pixels", "with square pixels")
 
 
-def test_other_peoples_files(tmp_path):
-    """The files of Fichet et al. and of ART that colour-science carries, where they are installed."""
+def test_read_irradiance_published_files(tmp_path):
+    """Files of Fichet et al. and of ART in colour-science's tests, if they are installed."""
     import colour
 
     folder = Path(colour.__file__).parent / "io" / "tests" / "resources"
@@ -258,14 +259,14 @@ def test_other_peoples_files(tmp_path):
     assert set(image.band_width_nm) == {5.0}
     refused(folder / "Polarised.exr", "polarised light")
     refused(folder / "BiSpectral.exr", "reflectances")
-    refused(folder / "CMS_Test_Pattern.exr", "RGB has no spectrum")
+    refused(folder / "CMS_Test_Pattern.exr", "RGB is not a spectrum")
 
 
 # --- Radiance to irradiance ---
 
 
 @pytest.mark.parametrize("make", ["exr", "npz", "hdr"])
-def test_radiance_becomes_irradiance(tmp_path, make):
+def test_read_irradiance_radiance_becomes_irradiance(tmp_path, make):
     data = np.full((41, 81, 3), 2.0, np.float32)
     data[0, 0] = 4.0
     paths = {
@@ -291,13 +292,13 @@ def test_radiance_becomes_irradiance(tmp_path, make):
     assert image.header["camera"]["transmittance"] == 0.9
 
 
-def test_irradiance_is_left_alone_by_a_camera(tmp_path):
+def test_read_irradiance_with_camera_is_unchanged(tmp_path):
     image = pixsim.read_irradiance(npz(tmp_path / "a.npz", pitch_um=None), CAMERA)
     assert np.array_equal(bits(image.data), bits(light()))
     assert "camera" not in image.header
 
 
-def test_row_0_is_the_top(tmp_path):
+def test_read_irradiance_row_0_is_top(tmp_path):
     data = light()
     for path in (
         npz(tmp_path / "a.npz"),
@@ -307,7 +308,7 @@ def test_row_0_is_the_top(tmp_path):
         assert np.array_equal(bits(pixsim.read_irradiance(path, pitch_um=2.5).data), bits(data))
 
 
-def test_the_sensor_stage_runs_on_it(tmp_path):
+def test_evaluate_irradiance_of_file_runs(tmp_path):
     nm = np.arange(400.0, 701.0, 10.0)
     shape = 64, 96, nm.size
     path = npz(tmp_path / "a.npz", data=light(shape), wavelength_nm=nm, units=RADIANCE, pitch_um=None, white_cd_per_m2=6e4)
@@ -322,39 +323,39 @@ def test_the_sensor_stage_runs_on_it(tmp_path):
 # --- Bands and pitch ---
 
 
-def test_band_widths(tmp_path):
+def test_read_irradiance_band_widths(tmp_path):
     uneven = [400.0, 410.0, 430.0]
     cells = pixsim.read_irradiance(npz(tmp_path / "a.npz", wavelength_nm=uneven))
     assert cells.band_width_nm.tolist() == [10, 15, 20]  # edges 395, 405, 420, 440
-    told = pixsim.read_irradiance(npz(tmp_path / "b.npz", wavelength_nm=uneven, band_width_nm=[1, 2, 3.5]))
-    assert told.band_width_nm.tolist() == [1, 2, 3.5]
+    explicit = pixsim.read_irradiance(npz(tmp_path / "b.npz", wavelength_nm=uneven, band_width_nm=[1, 2, 3.5]))
+    assert explicit.band_width_nm.tolist() == [1, 2, 3.5]
     nowhere = npz(tmp_path / "nan.npz", data=light((4, 5, 1)), wavelength_nm=[np.nan], band_width_nm=1.0)
     refused(nowhere, "nan nm for 1 bands")
     one = npz(tmp_path / "c.npz", data=light((4, 5, 1)), wavelength_nm=[633.0])
-    refused(one, "one band has no neighbour", "band_width_nm", "fwhm")
+    refused(one, "none, for a single band", "band_width_nm", "fwhm")
     assert pixsim.read_irradiance(npz(one, data=light((4, 5, 1)), wavelength_nm=[633.0], band_width_nm=2)).band_width_nm == [2]
     line = exr(tmp_path / "d.exr", {"S0.633nm": light()[:, :, 0]}, emissiveUnits=UNIT, band_width_nm=2.0)
     assert pixsim.read_irradiance(line, pitch_um=1.0).band_width_nm == [2]
     for widths in ([1.0, 2.0], [1.0, 2.0, 0.0], [1.0, np.nan, 1.0], ["a", "b", "c"], [1.0, np.inf, 1.0]):
-        refused(npz(tmp_path / "e.npz", band_width_nm=widths), "band widths", "one, or 3, positive, in nm")
+        refused(npz(tmp_path / "e.npz", band_width_nm=widths), "band widths", "one or 3 positive numbers, in nm")
 
 
 @pytest.mark.parametrize(
     "nm", [[500, 510], [520, 510, 500], [500, 500, 510], [299, 510, 520], [500, 510, 1201], [500, 510, np.nan]]
 )
-def test_wavelengths_that_cannot_be_used_are_refused(tmp_path, nm):
-    got = ", ".join(str(float(each)) for each in nm)
-    refused(npz(tmp_path / "a.npz", wavelength_nm=nm), f"{got} nm for 3 bands", "increasing, 300 to 1200 nm", "Leave out")
+def test_read_irradiance_invalid_wavelengths_raise(tmp_path, nm):
+    got = ", ".join(str(float(item)) for item in nm)
+    refused(npz(tmp_path / "a.npz", wavelength_nm=nm), f"{got} nm for 3 bands", "increasing, from 300 to 1200 nm", "Remove")
 
 
-def test_the_pitch_has_one_value(tmp_path):
+def test_read_irradiance_contradicting_pitch_raises(tmp_path):
     path = npz(tmp_path / "a.npz", pitch_um=None)
-    refused(path, "none in the file", "Give pitch_um=, or a camera", pitch_um=None)
+    refused(path, "none in the file", "Give pitch_um, or a camera", pitch_um=None)
     assert pixsim.read_irradiance(path, pitch_um=7.0).pitch_um == 7
     assert pixsim.read_irradiance(path, CAMERA).pitch_um == 10
     refused(path, "10 µm by camera.die_mm / 5 columns, 7 µm by pitch_um", "camera.die_mm = 0.035", pitch_um=7, camera=CAMERA)
-    told = npz(tmp_path / "b.npz", pitch_um=10.1)
-    refused(told, "10.1 µm by the file", "--camera.die-mm 0.0505", pitch_um=None, camera=CAMERA)
+    pitched = npz(tmp_path / "b.npz", pitch_um=10.1)
+    refused(pitched, "10.1 µm by the file", "--camera.die-mm 0.0505", pitch_um=None, camera=CAMERA)
     attribute = exr(tmp_path / "c.exr", stokes(light()), emissiveUnits=UNIT, pitch_um=1.7)  # a float32
     assert pixsim.read_irradiance(attribute).pitch_um == pytest.approx(1.7, rel=1e-7)
     exact = pixsim.Camera(die_mm=5 * 1.7e-3)
@@ -363,7 +364,7 @@ def test_the_pitch_has_one_value(tmp_path):
         refused(npz(tmp_path / "d.npz", pitch_um=pitch), "pitch_um of", "a positive number", pitch_um=None)
 
 
-def test_the_white_is_taken_along(tmp_path):
+def test_read_irradiance_white_is_in_header(tmp_path):
     image = pixsim.read_irradiance(npz(tmp_path / "a.npz", white_cd_per_m2=250))
     assert image.header["luminance_cd_per_m2"] == 250.0
     refused(npz(tmp_path / "b.npz", white_cd_per_m2=-1.0), "white_cd_per_m2 of", "-1", "a positive number")
@@ -373,14 +374,14 @@ def test_the_white_is_taken_along(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1e-30, 1e300])
-def test_what_is_not_light_is_refused_with_its_place(tmp_path, value):
+def test_read_irradiance_invalid_value_raises_with_position(tmp_path, value):
     data = light().astype(float)
     data[2, 3, 1] = value
     refused(npz(tmp_path / "a.npz", data=data), f"got {value} at row 2, column 3 of the band at 510 nm", "0 to 3.4e+38")
-    refused(npz(tmp_path / "dark.npz", data=np.zeros((4, 5, 3))), "black everywhere", "some light")
+    refused(npz(tmp_path / "dark.npz", data=np.zeros((4, 5, 3))), "a black picture", "some light")
 
 
-def test_numbers_of_any_kind_are_taken(tmp_path):
+def test_read_npz_numeric_types_are_converted(tmp_path):
     for kind in (np.uint8, np.int16, np.uint64, np.float16, np.float64, ">f4"):
         data = np.arange(60).reshape(4, 5, 3).astype(kind)
         assert np.array_equal(pixsim.read_irradiance(npz(tmp_path / "a.npz", data=data)).data, np.arange(60).reshape(4, 5, 3))
@@ -390,23 +391,23 @@ def test_numbers_of_any_kind_are_taken(tmp_path):
     "arrays",
     [{"data": np.ones((4, 5))}, {"data": np.ones((4, 5, 3), complex)}, {"data": np.full((4, 5, 3), "a")}, {"wavelength_nm": 500.0}],
 )
-def test_arrays_of_another_kind_are_refused(tmp_path, arrays):
-    refused(npz(tmp_path / "a.npz", **arrays), "real numbers, data (H, W, B) and wavelength_nm (B,)")
+def test_read_npz_wrong_arrays_raise(tmp_path, arrays):
+    refused(npz(tmp_path / "a.npz", **arrays), "real numbers: data (H, W, B) and wavelength_nm (B,)")
 
 
-def test_names_in_an_npz_are_checked(tmp_path):
+def test_read_npz_wrong_names_raise(tmp_path):
     listed = "allowed: data, wavelength_nm, units; optional: band_width_nm, pitch_um, white_cd_per_m2"
     refused(npz(tmp_path / "a.npz", data=None), "got wavelength_nm, units, pitch_um", listed)
     refused(npz(tmp_path / "b.npz", pitch_mm=1.0), "pitch_mm", listed)
-    refused(npz(tmp_path / "c.npz", units=np.array({}, object)), "readable file of numpy.savez, without pickled objects")
+    refused(npz(tmp_path / "c.npz", units=np.array({}, object)), "readable file from numpy.savez without pickled objects")
 
 
-def test_absurd_sizes_are_refused_before_they_are_read(tmp_path):
+def test_read_irradiance_absurd_size_raises(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
         for name, shape in (("data", (1 << 20, 1 << 20, 3)), ("wavelength_nm", (3,))):
             with file.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array_header_1_0(member, {"descr": "<f4", "fortran_order": False, "shape": shape})
-    refused(tmp_path / "a.npz", "1048576 × 1048576 × 3 values", "a readable file of numpy.savez")
+    refused(tmp_path / "a.npz", "1048576 × 1048576 × 3 values", "a readable file from numpy.savez")
     whole = exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT).read_bytes()
     window = np.array([0, 0, 4, 3], "<i4").tobytes()
     assert whole.count(window) == 2  # of the data and of the display
@@ -422,7 +423,7 @@ def test_absurd_sizes_are_refused_before_they_are_read(tmp_path):
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("kind", ["exr", "npz", "raw"])
-def test_torn_files_are_refused(tmp_path, kind, share):
+def test_read_irradiance_truncated_file_raises(tmp_path, kind, share):
     data = light((32, 32, 3))
     paths = {
         "exr": lambda: exr(tmp_path / "a.exr", stokes(data), emissiveUnits=UNIT),
@@ -436,7 +437,7 @@ def test_torn_files_are_refused(tmp_path, kind, share):
     refused(path)
 
 
-def test_a_header_torn_anywhere_is_refused_or_whole(tmp_path):
+def test_read_envi_truncated_header_raises_or_is_complete(tmp_path):
     path = cube(tmp_path / "a.hdr", light(), wavelength=NM, fwhm=[5.0] * 3)
     text = path.read_text()
     for end in range(len(text)):
@@ -451,13 +452,13 @@ def test_a_header_torn_anywhere_is_refused_or_whole(tmp_path):
 @pytest.mark.parametrize(
     ("name", "part"),
     [
-        ("a.png", "a file that ends in .exr, .npz or .hdr"),
+        ("a.png", "a name that ends in .exr, .npz or .hdr"),
         ("nowhere.npz", "which does not exist"),
         ("nowhere.hdr", "which does not exist"),
         ("nowhere.exr", "which does not exist"),
     ],
 )
-def test_other_paths_are_refused(tmp_path, name, part):
+def test_read_irradiance_other_path_raises(tmp_path, name, part):
     refused(tmp_path / name, part)
 
 
@@ -467,7 +468,7 @@ def test_other_paths_are_refused(tmp_path, name, part):
 @pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
 @pytest.mark.parametrize("byte_order", [0, 1])
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, np.uint16, np.int32, np.float32, np.float64])
-def test_envi_in_every_order(tmp_path, interleave, byte_order, kind):
+def test_read_envi_interleave_and_byte_order(tmp_path, interleave, byte_order, kind):
     data = np.arange(60).reshape(4, 5, 3).astype(kind)
     image = pixsim.read_irradiance(cube(tmp_path / "a.hdr", data, interleave, byte_order), pitch_um=1.0)
     assert np.array_equal(image.data, np.arange(60).reshape(4, 5, 3))
@@ -475,7 +476,7 @@ def test_envi_in_every_order(tmp_path, interleave, byte_order, kind):
     assert image.band_width_nm.tolist() == [10, 10, 10]
 
 
-def test_an_envi_header_written_by_hand(tmp_path):
+def test_read_envi_handwritten_header(tmp_path):
     (tmp_path / "scan.img").write_bytes(b"skip" + np.arange(1, 13, dtype=">f4").tobytes())
     (tmp_path / "scan.hdr").write_text(
         "ENVI\ndescription = { Radiance }\nsamples = 3\nlines = 2\nbands = 2\nheader offset = 4\nfile type = ENVI Standard\n"
@@ -490,7 +491,7 @@ def test_an_envi_header_written_by_hand(tmp_path):
     assert image.header["units"] == "W m^-2 um^-1"
 
 
-def test_fwhm_is_a_width_only_where_bands_do_not_overlap(tmp_path):
+def test_read_envi_fwhm_of_overlapping_bands_is_ignored(tmp_path):
     for fwhm, width in ((4.0, 4.0), (9.95, 9.95), (10.0, 10.0), (10.05, 10.0), (25.0, 10.0)):
         image = pixsim.read_irradiance(cube(tmp_path / f"{fwhm}.hdr", light(), fwhm=[fwhm] * 3), pitch_um=1.0)
         assert image.band_width_nm.tolist() == [width] * 3
@@ -499,7 +500,7 @@ def test_fwhm_is_a_width_only_where_bands_do_not_overlap(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "parts"),
     [
-        ({"data_gain_values": [1, 2, 1]}, ("'data gain values'", "write the light itself")),
+        ({"data_gain_values": [1, 2, 1]}, ("'data gain values'", "Apply it")),
         ({"data_offset_values": [0, 0, 0.5]}, ("'data offset values'", "none, or 0 for each band")),
         ({"reflectance_scale_factor": 10000}, ("'reflectance scale factor'", "10000", "none, or 1")),
         ({"calibration_scale_factor": 0.1}, ("'calibration scale factor'", "0.1")),
@@ -508,11 +509,11 @@ def test_fwhm_is_a_width_only_where_bands_do_not_overlap(tmp_path):
         ({"wavelength_units": "Unknown"}, ("wavelength units", "Unknown", "Nanometers or Micrometers")),
         ({"wavelength_units": None}, ("wavelength units", "got none", "Nanometers or Micrometers")),
         ({"wavelength": None}, ("without wavelength",)),
-        ({"wavelength": ["a", "b", "c"]}, ("an ENVI header with its raw file beside it",)),
+        ({"wavelength": ["a", "b", "c"]}, ("an ENVI header with its raw file in the same folder",)),
         ({"data_units": "Reflectance"}, ("got 'Reflectance'", "--units")),
     ],
 )
-def test_envi_fields_that_change_the_values_are_refused(tmp_path, fields, parts):
+def test_read_envi_scaling_fields_raise(tmp_path, fields, parts):
     refused(cube(tmp_path / "a.hdr", light(), **fields), *parts)
 
 
@@ -529,7 +530,7 @@ def test_envi_fields_that_change_the_values_are_refused(tmp_path, fields, parts)
         ("lines = 4", "lines = 40", "240 bytes in"),
     ],
 )
-def test_envi_headers_that_make_no_sense_are_refused(tmp_path, old, new, part):
+def test_read_envi_invalid_header_raises(tmp_path, old, new, part):
     path = cube(tmp_path / "a.hdr", light())
     text = path.read_text()
     assert old in text
@@ -537,9 +538,9 @@ def test_envi_headers_that_make_no_sense_are_refused(tmp_path, old, new, part):
     refused(path, part)
 
 
-def test_envi_without_its_raw_file_or_spy(tmp_path, monkeypatch):
+def test_read_envi_missing_raw_file_or_spy_raises(tmp_path, monkeypatch):
     path = cube(tmp_path / "a.hdr", light())
     (tmp_path / "a.raw").rename(tmp_path / "b.raw")
-    refused(path, "an ENVI header with its raw file beside it")
+    refused(path, "an ENVI header with its raw file in the same folder")
     monkeypatch.setitem(__import__("sys").modules, "spectral", None)
-    refused(path, "no SPy", "pip install 'pixsim[envi]'")
+    refused(path, "SPy is not installed", "pip install 'pixsim[envi]'")

@@ -16,38 +16,38 @@ from pixsim.base.parameters import Camera
 @pytest.mark.parametrize(
     ("f_number", "magnification"), [(0.5, 0.0), (1.0, 0.0), (2.0, 0.0), (1.4, -0.5), (0.25, 1.0), (0.4, 0.25), (1e100, 0.0)]
 )
-def test_irradiance_on_the_axis_is_pi_sine_squared(f_number, magnification):
+def test_irradiance_factor_on_axis_is_pi_sine_squared(f_number, magnification):
     sine = np.sin(np.arctan(0.5 / (f_number * (1 + abs(magnification)))))
     assert optics.irradiance_factor(f_number, 0.0, magnification) == pytest.approx(np.pi * sine**2, rel=1e-14)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 15.0, 40.0, 70.0])
-def test_slow_lenses_fall_off_as_cosine_to_the_fourth(angle_deg):
+def test_irradiance_factor_slow_lens_is_cos4(angle_deg):
     f_number, magnification = 500.0, 0.3
     a = 1 / (4 * f_number**2 * (1 + magnification) ** 2)
     cos4 = np.cos(np.radians(angle_deg)) ** 4
-    found = optics.irradiance_factor(f_number, np.tan(np.radians(angle_deg)), magnification)
+    result = optics.irradiance_factor(f_number, np.tan(np.radians(angle_deg)), magnification)
     # The next term of the series, in A = 5.9e-7: -1 on the axis, -0.75 to 0.19 at these angles.
-    assert found == pytest.approx(np.pi * cos4 * a, rel=1.1 * a)
+    assert result == pytest.approx(np.pi * cos4 * a, rel=1.1 * a)
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("tan_field", [1e8, 1e76, 1e100, 1e200, np.inf])
-def test_grazing_light_fades_without_a_warning(tan_field):
+def test_irradiance_factor_grazing_light_is_zero(tan_field):
     # πA/T² for T >> 1: below the smallest number beyond tan θ = 1e77.
     faint = np.pi / 64 / tan_field / tan_field / tan_field / tan_field
     assert optics.irradiance_factor(4.0, tan_field) == pytest.approx(faint, rel=1e-12, abs=1e-300)
 
 
 @pytest.mark.parametrize("f_number", [0.4, 0.0, -4.0, np.nan])
-def test_impossible_f_numbers_and_fields_are_refused(f_number):
+def test_irradiance_factor_invalid_arguments_raise(f_number):
     with pytest.raises(PixsimError, match=r"f-number: got .*0\.5"):
         optics.irradiance_factor(f_number, 0.0)
     with pytest.raises(PixsimError, match="tan_field: got nan"):
         optics.irradiance_factor(4.0, [0.0, np.nan])
 
 
-def test_field_factor_puts_the_axis_in_the_middle():
+def test_field_factor_axis_is_at_centre():
     field = optics.field_factor((3, 4), 10.0, 2.0, 4.0, 0.1)
     assert field[1, 0] == pytest.approx(optics.irradiance_factor(4.0, 15 / 2000, 0.1), rel=1e-15)
     assert field[2, 3] == pytest.approx(optics.irradiance_factor(4.0, np.hypot(10, 15) / 2000, 0.1), rel=1e-15)
@@ -57,8 +57,8 @@ def test_field_factor_puts_the_axis_in_the_middle():
 
 
 @pytest.mark.parametrize("f_number", [1.0, 1.8, 4.0, 1000.0])
-def test_light_and_blur_see_one_pupil(f_number):
-    """E = π L sin²α on axis, and a cut-off of 2 sin α/λ, of one α; with a camera whose image is a fifth of its object."""
+def test_irradiance_factor_and_cutoff_share_numerical_aperture(f_number):
+    """E = π L sin²α on axis and the cut-off 2 sin α/λ have the same α, also at a magnification of 1/5."""
     camera = Camera(focal_length_mm=50.0, f_number=f_number, object_distance_m=0.3)
     sin_alpha = np.sqrt(optics.irradiance_factor(f_number, 0.0, camera.magnification) / np.pi)
     assert optics.cutoff_cy_per_mm(500.0, camera.effective_f_number) == pytest.approx(2 * sin_alpha / 500e-6, rel=1e-13)

@@ -1,4 +1,4 @@
-"""Spectra, bands and pulses: no line is lost, no wavelength is random, and the error that a fit tells is the error it makes."""
+"""Spectra, bands and pulses: lines are conserved, wavelengths are not random, and reported errors are the real ones."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def shipped(name: str) -> Spectrum:
 
 
 def line(centre_nm: float, width_nm: float = 1.0) -> Spectrum:
-    """A triangle of unit area, `width_nm` wide at half its height."""
+    """Return a triangle of unit area with a full width at half maximum of `width_nm`."""
     return spectrum([centre_nm - width_nm, centre_nm, centre_nm + width_nm], [0, 1 / width_nm, 0])
 
 
@@ -70,7 +70,7 @@ def fine(lamp: Spectrum) -> np.ndarray:
 
 
 def exact_integral(lamp: Spectrum, low: float, high: float) -> float:
-    """∫ piece by piece: the value in the middle of a straight piece times its width."""
+    """Return the integral as a sum over linear pieces."""
     inside = lamp.nodes_nm[(lamp.nodes_nm > low) & (lamp.nodes_nm < high)]
     cuts = np.concatenate([[low], inside, [high]])
     middle = (cuts[1:] + cuts[:-1]) / 2
@@ -104,7 +104,7 @@ def test_cell_means_are_exact(name):
     assert lamp.integral(480.5, 555.03) == pytest.approx(exact_integral(lamp, 480.5, 555.03), rel=1e-9, abs=1e-12)
 
 
-def test_integrals_known_by_hand():
+def test_integral_matches_hand_calculation():
     assert TABLES["two nodes"].integral() == 470**2 / 2
     assert TABLES["steps at its ends"].integral() == pytest.approx(100.4 * 3.5, rel=1e-13)
     assert TABLES["a step inside"].integral() == pytest.approx(100 + 150.75, rel=1e-13)
@@ -116,7 +116,7 @@ def test_integrals_known_by_hand():
 
 @pytest.mark.parametrize("step_nm", STEPS_NM)
 @pytest.mark.parametrize("name", TABLES)
-def test_trapezoids_on_the_grid_add_up_to_the_integral(name, step_nm):
+def test_on_grid_trapezoids_equal_integral(name, step_nm):
     values = TABLES[name].on_grid(step_nm)
     assert values.size == round(470 / step_nm) + 1
     assert np.trapezoid(values, dx=step_nm) == pytest.approx(TABLES[name].integral(), rel=1e-10, abs=1e-12)
@@ -135,7 +135,7 @@ def test_trapezoids_on_the_grid_add_up_to_the_integral(name, step_nm):
         ([400, 450.5, 450.5, 600], 1 / 32),
     ],
 )
-def test_the_grid_is_the_coarsest_that_resolves_a_table(nodes, step_nm):
+def test_step_nm_is_coarsest_that_resolves_table(nodes, step_nm):
     assert spectrum(nodes, np.ones(len(nodes))).step_nm == step_nm
     # In binary, so that Mitsuba's float32 has the same nodes.
     assert np.array_equal(grid_nm(step_nm).astype(np.float32), grid_nm(step_nm))
@@ -147,36 +147,36 @@ SMOOTH = {"d65": shipped("d65"), "a": shipped("a"), "flat": tabulated(np.ones(47
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-def test_smooth_lamps_have_uniform_bands(name):
-    found = place_bands([SMOOTH[name]], NONE, WITNESSES, TOLERANCE)
-    np.testing.assert_array_equal(found.edges_nm, [360, *range(365, 826, 10), 830])
-    np.testing.assert_array_equal(found.wavelength_nm, [362.5, *range(370, 821, 10), 827.5])
-    np.testing.assert_array_equal(found.width_nm, [5, *[10] * 46, 5])
+def test_place_bands_smooth_lamp_is_uniform(name):
+    result = place_bands([SMOOTH[name]], NONE, WITNESSES, TOLERANCE)
+    np.testing.assert_array_equal(result.edges_nm, [360, *range(365, 826, 10), 830])
+    np.testing.assert_array_equal(result.wavelength_nm, [362.5, *range(370, 821, 10), 827.5])
+    np.testing.assert_array_equal(result.width_nm, [5, *[10] * 46, 5])
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_shares_are_where_the_light_is(seed):
+def test_place_bands_shares_follow_light(seed):
     rng = np.random.default_rng(seed)
     lamp = spectrum(np.arange(360, 831), rng.uniform(0, 1, 471) ** 8)
-    found = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
-    np.testing.assert_allclose(found.shares.sum(axis=1), 1, rtol=1e-13)
-    assert np.all((found.nodes_nm >= found.edges_nm[:-1, None]) & (found.nodes_nm <= found.edges_nm[1:, None]))
+    result = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
+    np.testing.assert_allclose(result.shares.sum(axis=1), 1, rtol=1e-13)
+    assert np.all((result.nodes_nm >= result.edges_nm[:-1, None]) & (result.nodes_nm <= result.edges_nm[1:, None]))
     # Ten parts at their own centroids hold the first moment of the light exactly: so linear responses are exact.
-    light, first = fine(lamp), np.searchsorted(FINE_NM, found.edges_nm[:-1])
+    light, first = fine(lamp), np.searchsorted(FINE_NM, result.edges_nm[:-1])
     centroid = np.add.reduceat(light * FINE_NM, first) / np.add.reduceat(light, first)
     # Lamps are taken in 1/8 nm cells: 1/8 nm squared over 12 is the error of the second moment, less of the first.
-    np.testing.assert_allclose(found.mean(lambda nm: nm), centroid, rtol=0, atol=0.01)
-    near = np.abs(centroid - (found.edges_nm[:-1] + found.edges_nm[1:]) / 2) < 1
-    assert 0 < near.sum() < near.size  # else this says nothing
-    np.testing.assert_allclose(found.wavelength_nm[~near], centroid[~near], rtol=0, atol=0.01)
-    assert np.abs(found.wavelength_nm - centroid).max() < 1.01
+    np.testing.assert_allclose(result.mean(lambda nm: nm), centroid, rtol=0, atol=0.01)
+    near = np.abs(centroid - (result.edges_nm[:-1] + result.edges_nm[1:]) / 2) < 1
+    assert 0 < near.sum() < near.size  # both cases occur
+    np.testing.assert_allclose(result.wavelength_nm[~near], centroid[~near], rtol=0, atol=0.01)
+    assert np.abs(result.wavelength_nm - centroid).max() < 1.01
 
 
-def test_integrals_over_bands():
+def test_bands_integrals_match_direct_sums():
     edges = np.array([360, 361.25, 362.5, 500, 829.375, 830])
-    found = Bands(edges, edges[:-1], edges[:-1, None], edges[:-1, None])
+    result = Bands(edges, edges[:-1], edges[:-1, None], edges[:-1, None])
     cells = np.diff((grid_nm() - 360) ** 2)  # of 2(λ - 360)
-    energy = found.integrals(np.stack([cells, 0 * cells + 1]), 1.0)
+    energy = result.integrals(np.stack([cells, 0 * cells + 1]), 1.0)
     np.testing.assert_allclose(energy[1], np.diff(edges), rtol=1e-12)
     # Within a cell of 1 nm energy is taken as even: 0.25 · 0.75 at a fraction of 0.25, for this slope.
     even = np.interp(edges - 360, grid_nm() - 360, (grid_nm() - 360) ** 2)
@@ -191,30 +191,30 @@ LINES_NM = [
 ]
 
 
-def told(lamp: Spectrum, found: Bands) -> tuple[np.ndarray, float, float]:
-    """Energy of each band, of all of them, and the mean wavelength at which their pulses look."""
-    every = every_band(lamp, found)
-    energy = every.spectra * found.width_nm
+def band_energies(lamp: Spectrum, bands: Bands) -> tuple[np.ndarray, float, float]:
+    """Return the energy of each band, the total, and the mean wavelength of the pulses."""
+    every = every_band(lamp, bands)
+    energy = every.spectra * bands.width_nm
     at = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in every.pulses]
     return energy.sum(axis=0), float(energy.sum()), float((energy.sum(axis=1) * at).sum() / energy.sum())
 
 
-def assert_seen(lamp: Spectrum, found: Bands, energy: np.ndarray, responses: dict[str, Any] = RESPONSES) -> None:
-    """Each response gets its energy, to 1e-3. Bands' centres instead of a line would be 1e-2 off."""
+def assert_seen(lamp: Spectrum, bands: Bands, energy: np.ndarray, responses: dict[str, Any] = RESPONSES) -> None:
+    """Check each response's signal to 1e-3. Band centres in place of a line would be 1e-2 off."""
     for response in responses.values():
         truth = (fine(lamp) * response(FINE_NM)).sum() * FINE_STEP_NM
-        assert (energy * found.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
+        assert (energy * bands.mean(response)).sum() == pytest.approx(truth, rel=1e-3)
 
 
 @pytest.mark.parametrize("width_nm", [1.0, 0.1])
 @pytest.mark.parametrize("centre_nm", LINES_NM)
-def test_no_line_is_missed(centre_nm, width_nm):
+def test_place_bands_lines_are_conserved(centre_nm, width_nm):
     lamp = line(centre_nm, width_nm)
-    found = place_bands([lamp], NONE, list(map(Witness, SEEING.values())), TOLERANCE)
-    energy, total, at_nm = told(lamp, found)
+    result = place_bands([lamp], NONE, list(map(Witness, SEEING.values())), TOLERANCE)
+    energy, total, at_nm = band_energies(lamp, result)
     # Its nodes are rounded to 1e-13 nm.
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12 / width_nm)
-    assert_seen(lamp, found, energy, SEEING)
+    assert_seen(lamp, result, energy, SEEING)
     light = fine(lamp)
     # Its pulses look where it is, to a quarter of their grid's step; at the ends of what Mitsuba samples flanks of two steps
     # need room.
@@ -223,58 +223,58 @@ def test_no_line_is_missed(centre_nm, width_nm):
 
 
 @pytest.mark.parametrize("name", ["fl11", "led_b3", "laser_532nm", "d65", "a"])
-def test_energies_of_shipped_lamps(name):
+def test_place_bands_packaged_lamp_energies(name):
     lamp = shipped(name)
-    found = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
-    energy, total, at_nm = told(lamp, found)
+    result = place_bands([lamp], NONE, WITNESSES, TOLERANCE)
+    energy, total, at_nm = band_energies(lamp, result)
     assert total == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-12)
-    assert_seen(lamp, found, energy)
+    assert_seen(lamp, result, energy)
     light = fine(lamp)
     # Pulses are bands with the nodes at both their edges: half a nanometre too much at either side, which nearly cancels.
     assert at_nm == pytest.approx((light * FINE_NM).sum() / light.sum(), abs=0.25)
 
 
 @pytest.mark.parametrize(("one_nm", "other_nm"), [(541, 544), (535, 545), (435.8, 444.0), (601.25, 604.0), (650.03, 654.97)])
-def test_two_lamps_with_different_lines_in_one_band(one_nm, other_nm):
+def test_place_bands_two_line_lamps_are_split(one_nm, other_nm):
     lamps = [line(one_nm), line(other_nm, 0.5)]
-    found = place_bands(lamps, NONE, WITNESSES, TOLERANCE)
-    assert found.width_nm.min() < 10  # 10 nm cannot tell them apart
-    assert np.array_equal(found.edges_nm[[0, -1]], [360, 830])
-    assert np.all(found.width_nm >= 1)
+    result = place_bands(lamps, NONE, WITNESSES, TOLERANCE)
+    assert result.width_nm.min() < 10  # bands of 10 nm do not separate them
+    assert np.array_equal(result.edges_nm[[0, -1]], [360, 830])
+    assert np.all(result.width_nm >= 1)
     for lamp in lamps:
-        energy, total, _ = told(lamp, found)
+        energy, total, _ = band_energies(lamp, result)
         assert total == pytest.approx(1, rel=1e-12)
-        assert_seen(lamp, found, energy)
+        assert_seen(lamp, result, energy)
 
 
-def test_lamps_share_a_band_at_equal_energies():
+def test_place_bands_lamps_have_equal_weight():
     # However bright each is: a dim lamp's lines count as much.
-    found = place_bands([line(541), line(544) * 1000.0, spectrum([900, 1000], [1, 1])], NONE, WITNESSES, 10.0)
-    band = int(np.searchsorted(found.edges_nm, 541)) - 1
-    assert found.width_nm[band] == 10
-    assert found.wavelength_nm[band] == pytest.approx(542.5, abs=1e-9)
-    assert found.mean(lambda nm: (nm - 542.5) ** 2)[band] == pytest.approx(1.5**2, abs=0.2)  # less what is within 1 nm parts
-    assert found.wavelength_nm[band + 1] == 550  # dark: at its centre
+    result = place_bands([line(541), line(544) * 1000.0, spectrum([900, 1000], [1, 1])], NONE, WITNESSES, 10.0)
+    band = int(np.searchsorted(result.edges_nm, 541)) - 1
+    assert result.width_nm[band] == 10
+    assert result.wavelength_nm[band] == pytest.approx(542.5, abs=1e-9)
+    assert result.mean(lambda nm: (nm - 542.5) ** 2)[band] == pytest.approx(1.5**2, abs=0.2)  # less what is within 1 nm parts
+    assert result.wavelength_nm[band + 1] == 550  # dark: at its centre
 
 
-def test_bands_narrow_where_surface_and_response_change_together():
+def test_place_bands_narrow_at_steep_response():
     edge = 1 / (1 + np.exp((600 - grid_nm()) / 2))
     lamp = SMOOTH["d65"]
-    found = place_bands([lamp], edge[None], [Witness(RESPONSES["red"])], TOLERANCE)
-    assert np.all(found.width_nm[np.abs(found.wavelength_nm - 480) < 80] == 10)
-    assert found.width_nm[np.abs(found.wavelength_nm - 600) < 10].max() < 10
-    first = np.searchsorted(FINE_NM, found.edges_nm[:-1])
+    result = place_bands([lamp], edge[None], [Witness(RESPONSES["red"])], TOLERANCE)
+    assert np.all(result.width_nm[np.abs(result.wavelength_nm - 480) < 80] == 10)
+    assert result.width_nm[np.abs(result.wavelength_nm - 600) < 10].max() < 10
+    first = np.searchsorted(FINE_NM, result.edges_nm[:-1])
     light = fine(lamp) * np.interp(FINE_NM, grid_nm(), edge)
     energy = np.add.reduceat(light, first)
     truth = (light * RESPONSES["red"](FINE_NM)).sum()
-    assert (energy * found.mean(RESPONSES["red"])).sum() == pytest.approx(truth, rel=1.05 * TOLERANCE)
+    assert (energy * result.mean(RESPONSES["red"])).sum() == pytest.approx(truth, rel=1.05 * TOLERANCE)
     # 10 nm bands would err by more: the halving is needed.
     coarse = place_bands([lamp], edge[None], [Witness(RESPONSES["red"])], 1.0)
     energy = np.add.reduceat(light, np.searchsorted(FINE_NM, coarse.edges_nm[:-1]))
     assert abs((energy * coarse.mean(RESPONSES["red"])).sum() / truth - 1) > 2 * TOLERANCE
 
 
-def test_slack_lets_an_answer_be_worse():
+def test_place_bands_slack_allows_larger_error():
     edge = 1 / (1 + np.exp((600 - grid_nm()) / 2))
     counts = [
         place_bands([SMOOTH["d65"]], edge[None], [Witness(RESPONSES["red"], slack)], TOLERANCE).width_nm.size
@@ -302,42 +302,42 @@ def is_sound(pulse: Pulse) -> bool:
 
 
 def apart(pulses: list[Pulse]) -> bool:
-    """Whether no two different ones share more than a zero at their ends."""
+    """Return whether no two pulses share more than a zero at their ends."""
     spans = sorted({(pulse.low_nm, pulse.high_nm) for pulse in pulses})
     return all(one[1] <= other[0] for one, other in pairwise(spans))
 
 
 @pytest.mark.parametrize("lit", [*range(1, 27), 33, 46])
-def test_every_lit_band_once_in_fours_that_do_not_touch(lit):
+def test_every_band_passes_are_disjoint(lit):
     edges = [366, 367, 373 + 10 * (lit - 1), 374 + 10 * (lit - 1)]
     lamp = spectrum(edges, [0, 1, 1, 0])
-    found = place_bands([lamp], NONE, WITNESSES, 1.0)
-    every = every_band(lamp, found)
+    result = place_bands([lamp], NONE, WITNESSES, 1.0)
+    every = every_band(lamp, result)
     assert len(every.pulses) == lit
     assert all(is_sound(pulse) for pulse in every.pulses)
     # Each pulse stands for a band of its own, which has light.
     assert np.count_nonzero(every.spectra, axis=1).tolist() == [1] * lit
     np.testing.assert_array_equal(np.flatnonzero(every.spectra.any(axis=0)), np.arange(1, 1 + lit))
-    np.testing.assert_allclose(every.spectra.sum(axis=0), lamp.cell_means(found.edges_nm), rtol=1e-13)
+    np.testing.assert_allclose(every.spectra.sum(axis=0), lamp.cell_means(result.edges_nm), rtol=1e-13)
     # 1, 2 or 4 channels a pass, the last filled up with one of its own.
-    assert {len(each) for each in every.passes} == ({4} if lit >= 8 else {1})
+    assert {len(group) for group in every.passes} == ({4} if lit >= 8 else {1})
     assert len(every.passes) == (-(-lit // 4) if lit >= 8 else lit)
     assert sorted(index for each in every.passes for index in set(each)) == list(range(lit))
-    assert all(apart([every.pulses[index] for index in each]) for each in every.passes)
+    assert all(apart([every.pulses[index] for index in item]) for item in every.passes)
 
 
 @pytest.mark.parametrize("count", range(1, 33))
-def test_narrow_bands_do_not_touch_either(count):
+def test_every_band_narrow_bands_are_disjoint(count):
     edges = np.concatenate([[360, 500], 500 + 1.25 * np.arange(1, count + 1), [830]])
     centre = (edges[1:] + edges[:-1]) / 2
     lamp = spectrum([500, 500, edges[-2], edges[-2]], [0, 1, 1, 0])
     every = every_band(lamp, Bands(edges, centre, centre[:, None], np.ones((centre.size, 1))))
     assert len(every.pulses) == count
-    assert sorted({index for each in every.passes for index in each}) == list(range(count))
-    assert all(apart([every.pulses[index] for index in each]) for each in every.passes)
+    assert sorted({index for item in every.passes for index in item}) == list(range(count))
+    assert all(apart([every.pulses[index] for index in group]) for group in every.passes)
 
 
-def test_dark_bands_are_skipped():
+def test_every_band_dark_bands_are_skipped():
     lamp = spectrum([365, 366, 367], [0, 1, 0])  # touches the border of a band, from above
     every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
     assert len(every.pulses) == 1
@@ -347,9 +347,9 @@ def test_dark_bands_are_skipped():
     assert (every.pulses, every.passes) == ((), [])
 
 
-def test_flat_pulses_for_lamps_that_stay_in_place():
-    found = place_bands([], NONE, WITNESSES, TOLERANCE)
-    every = every_band(None, found)
+def test_every_band_without_lamp_is_flat():
+    result = place_bands([], NONE, WITNESSES, TOLERANCE)
+    every = every_band(None, result)
     np.testing.assert_array_equal(every.spectra, np.eye(48))
     assert all(is_sound(pulse) for pulse in every.pulses)
     assert len(every.passes) == 12
@@ -360,16 +360,16 @@ def test_flat_pulses_for_lamps_that_stay_in_place():
 
 
 @pytest.mark.parametrize("lamp", [None, "rising"])
-def test_pulses_of_bands_add_up_to_the_lamp(lamp):
-    """Each wavelength counts once, on a border in two halves: or a line in place would be lost, or count twice."""
+def test_every_band_pulses_add_up_to_lamp(lamp):
+    """Each wavelength counts once, at a border in two halves: lines are neither lost nor counted twice."""
     nm = np.arange(361.0, 829.001, 1 / 8)  # between the folded ends of the range
     light = None if lamp is None else Spectrum(np.array([360.0, 830.0]), np.array([1.0, 5.0]))
-    found = place_bands([light] if light else [], NONE, WITNESSES, TOLERANCE)
-    every = every_band(light, found)
-    mean = np.ones(48) if light is None else light.cell_means(found.edges_nm)
+    result = place_bands([light] if light else [], NONE, WITNESSES, TOLERANCE)
+    every = every_band(light, result)
+    mean = np.ones(48) if light is None else light.cell_means(result.edges_nm)
     total = sum(
         np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) * width * level
-        for pulse, width, level in zip(every.pulses, found.width_nm, mean, strict=True)
+        for pulse, width, level in zip(every.pulses, result.width_nm, mean, strict=True)
     )
     expected = np.ones(nm.size) if light is None else light.at(nm)
     inside = (nm > 365.5) & (nm < 824.5)
@@ -378,9 +378,9 @@ def test_pulses_of_bands_add_up_to_the_lamp(lamp):
 
 
 @pytest.mark.parametrize("count", range(1, 33))
-def test_pulses_of_a_fit_in_passes(count):
+def test_passes_span_spectrum(count):
     order = passes(count)
-    assert {len(each) for each in order} <= {1, 2, 4}
+    assert {len(item) for item in order} <= {1, 2, 4}
     assert {index for each in order for index in each} == set(range(count))
     # What is there twice fills an incomplete four, and only there.
     assert sum(map(len, order)) - count == (-count % 4 if count > 3 else 0)
@@ -406,20 +406,20 @@ def surfaces_of(name: str) -> np.ndarray:
 
 
 def answers(
-    found: Any, placed: Bands, response: spectral_bands.Response, factors: np.ndarray, nm: np.ndarray = FINE_NM
+    fitted: Any, placed: Bands, response: spectral_bands.Response, factors: np.ndarray, nm: np.ndarray = FINE_NM
 ) -> np.ndarray:
-    """What a sensor says of light from surfaces (n, fine), from pulses that meet them."""
-    pulses = np.array([np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) for pulse in found.pulses])
+    """Return the signals of light from surfaces (n, fine), computed from pulses."""
+    pulses = np.array([np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) for pulse in fitted.pulses])
     measured = factors @ pulses.T * (nm[1] - nm[0])
-    return measured @ found.spectra @ (placed.width_nm * placed.mean(response))
+    return measured @ fitted.spectra @ (placed.width_nm * placed.mean(response))
 
 
-def errors_of(found: Any, placed: Bands, lamp: Spectrum, factors: np.ndarray) -> np.ndarray:
-    """Relative errors, (witnesses, n), against integrals over 0.01 nm."""
+def errors_of(fitted: Any, placed: Bands, lamp: Spectrum, factors: np.ndarray) -> np.ndarray:
+    """Return relative errors (witnesses, n) against integrals in steps of 0.01 nm."""
     result = []
     for witness in WITNESSES:
         truth = factors @ (fine(lamp) * witness.response(FINE_NM)) * FINE_STEP_NM
-        result.append((answers(found, placed, witness.response, factors) / truth - 1) / witness.slack)
+        result.append((answers(fitted, placed, witness.response, factors) / truth - 1) / witness.slack)
     return np.array(result)
 
 
@@ -429,50 +429,50 @@ def made(lamp: Spectrum, surfaces: np.ndarray, tolerance: float) -> tuple[Any, B
 
 
 @pytest.mark.parametrize("name", ["fl11", "led_b3", "laser_532nm", "d65", "a"])
-def test_neutral_surfaces_need_one_pulse(name):
+def test_fit_neutral_surface_needs_one_pulse(name):
     lamp = shipped(name)
-    found, placed = made(lamp, NONE, 1e-3)
-    assert len(found.pulses) == 1
-    assert is_sound(found.pulses[0])
+    result, placed = made(lamp, NONE, 1e-3)
+    assert len(result.pulses) == 1
+    assert is_sound(result.pulses[0])
     # The lamp itself, and its bands are its means.
-    np.testing.assert_allclose(found.spectra[0], lamp.cell_means(placed.edges_nm), rtol=1e-9, atol=1e-12 * lamp.values.max())
-    assert found.error < TOLERANCE
+    np.testing.assert_allclose(result.spectra[0], lamp.cell_means(placed.edges_nm), rtol=1e-9, atol=1e-12 * lamp.values.max())
+    assert result.error < TOLERANCE
 
 
 @pytest.mark.parametrize(("name", "family"), FITS)
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
-def test_a_fit_errs_as_much_as_it_tells(name, family, tolerance):
+def test_fit_error_equals_reported_error(name, family, tolerance):
     lamp, surfaces = shipped(name), surfaces_of(family)
-    found, placed = made(lamp, surfaces, tolerance)
-    assert all(is_sound(pulse) for pulse in found.pulses)
-    assert all(one.high_nm <= other.low_nm for one, other in pairwise(found.pulses))
-    factors = np.array([np.interp(FINE_NM, grid_nm(), each) for each in (np.ones(471), *surfaces)])
-    worst = np.abs(errors_of(found, placed, lamp, factors)).max()
-    assert found.error <= tolerance * 0.8
+    result, placed = made(lamp, surfaces, tolerance)
+    assert all(is_sound(pulse) for pulse in result.pulses)
+    assert all(one.high_nm <= other.low_nm for one, other in pairwise(result.pulses))
+    factors = np.array([np.interp(FINE_NM, grid_nm(), item) for item in (np.ones(471), *surfaces)])
+    worst = np.abs(errors_of(result, placed, lamp, factors)).max()
+    assert result.error <= tolerance * 0.8
     # Two-sided: 5 % for a pulse as Mitsuba integrates it, straight between its nodes, and 1e-6 for what 0.01 nm cells do.
-    assert worst == pytest.approx(found.error, rel=0.05, abs=1e-6 if name != "laser_532nm" else 1e-5)
+    assert worst == pytest.approx(result.error, rel=0.05, abs=1e-6 if name != "laser_532nm" else 1e-5)
 
 
 @pytest.mark.parametrize(("name", "family"), FITS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_mixtures_of_surfaces_stay_within_the_bound(name, family, seed):
+def test_fit_mixtures_are_within_bound(name, family, seed):
     lamp, surfaces = shipped(name), surfaces_of(family)
-    found, placed = made(lamp, surfaces, 3e-3)
+    result, placed = made(lamp, surfaces, 3e-3)
     rng = np.random.default_rng(seed)
-    families = np.array([np.interp(FINE_NM, grid_nm(), each) for each in (np.ones(471), *surfaces)])
+    families = np.array([np.interp(FINE_NM, grid_nm(), item) for item in (np.ones(471), *surfaces)])
     convex = rng.dirichlet(np.full(len(families), 0.3), 30)
     positive = rng.exponential(1, (30, len(families))) * (rng.random((30, len(families))) < 0.2) + 1e-9
-    errors = errors_of(found, placed, lamp, np.vstack([convex, positive]) @ families)
+    errors = errors_of(result, placed, lamp, np.vstack([convex, positive]) @ families)
     # A positive sum's relative error is no greater than that of its worst part; roundings as above.
-    assert np.abs(errors).max() <= 1.05 * found.error + 1e-5
+    assert np.abs(errors).max() <= 1.05 * result.error + 1e-5
 
 
 @pytest.mark.parametrize(("name", "family"), FITS)
-def test_tighter_tolerances_take_more_pulses(name, family):
+def test_fit_tighter_tolerance_needs_more_pulses(name, family):
     lamp, surfaces = shipped(name), surfaces_of(family)
     placed = place_bands([lamp], surfaces, WITNESSES, 1e-4)
     fits = [fit(lamp, placed, surfaces, WITNESSES, tolerance) for tolerance in (0.3, 0.03, 0.01, 3e-3, 1e-3, 3e-4)]
-    counts = [len(each.pulses) for each in fits if each]
+    counts = [len(item.pulses) for item in fits if item]
     assert counts == sorted(counts)
     assert len(counts) > 3
     if name == "laser_532nm":
@@ -482,13 +482,13 @@ def test_tighter_tolerances_take_more_pulses(name, family):
 
 
 @pytest.mark.parametrize(("name", "family"), FITS)
-def test_every_band_is_told_and_some_weights_are_negative(name, family):
+def test_fit_bands_are_right_with_negative_weights(name, family):
     lamp, surfaces = shipped(name), surfaces_of(family)
-    found, placed = made(lamp, surfaces, 1e-3)
-    assert found.spectra.min() < 0 or len(found.pulses) == 1
-    factors = np.array([np.interp(FINE_NM, grid_nm(), each) for each in (np.ones(471), *surfaces)])
-    pulses = np.array([np.interp(FINE_NM, pulse.nodes_nm, pulse.values, left=0, right=0) for pulse in found.pulses])
-    bands_told = factors @ pulses.T * FINE_STEP_NM @ found.spectra
+    result, placed = made(lamp, surfaces, 1e-3)
+    assert result.spectra.min() < 0 or len(result.pulses) == 1
+    factors = np.array([np.interp(FINE_NM, grid_nm(), item) for item in (np.ones(471), *surfaces)])
+    pulses = np.array([np.interp(FINE_NM, pulse.nodes_nm, pulse.values, left=0, right=0) for pulse in result.pulses])
+    bands_told = factors @ pulses.T * FINE_STEP_NM @ result.spectra
     first = np.searchsorted(FINE_NM, placed.edges_nm[:-1])
     bands_true = np.add.reduceat(factors * fine(lamp), first, axis=1) * FINE_STEP_NM / placed.width_nm
     wrong = np.abs(bands_told - bands_true).max(axis=1) / bands_true.max(axis=1)
@@ -497,44 +497,44 @@ def test_every_band_is_told_and_some_weights_are_negative(name, family):
     assert wrong[0] < 1e-3
 
 
-def test_answers_may_be_right_and_bands_wrong():
-    # A response that is the same at all wavelengths is served by one lamp-shaped pulse, which tells nothing of the bands.
+def test_fit_bands_are_within_shape_tolerance():
+    # A response that is the same at all wavelengths needs one pulse of the shape of the lamp, which does not determine the bands.
     even = [Witness(np.ones_like)]
     lamp = shipped("fl11")
     placed = place_bands([lamp], SURFACES, even, 1e-3)
-    found = fit(lamp, placed, SURFACES, even, 1e-3)
-    assert len(found.pulses) > 1
-    assert found.error < 1e-3
+    result = fit(lamp, placed, SURFACES, even, 1e-3)
+    assert len(result.pulses) > 1
+    assert result.error < 1e-3
 
 
 @pytest.mark.parametrize("centre_nm", [360.5, 400.0, 532.0, 632.8, 655.0, 829.5])
 @pytest.mark.parametrize("tolerance", [1e-2, 2e-3])
-def test_a_laser_needs_one_pulse_whatever_the_surfaces(centre_nm, tolerance):
+def test_fit_laser_needs_one_pulse(centre_nm, tolerance):
     lamp = line(centre_nm, 0.1 if centre_nm % 1 else 1.0)
     surfaces = np.vstack([SURFACES, macbeth()])
     placed = place_bands([lamp], surfaces, [Witness(SEEING["ramp"])], tolerance / 4)
-    found = fit(lamp, placed, surfaces, [Witness(SEEING["ramp"])], tolerance)
-    assert len(found.pulses) == 1
+    result = fit(lamp, placed, surfaces, [Witness(SEEING["ramp"])], tolerance)
+    assert len(result.pulses) == 1
     # A common part of 0.1 nm and 1/32 nm: tables and pulses are straight within each cell.
     nm = np.arange(360 + 1 / 1280, 830, 1 / 640)
     nm = nm[np.abs(nm - centre_nm) < 5]
-    factors = np.array([np.interp(nm, grid_nm(), each) for each in surfaces])
+    factors = np.array([np.interp(nm, grid_nm(), surface) for surface in surfaces])
     light = np.interp(nm, lamp.nodes_nm, lamp.values, left=0, right=0)
     truth = factors @ (light * SEEING["ramp"](nm)) / 640
-    wrong = np.abs(answers(found, placed, SEEING["ramp"], factors, nm) / truth - 1).max()
+    wrong = np.abs(answers(result, placed, SEEING["ramp"], factors, nm) / truth - 1).max()
     assert wrong <= tolerance
     # What is told may be a neutral surface's, which is not among these.
-    assert wrong <= 1.05 * found.error + 1e-5
+    assert wrong <= 1.05 * result.error + 1e-5
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4])
-def test_the_shipped_laser_needs_one_pulse_in_narrow_bands_too(tolerance):
-    found, placed = made(shipped("laser_532nm"), macbeth(), tolerance)
-    assert len(found.pulses) == 1
+def test_fit_packaged_laser_needs_one_pulse(tolerance):
+    result, placed = made(shipped("laser_532nm"), macbeth(), tolerance)
+    assert len(result.pulses) == 1
     assert (placed.width_nm.min() < 2) == (tolerance == 1e-4)  # its triangle is then cut within a nanometre
 
 
-def test_where_few_pulses_do_not_do():
+def test_fit_too_few_pulses_returns_none():
     dark = spectrum([360, 830], [0, 0])
     placed = place_bands([dark], SURFACES, WITNESSES, TOLERANCE)
     assert placed.width_nm.size == 48
@@ -554,7 +554,7 @@ def test_where_few_pulses_do_not_do():
 
 
 def furnace(mi: Any, responses: list[dict[str, Any]], spp: int = 16) -> np.ndarray:
-    """A uniform emitter of radiance 1 that fills the view, (12, 12, channels)."""
+    """Render a uniform emitter of radiance 1 that fills the view, (12, 12, channels)."""
     size = (12, 12)
     described = {
         "type": "scene",
@@ -572,7 +572,7 @@ def furnace(mi: Any, responses: list[dict[str, Any]], spp: int = 16) -> np.ndarr
 
 @VARIANTS
 @pytest.mark.parametrize("name", ["fl11", "laser_532nm", "a band and its repeat", "fine lines"])
-def test_wavelengths_bring_no_noise(name, variant):
+def test_render_pulses_add_no_spectral_noise(name, variant):
     if name == "a band and its repeat":
         lamp = spectrum([366, 367, 443 + 10, 444 + 10], [0, 1, 1, 0])  # nine bands: the last pass has three
         every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
@@ -582,8 +582,8 @@ def test_wavelengths_bring_no_noise(name, variant):
         lamps = [line(centre, 0.1) for centre in (435.83, 546.07, 579.07, 632.8)]
         pulses = [every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE)).pulses[0] for lamp in lamps]
     else:
-        found, _ = made(shipped(name), macbeth(), 1e-2)
-        pulses = [found.pulses[index] for index in passes(len(found.pulses))[-1]]
+        result, _ = made(shipped(name), macbeth(), 1e-2)
+        pulses = [result.pulses[index] for index in passes(len(result.pulses))[-1]]
     with speaking_mitsuba(variant, Path()) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in pulses])
     assert seen.shape[2] == len(pulses)
@@ -594,7 +594,7 @@ def test_wavelengths_bring_no_noise(name, variant):
 
 
 @VARIANTS
-def test_adjoining_pulses_would_bring_noise(variant):
+def test_render_adjoining_pulses_add_noise(variant):
     every = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, WITNESSES, TOLERANCE))
     with speaking_mitsuba(variant, Path()) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in every.pulses[10:15]])

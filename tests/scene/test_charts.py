@@ -1,4 +1,4 @@
-"""Charts against their definitions: frequencies, contrasts, luminances, angles, and how well a texture holds them."""
+"""Charts against their definitions: frequencies, contrasts, luminances, angles, and the errors of textures."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ SHIPPED = Path(__file__).parents[2] / "scenes" / "charts"
 # --- The CSF chart ---
 
 
-def test_frequencies_run_from_1_to_the_nyquist_frequency_of_15_um():
+def test_csf_frequency_ends_at_nyquist_of_15_um():
     np.testing.assert_allclose(charts.csf_frequency_lp_per_mm([0, 1]), [1.0, 1000 / 30], rtol=1e-14)
     # Exponential: equal ratios.
     assert charts.csf_frequency_lp_per_mm(0.5) == pytest.approx(np.sqrt(1000 / 30), rel=1e-12)
 
 
 @pytest.mark.parametrize("die_mm", [2.7136, 5.0])
-def test_local_frequency_is_the_derivative_of_the_phase(die_mm):
+def test_csf_value_phase_derivative_is_frequency(die_mm):
     x = np.linspace(0, 1, 400_001)
     wave = charts.csf_value(x, 1.0, die_mm) - 0.5125
     before = np.flatnonzero(np.diff(np.sign(wave[1:]))) + 1
     zeros = x[before] + np.diff(x)[before] * wave[before] / (wave[before] - wave[before + 1])
     # Half a cycle between neighbouring zeros.
-    found = 0.5 / (np.diff(zeros) * die_mm)
+    result = 0.5 / (np.diff(zeros) * die_mm)
     middle = (zeros[1:] + zeros[:-1]) / 2
     # f(middle) is the mean of an exponential but for (3.5 Δx)²/24, 1.2 % in the first half cycle, 1e-5 in the last.
     bound = (np.log(1000 / 30) * np.diff(zeros)) ** 2 / 24 + 1e-5
-    assert found.size > 48 * die_mm / 2.7136
-    assert np.all(np.abs(found / charts.csf_frequency_lp_per_mm(middle) - 1) < 1.1 * bound)
+    assert result.size > 48 * die_mm / 2.7136
+    assert np.all(np.abs(result / charts.csf_frequency_lp_per_mm(middle) - 1) < 1.1 * bound)
 
 
-def test_contrasts_and_luminances_of_the_paper():
+def test_csf_contrast_and_luminance_match_paper():
     top, bottom = (charts.csf_value(np.linspace(0, 1, 200_001), y) * 1000 for y in (0.0, 1.0))
     # 25 to 1000 cd/m², mean 512.5, largest Michelson contrast 975/1025; 1 % of it on top.
     assert (bottom.min(), bottom.max()) == pytest.approx((25, 1000), abs=1e-4)
@@ -49,7 +49,7 @@ def test_contrasts_and_luminances_of_the_paper():
 
 
 def bilinear(texels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """What a renderer reads at x, y in [0, 1]: texel centres at (i + ½)/n, clamped."""
+    """Interpolate texels at x, y in [0, 1] as a renderer does: centres at (i + ½)/n, clamped."""
     height, width = texels.shape
     column, row = x * width - 0.5, y * height - 0.5
     left, upper = (np.clip(np.floor(v).astype(int), 0, n - 2) for v, n in ((column, width), (row, height)))
@@ -61,7 +61,7 @@ def bilinear(texels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("y", [0.004, 0.25, 0.6, 0.996])
 @pytest.mark.parametrize("frequency_lp_per_mm", [1.2, 4.0, 12.0, 20.0, 32.5])
-def test_the_shipped_texture_holds_the_contrast(frequency_lp_per_mm, y):
+def test_csf_texture_keeps_contrast(frequency_lp_per_mm, y):
     middle = np.log(frequency_lp_per_mm) / np.log(1000 / 30)
     x = np.clip(middle + np.linspace(-0.015, 0.015, 20_001), 0.001, 0.999)
     exact = charts.csf_value(x, y) - 0.5125
@@ -69,14 +69,14 @@ def test_the_shipped_texture_holds_the_contrast(frequency_lp_per_mm, y):
     # The wave that is read, in units of the one that should be: linear interpolation takes (π f Δx)²/3 of it, 0.04 % at
     # 33 lp/mm, on average; rows and rounding add 0.005 %.
     assert (read * exact).sum() / (exact * exact).sum() == pytest.approx(1.0, abs=1e-3)
-    # Point by point: found 0.084 % on crests at 33 lp/mm where the contrast is 1 %, of which rounding is 0.04 %.
+    # Point by point: measured 0.084 % on crests at 33 lp/mm where the contrast is 1 %, of which rounding is 0.04 %.
     assert np.abs(read - exact).max() < 1e-3 * 0.5125 * charts.csf_contrast(y)
 
 
-# --- The others ---
+# --- Other charts ---
 
 
-def test_the_slanted_edge_leans_by_5_degrees():
+def test_slanted_edge_is_5_degrees():
     texels = charts.slanted_edge(400, 400)
     # Where the edge crosses each row, from the row's dark area; coverage is counted in 8 × 8 points: 1/16 texel.
     crossing = 400 * (1 - (texels.astype(float) - 0.1).mean(axis=1) / 0.9)
@@ -88,7 +88,7 @@ def test_the_slanted_edge_leans_by_5_degrees():
     assert np.diff(texels, axis=1).min() >= 0
 
 
-def test_the_star_is_symmetric():
+def test_siemens_star_is_symmetric():
     texels = charts.siemens_star(256, 256).astype(float)
     # 72 cycles: a quarter turn is 18 of them, a mirror exchanges bright and dark. Points that lie exactly on a sector's
     # border (the diagonals) may fall to either side: 8 of 64 a texel.
@@ -100,7 +100,7 @@ def test_the_star_is_symmetric():
     assert np.all(texels[np.hypot(x, y) > 0.46 * 256] == 1.0)
 
 
-def test_the_star_has_72_cycles():
+def test_siemens_star_has_72_cycles():
     texels = read_channels(SHIPPED / "siemens_star.exr")[0]["Y"]
     angle = np.radians(np.arange(0, 360, 0.05) + 0.02)
     row, column = (np.floor(512 - 400 * np.sin(angle)).astype(int), np.floor(512 + 400 * np.cos(angle)).astype(int))
@@ -111,7 +111,7 @@ def test_the_star_has_72_cycles():
     assert texels[512 + 10, 512 + 400] == pytest.approx(0.025)
 
 
-def test_a_sine_chart_is_a_sine():
+def test_sine_value_is_sinusoid():
     x = np.linspace(0, 1, 100_001)
     wave = charts.sine_value(x, 10.0, contrast=0.5)
     assert (wave.min(), wave.max()) == pytest.approx((0.25, 0.75), abs=1e-6)
@@ -123,14 +123,14 @@ def test_a_sine_chart_is_a_sine():
 
 
 @pytest.mark.parametrize("kind", list(charts.CHARTS))
-def test_shipped_textures_are_what_the_code_makes(kind):
+def test_packaged_textures_equal_make_chart(kind):
     channels, _ = read_channels(SHIPPED / f"{kind}.exr")
     assert list(channels) == ["Y"]
     np.testing.assert_array_equal(channels["Y"], charts.make_chart(kind))
 
 
 @pytest.mark.parametrize("kind", list(charts.CHARTS))
-def test_texels_are_luminances_that_a_renderer_can_use(kind):
+def test_make_chart_texels_are_valid(kind):
     texels = charts.make_chart(kind, 64, 32)
     assert texels.shape == (32, 64)
     assert texels.dtype == np.float32
@@ -138,7 +138,7 @@ def test_texels_are_luminances_that_a_renderer_can_use(kind):
     assert np.all((texels >= (1 if kind == "flat" else 0.0249)) & (texels <= 1))
 
 
-def test_a_chart_for_another_die_keeps_its_frequencies_in_mm():
+def test_make_chart_other_die_keeps_frequencies():
     # The first half of the phase of a die twice as wide runs at twice the cycles per width.
     narrow, wide = (charts.make_chart("csf", 4096, 4, die_mm)[3].astype(float) for die_mm in (2.0, 4.0))
     crossings = [np.count_nonzero(np.diff(np.sign(line - 0.5125))) for line in (narrow, wide)]
@@ -152,14 +152,14 @@ def test_a_chart_for_another_die_keeps_its_frequencies_in_mm():
         ({"kind": "csf", "width": 1}, r"chart size: got .*1.*2 to 32768"),
         ({"kind": "flat", "height": 40_000}, r"chart size: got .*40000.*2 to 32768"),
         ({"kind": "csf", "die_mm": 0.0}, r"die_mm: got 0 for csf"),
-        ({"kind": "flat", "die_mm": 2.0}, r"die_mm: got 2 for flat.*scale with the die"),
+        ({"kind": "flat", "die_mm": 2.0}, r"die_mm: got 2 for flat.*for csf only"),
     ],
 )
-def test_charts_that_cannot_be_are_refused(arguments, message):
+def test_make_chart_invalid_arguments_raise(arguments, message):
     with pytest.raises(PixsimError, match=message):
         charts.make_chart(**arguments)
 
 
-def test_other_file_formats_are_refused(tmp_path):
+def test_write_chart_other_ending_raises(tmp_path):
     with pytest.raises(PixsimError, match=r"chart\.png.*\.exr"):
         charts.write_chart(tmp_path / "chart.png", charts.flat())

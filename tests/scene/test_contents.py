@@ -1,6 +1,6 @@
-"""What a scene contains: shapes before the lens, and what surfaces do to a spectrum.
+"""Contents of scenes: shapes in front of the lens, and spectra of surfaces.
 
-Against thin-lens optics, brute-force rays, Mitsuba's own shapes, the numbers that stand in the XML, and Fresnel's formula.
+Compared with thin-lens optics, brute-force rays, Mitsuba's shapes, the numbers in the XML, and Fresnel's formula.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pixsim.scene.scene import sensor_node
 
 @pytest.mark.parametrize("depth_m", [0.05, 0.5, 0.999, 1.0, 1.2, 7.0, 1e6])
 @pytest.mark.parametrize(("focal_mm", "f_number", "focus_m"), [(3.86, 4.0, 1.0), (50.0, 1.4, 0.8)])
-def test_blur_is_the_disc_of_a_thin_lens(focal_mm, f_number, focus_m, depth_m):
+def test_blur_um_is_thin_lens_disc(focal_mm, f_number, focus_m, depth_m):
     camera = pixsim.Camera(focal_length_mm=focal_mm, f_number=f_number, object_distance_m=focus_m)
     sensor_mm = 1 / (1 / focal_mm - 1 / (1e3 * focus_m))
     vergence = 1 / focal_mm - 1 / (1e3 * depth_m)  # 1/v; negative where the image is virtual
@@ -30,22 +30,22 @@ def test_blur_is_the_disc_of_a_thin_lens(focal_mm, f_number, focus_m, depth_m):
     assert blur_um(camera, depth_m) == pytest.approx(diameter_um, rel=1e-9, abs=1e-9)
 
 
-def test_blur_is_infinite_at_the_lens_and_behind_it():
+def test_blur_um_at_lens_is_infinite():
     camera = pixsim.Camera()
     for depth_m in (0.0, -1.0):
         assert np.isinf(blur_um(camera, depth_m))
     assert np.isinf(greatest_blur_um(camera, Body(0, None, None)))
 
 
-def test_the_greatest_blur_of_a_body_is_at_one_of_its_ends():
+def test_greatest_blur_is_at_an_end_of_the_body():
     camera = pixsim.Camera()
     deep = box(0, 0, 1.0, (0, 0, 0.4))
     assert greatest_blur_um(camera, deep) == pytest.approx(max(blur_um(camera, 0.6), blur_um(camera, 1.4)), rel=1e-12)
     assert blur_um(camera, 0.6) > blur_um(camera, 1.4) > 0
 
 
-def test_mitsuba_blurs_a_disc_as_wide(tmp_path):
-    """The second moment of a uniform disc is D²/8, that of one disc convolved with another the sum."""
+def test_blur_um_matches_mitsuba(tmp_path):
+    """The second moment of a uniform disc is D²/8; those of convolved discs add up."""
     radius_m, depth_m = 6e-5, 0.07
     small = ('x="$chart_half_width" y="$chart_half_width"', f'x="{radius_m}" y="{radius_m}"')
     away = ('<translate z="$focus_distance"/>', f'<translate z="{depth_m}"/>')
@@ -71,7 +71,7 @@ def box(x: float, y: float, z: float, half: tuple[float, float, float] = (0, 0, 
 
 
 def widest(camera: pixsim.Camera, half_m: float, z: float) -> float:
-    """How far from the axis any ray of the picture is at a depth: from all over the lens to all over the plane in focus."""
+    """Return the largest distance from the axis, at a depth, of any ray between the lens and the plane in focus."""
     a, u = camera.aperture_radius_m, camera.object_distance_m
     start, end = np.meshgrid(np.linspace(-a, a, 201), np.linspace(-half_m, half_m, 201))
     return float(np.abs(start + (end - start) * z / u).max())
@@ -80,7 +80,7 @@ def widest(camera: pixsim.Camera, half_m: float, z: float) -> float:
 @pytest.mark.parametrize("z", [1e-4, 0.02, 0.5, 1.0, 1.5, 20.0])
 @pytest.mark.parametrize("aspect", [1.0, 2.0])
 @pytest.mark.parametrize("f_number", [0.6, 4.0])
-def test_what_any_ray_may_meet_is_in_view(z, aspect, f_number):
+def test_in_view_contains_all_hit_bodies(z, aspect, f_number):
     camera = pixsim.Camera(f_number=f_number)
     for axis, half_m in ((0, camera.chart_half_width_m), (1, camera.chart_half_width_m / aspect)):
         edge = widest(camera, half_m, z)
@@ -90,7 +90,7 @@ def test_what_any_ray_may_meet_is_in_view(z, aspect, f_number):
             assert box(*at, z).in_view(camera, aspect) == (times < 1), (axis, side, times)
 
 
-def test_bodies_beside_behind_inside_and_around():
+def test_in_view_outside_behind_and_around():
     camera = pixsim.Camera()
     assert box(0, 0, 0.5, (0.01,) * 3).in_view(camera, 1)
     assert not box(0, 0, -0.5, (0.01,) * 3).in_view(camera, 1)
@@ -127,11 +127,11 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("plugin", SHAPES)
-def test_corners_enclose_the_shape_as_mitsuba_places_it(plugin, tmp_path):
+def test_find_bodies_corners_enclose_mitsubas_shape(plugin, tmp_path):
     path = edited(tmp_path, "flat", (END, f'<shape type="{plugin}" id="thing">{SHAPES[plugin]}</shape>'))
     body = bodies_of(path)[1]
     with speaking_mitsuba(VARIANT, tmp_path) as mi:
-        bounds = next(each for each in mi.load_file(str(path)).shapes() if each.id() == "thing").bbox()
+        bounds = next(item for item in mi.load_file(str(path)).shapes() if item.id() == "thing").bbox()
         low, high = np.array(bounds.min), np.array(bounds.max)
     mine = body.corners.min(axis=0), body.corners.max(axis=0)
     assert np.all(mine[0] <= low + 1e-6)
@@ -142,8 +142,8 @@ def test_corners_enclose_the_shape_as_mitsuba_places_it(plugin, tmp_path):
         assert np.all(mine[1] - mine[0] <= 2 * (high - low) + 1e-6)
 
 
-def test_bodies_stand_in_the_frame_of_a_camera_anywhere(tmp_path):
-    """The still life's glass ball, 10 cm along the axis of a camera that looks down."""
+def test_find_bodies_are_in_camera_frame(tmp_path):
+    """The glass ball of the still life, seen by a camera that looks down, 10 cm along its axis."""
     state = load("still_life").parse()
     bodies = {state.nodes[body.node].props.id(): body for body in find_bodies(state, sensor_node(state, None)[1])}
     eye, target = np.array([0, 0.036, -0.094]), np.array([0, 0.0105, 0])
@@ -164,7 +164,7 @@ BALL = '<shape type="sphere"><float name="radius" value="0.1"/></shape>'
 CUBE = '<shape type="cube"><transform name="to_world"><scale value="0.1"/><translate y="0.4"/></transform></shape>'
 
 
-def test_members_of_a_group_stand_where_its_instances_are(tmp_path):
+def test_find_bodies_group_members_are_at_instances(tmp_path):
     path = edited(tmp_path, "flat", (END, INSTANCE.format(inside=BALL + CUBE)))
     chart, first, second = bodies_of(path)
     assert chart.normal is not None
@@ -175,20 +175,20 @@ def test_members_of_a_group_stand_where_its_instances_are(tmp_path):
     assert first.normal is None
 
 
-def test_a_member_of_unknown_size_makes_its_instances_unknown(tmp_path):
+def test_find_bodies_unknown_member_has_no_corners(tmp_path):
     inside = BALL + '<shape type="ply"><string name="filename" value="charts/flat.exr"/></shape>'
     chart, *instances = bodies_of(edited(tmp_path, "flat", (END, INSTANCE.format(inside=inside))))
     assert chart.corners is not None
     assert [body.corners for body in instances] == [None, None]
 
 
-# --- Which side they show ---
+# --- Front sides ---
 
 
 @pytest.mark.parametrize("flip", ["false", "true"])
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (1, -2, 1), (1, 1, -1), (-1, 0.5, -1)])
 @pytest.mark.parametrize("plugin", ["rectangle", "disk"])
-def test_normals_are_those_by_which_mitsuba_shades(plugin, scale, flip, tmp_path):
+def test_find_bodies_normals_match_mitsuba(plugin, scale, flip, tmp_path):
     sizes = " ".join(f'{name}="{value}"' for name, value in zip("xyz", scale, strict=True))
     turn = f'<scale {sizes}/><rotate x="1" y="0.3" angle="25"/><translate z="0.7"/>'
     inside = f'<boolean name="flip_normals" value="{flip}"/><transform name="to_world">{turn}</transform>'
@@ -204,7 +204,7 @@ def facing(*normals: tuple[float, float, float] | None) -> bool:
     return face_one_way([Body(0, None, None if n is None else np.array(n, float) / np.linalg.norm(n)) for n in normals])
 
 
-def test_boards_that_face_one_way():
+def test_face_one_way_parallel_boards():
     assert facing((0, 0, -1), (0, 0, -1))
     assert facing((0.6, 0, -0.8), (0.6, 1e-8, -0.8))
     assert not facing((0, 0, -1), (0, 0, 1))
@@ -241,18 +241,18 @@ def table(name: str, nodes: str, values: str) -> str:
     return f'<spectrum type="irregular" name="{name}">{inside}</spectrum>'
 
 
-def found(folder: Path, *bsdfs: str, variant: str = "scalar_spectral") -> Surfaces:
+def surfaces_of(folder: Path, *bsdfs: str, variant: str = "scalar_spectral") -> Surfaces:
     pixsim.write_chart(folder / "grey.exr", np.full((2, 2), 0.5, np.float32))
     (folder / "eta.spd").write_text("360 0.2\n830 1.2\n")
     (folder / "k.spd").write_text("360 3\n830 2\n")
-    shapes = "".join(f'<shape type="rectangle">{each}</shape>' for each in bsdfs)
+    shapes = "".join(f'<shape type="rectangle">{bsdf}</shape>' for bsdf in bsdfs)
     path = folder / "scene.xml"
     path.write_text(f'<scene version="3.0.0">{SENSOR}{shapes}<emitter type="constant"/></scene>')
     return find_surfaces(pixsim.load_scene(path, variant=variant).parse(), variant)
 
 
 def spectra(folder: Path, *bsdfs: str, variant: str = "scalar_spectral") -> np.ndarray:
-    result = found(folder, *bsdfs, variant=variant)
+    result = surfaces_of(folder, *bsdfs, variant=variant)
     assert result.unknown == ""
     assert result.spectra is not None
     assert result.spectra.shape[1] == NM.size
@@ -260,7 +260,7 @@ def spectra(folder: Path, *bsdfs: str, variant: str = "scalar_spectral") -> np.n
 
 
 def fresnel(eta: np.ndarray, k: np.ndarray, cosine: float) -> np.ndarray:
-    """Reflectance of a metal for unpolarised light, from complex amplitudes (Born & Wolf, 14.2)."""
+    """Return the reflectance of a metal for unpolarised light, from complex amplitudes (Born & Wolf, 14.2)."""
     index = eta + 1j * k
     inside = np.sqrt(1 - (1 - cosine**2) / index**2)
     s = (cosine - index * inside) / (cosine + index * inside)
@@ -269,11 +269,11 @@ def fresnel(eta: np.ndarray, k: np.ndarray, cosine: float) -> np.ndarray:
 
 
 def coated(reflectance: np.ndarray) -> np.ndarray:
-    """Light to and fro under a coat that sends 60 % back: ρ(1 + 0.6 ρ + 0.36 ρ² + …)."""
+    """Return the reflectance under a coat that reflects 60 % internally: ρ(1 + 0.6 ρ + 0.36 ρ² + …)."""
     return np.sum([reflectance * (0.6 * reflectance) ** bounce for bounce in range(60)], axis=0)
 
 
-# --- What stands in the file ---
+# --- Spectra of surfaces ---
 
 NEUTRAL = {
     "nothing": (),
@@ -293,8 +293,8 @@ NEUTRAL = {
 
 
 @pytest.mark.parametrize("name", NEUTRAL)
-def test_neutral_surfaces_are_left_out(name, tmp_path):
-    result = found(tmp_path, *NEUTRAL[name])
+def test_find_surfaces_neutral_is_left_out(name, tmp_path):
+    result = surfaces_of(tmp_path, *NEUTRAL[name])
     assert len(result.spectra) == 0
     assert result.products(-1).shape == (0, 471)
     assert (result.unknown, result.short) == ("", ())
@@ -312,19 +312,19 @@ STRAIGHT = {
 
 
 @pytest.mark.parametrize("name", STRAIGHT)
-def test_a_table_is_taken_as_it_stands(name, tmp_path):
+def test_find_surfaces_table_is_interpolated(name, tmp_path):
     # Eight digits: the parser's floats.
     np.testing.assert_allclose(spectra(tmp_path, STRAIGHT[name]), [ramp(0.1, 0.9)], rtol=1e-6)
 
 
 @pytest.mark.parametrize("plugin", ["plastic", "roughplastic"])
-def test_plastic_multiplies_its_colour_under_the_coat(plugin, tmp_path):
+def test_find_surfaces_plastic_has_internal_reflection(plugin, tmp_path):
     result = spectra(tmp_path, bsdf(plugin, RAMP.format("diffuse_reflectance", 0.1, 0.9)))
     np.testing.assert_allclose(result, [ramp(0.1, 0.9), coated(ramp(0.1, 0.9))], rtol=1e-6)
 
 
 @VARIANTS
-def test_a_colour_is_mitsubas_spectrum_of_it(variant, tmp_path):
+def test_find_surfaces_rgb_matches_mitsuba(variant, tmp_path):
     (seen,) = spectra(tmp_path, bsdf("diffuse", RGB), variant=variant)
     # The published model (Jakob & Hanika 2019): a sigmoid of a parabola in λ, ½ + x/(2√(1+x²)), x = c0 λ² + c1 λ + c2. Its
     # inverse is a parabola, whose third differences vanish; float32 of x: 1e-5 of its range.
@@ -342,13 +342,13 @@ def test_a_colour_is_mitsubas_spectrum_of_it(variant, tmp_path):
     np.testing.assert_allclose(rgb, [0.2, 0.5, 0.1], atol=0.01)
 
 
-def test_a_checkerboard_has_both_its_colours(tmp_path):
+def test_find_surfaces_checkerboard_has_both_colours(tmp_path):
     inside = RAMP.format("color0", 0.9, 0.2) + RAMP.format("color1", 0.1, 0.9)
     result = spectra(tmp_path, bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{inside}</texture>'))
     np.testing.assert_allclose(result, [ramp(0.9, 0.2), ramp(0.1, 0.9)], rtol=1e-6)
 
 
-def test_equal_surfaces_count_once(tmp_path):
+def test_find_surfaces_equal_spectra_count_once(tmp_path):
     one = bsdf("diffuse", RAMP.format("reflectance", 0.1, 0.9))
     assert len(spectra(tmp_path, one, one, bsdf("twosided", one))) == 1
 
@@ -365,7 +365,7 @@ INDEX = {
 @VARIANTS
 @pytest.mark.parametrize("given", INDEX)
 @pytest.mark.parametrize("plugin", ["conductor", "roughconductor"])
-def test_a_metal_by_its_index_obeys_fresnel(given, plugin, variant, tmp_path):
+def test_find_surfaces_metal_index_obeys_fresnel(given, plugin, variant, tmp_path):
     result = spectra(tmp_path, bsdf(plugin, INDEX[given]), variant=variant)
     assert len(result) == 3
     for seen, cosine in zip(result, (1.0, 0.7, 0.3), strict=True):
@@ -378,53 +378,53 @@ def test_a_metal_by_its_index_obeys_fresnel(given, plugin, variant, tmp_path):
 @pytest.mark.parametrize(
     ("material", "at_450", "at_650"), [("Au", 0.39, 0.965), ("Cu", 0.55, 0.95), ("Ag", 0.97, 0.985), ("Al", 0.918, 0.905)]
 )
-def test_a_metal_by_its_name(material, at_450, at_650, tmp_path):
+def test_find_surfaces_metal_by_name(material, at_450, at_650, tmp_path):
     normal = spectra(tmp_path, bsdf("conductor", f'<string name="material" value="{material}"/>'))[0]
     # Handbook reflectances (CRC, optical properties of metals), which differ by 2 to 5 % between samples.
     assert normal[NM == 450] == pytest.approx(at_450, rel=0.06)
     assert normal[NM == 650] == pytest.approx(at_650, rel=0.03)
 
 
-def test_a_tinted_metal_is_the_product_of_both(tmp_path):
+def test_find_surfaces_tinted_metal_is_product(tmp_path):
     plain = spectra(tmp_path, bsdf("conductor", GOLD))
     tinted = spectra(tmp_path, bsdf("conductor", GOLD + RAMP.format("specular_reflectance", 0.1, 0.9)))
-    for each in plain:
+    for item in plain:
         # What light meets in one reflection.
-        assert np.abs(tinted - each * ramp(0.1, 0.9)).max(axis=1).min() < 1e-6
+        assert np.abs(tinted - item * ramp(0.1, 0.9)).max(axis=1).min() < 1e-6
 
 
-def test_nested_surfaces_are_all_found(tmp_path):
+def test_find_surfaces_nested_bsdfs_are_included(tmp_path):
     inner = bsdf("twosided", bsdf("roughconductor", GOLD)) + bsdf("diffuse", RAMP.format("reflectance", 0.1, 0.9))
     blend = bsdf("blendbsdf", '<float name="weight" value="0.3"/>' + inner)
     result = spectra(tmp_path, bsdf("blendbsdf", '<float name="weight" value="0.5"/>' + blend + bsdf("diffuse", RGB)))
     assert len(result) == 3 + 1 + 1
     gold, colour = spectra(tmp_path, bsdf("conductor", GOLD)), spectra(tmp_path, bsdf("diffuse", RGB))
-    for each in (*gold, *colour, ramp(0.1, 0.9)):
-        assert np.abs(result - each).max(axis=1).min() < 1e-6
+    for item in (*gold, *colour, ramp(0.1, 0.9)):
+        assert np.abs(result - item).max(axis=1).min() < 1e-6
 
 
-# --- What is not known, what is short ---
+# --- Unknown spectra and short tables ---
 
 UNKNOWN = {
-    "principled": (bsdf("principled"), "a BSDF 'principled', whose spectra pixsim does not know"),
+    "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),
     "within another": (bsdf("twosided", bsdf("principled")), "a BSDF 'principled'"),
     "a mesh's colours": (
         bsdf("diffuse", '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>'),
-        "the texture of diffuse.reflectance",
+        "an unknown texture of diffuse.reflectance",
     ),
-    "a table out of order": (bsdf("diffuse", table("reflectance", "500, 400, 600", "1, 0, 0.5")), "the texture of diffuse.refl"),
-    "one node": (bsdf("diffuse", table("reflectance", "500", "1")), "the texture of diffuse.reflectance"),
+    "a table out of order": (bsdf("diffuse", table("reflectance", "500, 400, 600", "1, 0, 0.5")), "an unknown texture of diffuse"),
+    "one node": (bsdf("diffuse", table("reflectance", "500", "1")), "an unknown texture of diffuse.reflectance"),
     "a picture of indices": (
         bsdf("conductor", bitmap("false").replace('name="reflectance"', 'name="eta"') + RAMP.format("k", 3, 2)),
-        "the index of conductor",
+        "an unknown refractive index of conductor",
     ),
 }
 
 
 @pytest.mark.parametrize("name", UNKNOWN)
-def test_what_is_not_known_is_named(name, tmp_path):
+def test_find_surfaces_unknown_spectra_state_reason(name, tmp_path):
     body, reason = UNKNOWN[name]
-    result = found(tmp_path, bsdf("diffuse", RGB), body)
+    result = surfaces_of(tmp_path, bsdf("diffuse", RGB), body)
     assert result.spectra is None
     assert reason in result.unknown
     assert result.products(-1).shape == (0, 471)
@@ -442,8 +442,8 @@ def test_what_is_not_known_is_named(name, tmp_path):
         ("300, 320", "0.5, 0.7", ("300-320 nm",)),
     ],
 )
-def test_short_tables_are_told(nodes, values, short, tmp_path):
-    result = found(tmp_path, bsdf("diffuse", table("reflectance", nodes, values)))
+def test_find_surfaces_short_tables_are_listed(nodes, values, short, tmp_path):
+    result = surfaces_of(tmp_path, bsdf("diffuse", table("reflectance", nodes, values)))
     assert result.short == short
     low, high = float(nodes.split(",")[0]), float(nodes.split(",")[-1])
     outside = (low > NM) | (high < NM)
@@ -466,7 +466,7 @@ def holds(rows: np.ndarray, wanted: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize(("bounces", "powers", "series"), [(2, 2, 0), (3, 3, 0), (8, 3, 0), (-1, 3, 3)])
-def test_products_of_what_light_may_meet(bounces, powers, series):
+def test_products_of_few_surfaces(bounces, powers, series):
     three, (one,) = surfaces(3), surfaces(1).spectra
     np.testing.assert_array_equal(three.products(1), three.spectra)
     np.testing.assert_allclose(surfaces(1).products(2), [one, one * one], rtol=1e-15)
@@ -477,8 +477,8 @@ def test_products_of_what_light_may_meet(bounces, powers, series):
         assert holds(rows, a / (1 - part * a)) == (bounces < 0)
     for wanted in (a, b, c, a * a, b * b, c * c, a * b, a * c, b * c):
         assert holds(rows, wanted)
-    for each in (a, b, c):
-        assert holds(rows, each**3) == (powers == 3)
+    for item in (a, b, c):
+        assert holds(rows, item**3) == (powers == 3)
 
 
 def test_products_of_many_surfaces_are_sampled():
@@ -491,7 +491,7 @@ def test_products_of_many_surfaces_are_sampled():
 
 
 @NEEDS_LLVM
-def test_both_variants_tell_the_same(tmp_path):
+def test_find_surfaces_variants_agree(tmp_path):
     inside = RAMP.format("color0", 0.9, 0.2) + '<rgb name="color1" value="0.6, 0.1, 0.3"/>'
     bodies = [
         bsdf("diffuse", RGB),

@@ -1,4 +1,4 @@
-"""Rendering until the render's own noise no longer matters: what it says about the noise is what the noise is."""
+"""Rendering to a noise target: the reported noise is that of independent renders."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def electrons_per_s(image: pixsim.SpectralImage, pixel: pixsim.Pixel = PIXEL) ->
 
 
 def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pixel: pixsim.Pixel = PIXEL) -> float:
-    """Standard deviation over independent pictures, over that of photons, dark charge, reset and rounding: RMS over pixels."""
+    """Return the RMS over pixels of the standard deviation of pictures over the temporal noise of the sensor."""
     p = derive(pixel)
     signal_e = np.array([electrons_per_s(image, pixel) for image in images]) * exposure.integration_s
     dark_e = p.dark_current_e_per_s * exposure.integration_s
@@ -54,37 +54,37 @@ def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pi
     return float(np.sqrt((signal_e.var(axis=0, ddof=1) / variance_e2).mean()))
 
 
-# --- What it says is what is ---
+# --- The reported noise is the real one ---
 
 
 @pytest.mark.parametrize(("name", "integration_s"), [("csf", 2e-3), ("csf", 2e-5), ("macbeth", 2e-3)])
-def test_the_noise_told_is_that_of_many_independent_renders(name, integration_s):
+def test_render_until_noise_matches_independent_renders(name, integration_s):
     exposure = pixsim.Exposure(integration_s=integration_s)
-    found = [until(LOOSE, seed, name, exposure) for seed in range(12)]
-    told = np.sqrt(np.mean([noise.fraction**2 for _, noise in found]))
-    true = true_noise([image for image, _ in found], exposure)
+    result = [until(LOOSE, seed, name, exposure) for seed in range(12)]
+    reported = np.sqrt(np.mean([noise.fraction**2 for _, noise in result]))
+    true = true_noise([image for image, _ in result], exposure)
     # 12 pictures of hundreds of noisy cells: each side scatters by 3 to 5 % from set to set.
-    assert told == pytest.approx(true, rel=0.2)
+    assert reported == pytest.approx(true, rel=0.2)
     assert true > 0
-    relative = np.sqrt(np.mean([noise.relative**2 for _, noise in found]))
-    pictures = np.array([electrons_per_s(image) for image, _ in found])
+    relative = np.sqrt(np.mean([noise.relative**2 for _, noise in result]))
+    pictures = np.array([electrons_per_s(image) for image, _ in result])
     expected = math.sqrt(pictures.var(axis=0, ddof=1).mean() / (pictures.mean(axis=0) ** 2).mean())
     assert relative == pytest.approx(expected, rel=0.2)
 
 
-def test_it_holds_over_several_levels_of_samples():
+def test_render_until_noise_holds_over_levels():
     exposure = pixsim.Exposure(integration_s=2e-3)
     target = until(LOOSE, exposure=exposure)[1].fraction / 12
-    found = [until(target, seed, exposure=exposure) for seed in range(10)]
-    assert min(noise.runs for _, noise in found) >= 4
-    told = np.sqrt(np.mean([noise.fraction**2 for _, noise in found]))
-    assert told <= target
+    result = [until(target, seed, exposure=exposure) for seed in range(10)]
+    assert min(noise.runs for _, noise in result) >= 4
+    reported = np.sqrt(np.mean([noise.fraction**2 for _, noise in result]))
+    assert reported <= target
     # It ends where its estimate is low: a few per cent to one side, of a noise that has itself 5 %.
-    assert true_noise([image for image, _ in found], exposure) == pytest.approx(told, rel=0.25)
+    assert true_noise([image for image, _ in result], exposure) == pytest.approx(reported, rel=0.25)
 
 
 class Noisy:
-    """In the place of renders: a grey picture and noise whose variance goes with 1/samples, as told."""
+    """Replacement for renders: a grey picture with noise whose variance is proportional to 1/samples."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, relative: float) -> None:
         self.levels: list[int] = []
@@ -99,8 +99,8 @@ class Noisy:
         return [0.5 * (1 + noise)], spp
 
 
-def test_the_estimate_of_known_noise(monkeypatch):
-    """White noise over cells of the picture, one pixel each: its share is σ_e/√(N V), in closed form."""
+def test_noise_of_known_noise_is_unbiased(monkeypatch):
+    """White noise with one pixel per cell: its fraction of sensor noise is σ_e/√(N V)."""
     renders = Noisy(monkeypatch, 0.1)
     pixel = pixsim.Pixel(pitch_um=2713.6 / 32, fill_factor=1.0, full_well_e=1e6)
     exposure = pixsim.Exposure(integration_s=1e-4)
@@ -117,10 +117,10 @@ def test_the_estimate_of_known_noise(monkeypatch):
     assert max(renders.levels) > 1
 
 
-# --- Until ---
+# --- When rendering ends ---
 
 
-def test_more_is_rendered_for_less_noise_and_the_target_is_met(monkeypatch):
+def test_render_until_lower_target_renders_more(monkeypatch):
     renders = Noisy(monkeypatch, 0.1)
     first = until(LOOSE)[1].fraction
     spent = []
@@ -137,7 +137,7 @@ def test_more_is_rendered_for_less_noise_and_the_target_is_met(monkeypatch):
     assert spent == sorted(set(spent))
 
 
-def test_pairs_grow_only_where_much_is_missing(monkeypatch):
+def test_render_until_pairs_grow_far_from_target(monkeypatch):
     renders = Noisy(monkeypatch, 0.1)
     first = until(LOOSE)[1].fraction
     renders.levels.clear()
@@ -150,7 +150,7 @@ def test_pairs_grow_only_where_much_is_missing(monkeypatch):
     assert 4 * LEVEL_FACTOR ** max(renders.levels) == MAX_SPP
 
 
-def test_memory_does_not_grow_with_the_samples(monkeypatch):
+def test_render_until_memory_is_constant(monkeypatch):
     renders = Noisy(monkeypatch, 0.1)
     first = until(LOOSE)[1].fraction
 
@@ -168,27 +168,27 @@ def test_memory_does_not_grow_with_the_samples(monkeypatch):
     assert many < 1.1 * few + 32 * 32 * 8
 
 
-def test_the_worst_pixel_counts():
+def test_render_until_worst_pixel_counts():
     exposure = pixsim.Exposure(integration_s=2e-3)
     small, large = pixsim.Pixel(pitch_um=10.6), PIXEL
-    each = [until(LOOSE, pixels=[pixel], exposure=exposure)[1].fraction for pixel in (small, large)]
+    single = [until(LOOSE, pixels=[pixel], exposure=exposure)[1].fraction for pixel in (small, large)]
     both = until(LOOSE, pixels=[small, large], exposure=exposure)[1].fraction
-    assert both == max(each)
-    assert max(each) > 1.05 * min(each)
+    assert both == max(single)
+    assert max(single) > 1.05 * min(single)
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -1e-6])
-def test_what_is_no_light_is_refused_at_once(monkeypatch, wrong):
+def test_render_until_black_scene_raises(monkeypatch, wrong):
     import mitsuba
 
-    told: list[float] = []
+    message: list[float] = []
     monkeypatch.setattr(mitsuba, "render", lambda *_, sensor, **__: np.full((*sensor.film().crop_size(), 1), wrong))
     with pytest.raises(pixsim.PixsimError, match="rendered picture: got NaN, infinite or negative"):
-        until(0.2, progress=lambda done, note: told.append(done))
-    assert not told
+        until(0.2, progress=lambda done, note: message.append(done))
+    assert not message
 
 
-def test_runs_end_it(monkeypatch):
+def test_render_until_max_runs_ends(monkeypatch):
     Noisy(monkeypatch, 0.1)
     monkeypatch.setattr(convergence, "MAX_RUNS", 6)
     with pytest.warns(UserWarning, match=r"limit of 6 renders.*Raise --max-seconds"):
@@ -196,28 +196,28 @@ def test_runs_end_it(monkeypatch):
     assert (noise.runs, noise.ended_by) == (6, "runs")
 
 
-def test_time_ends_it_and_says_what_to_do(monkeypatch):
+def test_render_until_time_limit_warns(monkeypatch):
     Noisy(monkeypatch, 0.1)
     now = iter(range(10**6))
     monkeypatch.setattr(convergence.time, "perf_counter", lambda: float(next(now)))  # a second from each look to the next
-    with pytest.warns(UserWarning, match="ended the render") as told:
+    with pytest.warns(UserWarning, match="ended rendering") as caught:
         image, noise = until(1e-6, max_seconds=20)
     assert noise.ended_by == "max_seconds"
     assert image.header["render_noise"]["ended_by"] == "max_seconds"
     assert next(now) <= 24  # one more pair at most
-    (warning,) = told
+    (warning,) = caught
     for text in (
-        "its limit of 20 s",
-        f"a noise of {noise.fraction:.2g} of the sensor's",
-        "asked for 1e-06",
+        "the time limit of 20 s",
+        f"render noise is {noise.fraction:.2g} of the sensor noise",
+        "target 1e-06",
         "--max-seconds",
         "--render-noise",
     ):
         assert text in str(warning.message)
 
 
-def test_a_pair_that_would_not_end_in_time_is_not_begun(monkeypatch):
-    """Each sample takes a second: a level is raised only where four times the last pair still fits."""
+def test_render_until_next_pair_over_time_is_skipped(monkeypatch):
+    """With one second per sample, a level is raised only if four times the last pair still fits."""
     renders = Noisy(monkeypatch, 0.1)
     clock = [0.0]
     run = renders.run
@@ -234,10 +234,10 @@ def test_a_pair_that_would_not_end_in_time_is_not_begun(monkeypatch):
     assert max(renders.levels) == 1
 
 
-# --- What is left behind ---
+# --- Header and score ---
 
 
-def test_a_seed_gives_its_bits():
+def test_render_until_equal_seeds_are_bit_identical():
     target = until(LOOSE)[1].fraction / 3
     (first, noise), (again, same), (other, _) = (until(target, seed) for seed in (5, 5, 6))
     assert np.array_equal(first.factors[1], again.factors[1])
@@ -245,8 +245,8 @@ def test_a_seed_gives_its_bits():
     assert not np.array_equal(first.factors[1], other.factors[1])
 
 
-def test_the_picture_is_the_mean_of_its_renders():
-    """The two first renders, by themselves."""
+def test_render_until_picture_is_mean_of_renders():
+    """The picture of one pair is the mean of two single renders."""
     scene, camera, plan = prepared()
     job = Renderer(scene, camera, plan, 0)
     both = [job.image(*job.run(index)).factors[1].astype(float) for index in (0, 1)]
@@ -254,8 +254,8 @@ def test_the_picture_is_the_mean_of_its_renders():
 
 
 @pytest.mark.parametrize("full", [False, True])
-def test_electrons_come_straight_from_the_pulses(full):
-    """As from the image's bands: factors of macbeth, or every band of it."""
+def test_rate_of_pulses_equals_ideal_rate(full):
+    """The rate from pulses equals that from the image, with factors or with all bands of macbeth."""
     scene, camera, _ = prepared("macbeth")
     job = Renderer(scene, camera, make_plan(scene, camera, PIXEL, full=full), 0)
     pictures, spp = job.run(0)
@@ -265,7 +265,7 @@ def test_electrons_come_straight_from_the_pulses(full):
     np.testing.assert_allclose(rate.columns(0, job.size[1]), ideal_rate(image, derive(PIXEL)), rtol=1e-6)
 
 
-def test_a_scene_without_noise():
+def test_render_until_noiseless_scene():
     image, noise = until(1e-3, name="flat")
     assert 0 <= noise.fraction < 1e-4  # float32
     assert 0 <= noise.relative < 1e-6
@@ -273,12 +273,12 @@ def test_a_scene_without_noise():
     assert image.header["render_noise"]["fraction"] < 1e-4
 
 
-def test_progress_rises_and_tells_the_noise():
+def test_render_until_progress_reports_noise():
     target = until(LOOSE)[1].fraction / 6
-    told: list[tuple[float, str]] = []
-    noise = until(target, progress=lambda done, note: told.append((done, note)))[1]
+    message: list[tuple[float, str]] = []
+    noise = until(target, progress=lambda done, note: message.append((done, note)))[1]
     pairs: list[list[tuple[float, str]]] = [[]]
-    for before, now in pairwise([(0.0, ""), *told]):
+    for before, now in pairwise([(0.0, ""), *message]):
         if now[0] < before[0]:
             pairs.append([])
         pairs[-1].append(now)
@@ -288,38 +288,38 @@ def test_progress_rises_and_tells_the_noise():
         assert [done for done, _ in pair] == sorted(done for done, _ in pair)
         assert len({note for _, note in pair}) == 1
     assert pairs[0][0][1] == ""  # nothing is known yet
-    errors = [float(pair[0][1].removeprefix(", noise ").removesuffix(" of the sensor's")) for pair in pairs[1:]]
+    errors = [float(pair[0][1].removeprefix(", render noise ").removesuffix(" of sensor noise")) for pair in pairs[1:]]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] > target
 
 
-def test_header_and_score_tell_the_noise_and_the_plan(tmp_path):
+def test_render_until_header_has_noise_and_plan(tmp_path):
     code, out, err = command(
         f"run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json --out {tmp_path}"
     )
     assert (code, err) == (0, "")
-    told = json.loads(out)
-    assert 0 < told["render_noise"]["fraction"] <= RENDER_NOISE == told["render_noise"]["target"] == 0.2
-    assert told["render_noise"]["ended_by"] == "target"
-    assert told["plan"]["decisions"][0]["subject"] == "wavelength bands"
+    message = json.loads(out)
+    assert 0 < message["render_noise"]["fraction"] <= RENDER_NOISE == message["render_noise"]["target"] == 0.2
+    assert message["render_noise"]["ended_by"] == "target"
+    assert message["plan"]["decisions"][0]["subject"] == "wavelength bands"
     header = pixsim.read_exr(tmp_path / "irradiance.exr").header
-    assert header["render_noise"].keys() == told["render_noise"].keys() == {"fraction", "relative", "target", "runs", "ended_by"}
-    for name, value in told["render_noise"].items():
+    assert header["render_noise"].keys() == message["render_noise"].keys() == {"fraction", "relative", "target", "runs", "ended_by"}
+    for name, value in message["render_noise"].items():
         assert header["render_noise"][name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-5))
-    assert len(header["plan"]) == len(told["plan"]["decisions"])
+    assert len(header["plan"]) == len(message["plan"]["decisions"])
     code, out, _ = command(
         "run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json "
-        f"--render-noise {told['render_noise']['fraction'] / 1.5} --out {tmp_path}"
+        f"--render-noise {message['render_noise']['fraction'] / 1.5} --out {tmp_path}"
     )
     tighter = json.loads(out)
     assert code == 0
-    assert tighter["render_noise"]["fraction"] <= told["render_noise"]["fraction"] / 1.5
-    assert tighter["irradiance"]["spp"] > told["irradiance"]["spp"]
+    assert tighter["render_noise"]["fraction"] <= message["render_noise"]["fraction"] / 1.5
+    assert tighter["irradiance"]["spp"] > message["irradiance"]["spp"]
 
 
 @pytest.mark.parametrize("option", ["--render-noise", "--max-seconds"])
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "much"])
-def test_targets_that_are_none_are_refused(option, value):
+def test_render_until_invalid_target_raises(option, value):
     code, out, err = command(f"run csf {option} {value}")
     assert (code, out) == (2, "")
     assert option[2:].replace("-", "_") in err

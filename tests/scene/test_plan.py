@@ -1,4 +1,4 @@
-"""The plan: its lines, its bound, and that pruned renders are full ones within it."""
+"""The plan: its decisions, and that its bound covers the difference between pruned and full renders."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ TOLERANCES = (1e-2, 1e-3, 1e-4)
 ONE_PERCENT = 0.01
 
 
-# --- Pruned is full, within the bound ---
+# --- Pruned and full renders ---
 
 
 class Sampled(NamedTuple):
-    """Mean electrons of independent renders: (renders, places × pixels), and the plan's bound."""
+    """Mean electrons of independent renders, (renders, places × pixels), and the bound of the plan."""
 
     mean_e: np.ndarray
     bound_e: float
 
 
 class Effort(NamedTuple):
-    """What a comparison needs so that its noise is below 1 %: samples and renders of the pruned and of the full side."""
+    """Samples and renders of the pruned and the full side for a noise below 1 %."""
 
     spp: tuple[int, int] = (16, 4)
     renders: tuple[int, int] = (6, 5)
@@ -59,7 +59,7 @@ FILM = 24
 
 
 def patches(rate: np.ndarray) -> np.ndarray:
-    """Means of the middles of the 24 patches of macbeth."""
+    """Return the means over the centres of the 24 patches of macbeth."""
     rows, columns = (
         np.stack([(np.arange(n) + side) * FILM / n for side in (0.3, 0.7)], axis=1).round().astype(int) for n in (4, 6)
     )
@@ -87,7 +87,7 @@ def sampled(case: str, full: bool) -> Sampled:
 
 
 def gates(pruned: Sampled, full: Sampled) -> tuple[np.ndarray, np.ndarray]:
-    """(relative difference, what bound and noise allow) of each place; noise by Student's t, false alarm 1e-3 over all."""
+    """Return each place's (relative difference, limit from bound and noise); Student's t, false alarm 1e-3 in total."""
     n, m = len(pruned.mean_e), len(full.mean_e)
     mean = full.mean_e.mean(axis=0)
     ours, theirs = (side.mean_e.var(axis=0, ddof=1) for side in (pruned, full))
@@ -100,7 +100,7 @@ def gates(pruned: Sampled, full: Sampled) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("case", [pytest.param(case, marks=pytest.mark.slow) if case in REPEATS else case for case in CASES])
-def test_pruned_and_full_agree_within_the_bound(case):
+def test_plan_pruned_and_full_agree_within_bound(case):
     pruned, full = sampled(case, False), sampled(case, True)
     difference, allowed = gates(pruned, full)
     assert np.all(np.abs(difference) <= allowed), (difference, allowed)
@@ -111,14 +111,14 @@ def test_pruned_and_full_agree_within_the_bound(case):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_bound_keeps_to_the_tolerance(case):
+def test_plan_bound_is_within_tolerance(case):
     name, parameters = CASES[case]
     scene = load(name, resolution=64, **parameters)
     plans = [make_plan(scene, tolerance_e=tolerance) for tolerance in TOLERANCES]
     for plan, tolerance in zip(plans, TOLERANCES, strict=True):
         assert 0 <= plan.bound_e <= tolerance
-        assert plan.bound_e == sum(each.bound_e for each in plan.decisions)
-        assert min(each.bound_e for each in plan.decisions) >= 0
+        assert plan.bound_e == sum(line.bound_e for line in plan.decisions)
+        assert min(item.bound_e for item in plan.decisions) >= 0
         assert not plan.warnings
     passes, bands = [plan.passes for plan in plans], [plan.bands.width_nm.size for plan in plans]
     assert passes == sorted(passes)
@@ -127,22 +127,22 @@ def test_the_bound_keeps_to_the_tolerance(case):
         assert passes[-1] > passes[0]
 
 
-def test_a_line_takes_one_pulse_for_any_pixel():
+def test_plan_line_lamp_needs_one_pulse():
     plan = make_render_plan(load("macbeth", lamp="spectra/laser_532nm.spd"), tolerance_e=1e-4)
     assert plan.bound_e <= 1e-4
     assert plan.passes == 1 < plan.full_passes
 
 
-def test_a_tolerance_that_bands_cannot_keep_is_told():
+def test_plan_unreachable_tolerance_warns():
     plan = make_plan(load("still_life"), tolerance_e=1e-6)
     assert plan.bound_e > 1e-6
-    (told,) = plan.warnings
-    assert f"{plan.bound_e:.1e}" in told
-    assert "1e-06" in told
+    (message,) = plan.warnings
+    assert f"{plan.bound_e:.1e}" in message
+    assert "1e-06" in message
 
 
-def test_a_coarse_film_tells_the_fall_off_of_a_flat_field():
-    """Mean electrons of every pixel from 64 samples across and from 1024, by the closed form of the fall-off."""
+def test_plan_flat_field_coarse_film_keeps_fall_off():
+    """Mean electrons of every pixel from 64 and from 1024 samples across, with the closed form of the fall-off."""
     for camera in (pixsim.Camera(), pixsim.Camera(focal_length_mm=2.0)):
         lens = camera.image_distance_mm, camera.f_number, camera.magnification
         coarse, fine = (
@@ -155,7 +155,7 @@ def test_a_coarse_film_tells_the_fall_off_of_a_flat_field():
     assert make_plan(load("flat"), tolerance_e=1e-5).resolution is None
 
 
-# --- Its lines ---
+# --- Decisions ---
 
 SUBJECTS = [
     "wavelength bands",
@@ -174,21 +174,21 @@ SUBJECTS = [
 
 @pytest.mark.parametrize("full", [False, True])
 @pytest.mark.parametrize("name", CASES)
-def test_every_subject_has_a_line_with_its_reason(name, full):
+def test_make_plan_decisions_have_reasons(name, full):
     scene, parameters = CASES[name]
     plan = make_plan(load(scene, resolution=64, **parameters), full=full)
-    assert [each.subject for each in plan.decisions] == SUBJECTS
-    for each in plan.decisions:
-        assert each.reason
-        assert bool(each.saved) == (not each.kept), each
-    told = plan.as_dict()
-    assert json.loads(json.dumps(told, allow_nan=False)) == told
-    assert len(told["wavelength_nm"]) == len(told["band_width_nm"]) == plan.bands.width_nm.size
-    assert sum(told["band_width_nm"]) == pytest.approx(470)
-    assert told["passes"] == sum(len(light.fit.passes) for light in plan.lights) <= told["passes_full"]
+    assert [item.subject for item in plan.decisions] == SUBJECTS
+    for line in plan.decisions:
+        assert line.reason
+        assert bool(line.saved) == (not line.kept), line
+    table = plan.as_dict()
+    assert json.loads(json.dumps(table, allow_nan=False)) == table
+    assert len(table["wavelength_nm"]) == len(table["band_width_nm"]) == plan.bands.width_nm.size
+    assert sum(table["band_width_nm"]) == pytest.approx(470)
+    assert table["passes"] == sum(len(light.fit.passes) for light in plan.lights) <= table["passes_full"]
 
 
-def test_noise_sources_that_are_zero_are_named():
+def test_decide_noise_names_zero_sources():
     quiet = pixsim.Pixel(prnu=0, dark_current_e_per_s=0, offset_fpn=0, read_noise_e=2.0)
     line = decision(make_plan(load("flat"), pixel=quiet), "noise stages")
     assert line.reason == "zero: PRNU, dark current, DSNU, offset FPN"
@@ -197,17 +197,17 @@ def test_noise_sources_that_are_zero_are_named():
     assert "noise stages" not in left_out(make_plan(load("flat"), pixel=loud))
 
 
-def test_oversampling_tells_photodiode_and_lens():
+def test_decide_oversampling_states_photodiode_and_lens():
     pixel, camera = pixsim.Pixel(pitch_um=8.0, fill_factor=0.25), pixsim.Camera(f_number=8.0)
     reason = decision(make_plan(load("csf", resolution=512), camera, pixel), "oversampling").reason
     pitch_um = 2713.6 / 512
     x = 1e3 / (2 * pitch_um) * 550e-6 * camera.effective_f_number
     otf = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
-    for told in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} a photodiode side", f"{otf:.0%}"):
-        assert told in reason
+    for part in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} per photodiode side", f"{otf:.0%}"):
+        assert part in reason
 
 
-def test_the_plan_says_which_law_holds():
+def test_decide_saturation_states_law():
     hard = decide_saturation(derive(pixsim.Pixel()), 0.1)
     assert (hard.kept, hard.bound_e) == (True, 0.0)
     assert "hard clip" in hard.reason
@@ -224,49 +224,49 @@ def test_the_plan_says_which_law_holds():
     assert "hard clip" in decide_saturation(derive(pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)), 0.1).reason
 
 
-def test_the_plan_takes_the_longest_exposure():
+def test_make_plan_uses_longest_exposure():
     scene = pixsim.load_scene("flat")
     reasons = [
         decision(pixsim.make_plan(scene, pixel=pixsim.Pixel(well_limit="diode"), exposure=exposure), "saturation").reason
         for exposure in (None, pixsim.Exposure(max_integration_s=1.0), pixsim.Exposure(integration_s=3600))
     ]
-    for reason, told in zip(reasons, ("in 0.1 s (86%", "in 1 s (83%", "in 3.6e+03 s (73%"), strict=True):
-        assert told in reason
+    for reason, part in zip(reasons, ("in 0.1 s (86%", "in 1 s (83%", "in 3.6e+03 s (73%"), strict=True):
+        assert part in reason
 
 
 # --- The command ---
 
 
-def test_the_command_prints_the_table(tmp_path, monkeypatch):
+def test_plan_command_prints_table(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "160")
     code, out, err = command("plan csf --variant scalar_spectral -D resolution=64")
     assert (code, err) == (0, "")
-    for subject, each in zip(SUBJECTS, make_plan(load("csf", resolution=64)).decisions, strict=True):
+    for subject, line_of_plan in zip(SUBJECTS, make_plan(load("csf", resolution=64)).decisions, strict=True):
         (line,) = (line for line in out.splitlines() if line.startswith(subject))
-        assert line[len(subject) :].split()[0] == ("kept" if each.kept else "left"), line
-        assert each.saved in line
+        assert line[len(subject) :].split()[0] == ("kept" if line_of_plan.kept else "left"), line
+        assert line_of_plan.saved in line
     assert "bound on e-" in out
     assert "1 of 12 passes" in out
     assert "asked for 0.001" in out
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_prints_json():
+def test_plan_command_prints_json():
     code, out, err = command("plan macbeth --variant scalar_spectral --json --tolerance-e 1e-4 -D resolution=64")
     assert (code, err) == (0, "")
-    told = json.loads(out)
-    assert told == make_plan(load("macbeth", resolution=64), tolerance_e=1e-4).as_dict()
-    assert told["tolerance_e"] == 1e-4
+    table = json.loads(out)
+    assert table == make_plan(load("macbeth", resolution=64), tolerance_e=1e-4).as_dict()
+    assert table["tolerance_e"] == 1e-4
     full = json.loads(command("plan macbeth --variant scalar_spectral --json --full")[1])
-    assert all(each["kept"] for each in full["decisions"])
-    assert full["passes"] == full["passes_full"] > told["passes_full"] / 10
+    assert all(item["kept"] for item in full["decisions"])
+    assert full["passes"] == full["passes_full"] > table["passes_full"] / 10
 
 
-def test_the_table_warns_where_the_tolerance_is_missed():
+def test_plan_command_warns_above_tolerance():
     code, out, _ = command("plan still_life --variant scalar_spectral --tolerance-e 1e-6")
     assert code == 0
-    assert "warning: mean electrons" in out
+    assert "warning: the error of mean electrons" in out
 
 
 @pytest.mark.parametrize(
@@ -284,11 +284,11 @@ def test_the_table_warns_where_the_tolerance_is_missed():
         ("plan", ["SCENE"]),
     ],
 )  # fmt: skip
-def test_the_command_refuses_in_one_line(line, wanted):
+def test_plan_command_error_is_one_line(line, wanted):
     assert_refused(*command(line), wanted)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-3, 1.0, float("nan"), float("inf")])
-def test_a_tolerance_that_is_none_is_refused(tolerance):
+def test_make_plan_invalid_tolerance_raises(tolerance):
     with pytest.raises(pixsim.PixsimError, match=r"tolerance_e: got .*allowed: above 0 and below 1"):
         make_render_plan(load("flat"), tolerance_e=tolerance)

@@ -33,12 +33,12 @@ from pixsim.sensor.pixel import derive
 
 
 def on_axis_sr(f_number: float, magnification: float) -> float:
-    """E/L of a thin lens on its axis: π sin²α."""
+    """Return E/L of a thin lens on its axis, π sin²α."""
     return np.pi / (1 + 4 * f_number**2 * (1 + magnification) ** 2)
 
 
 def z_of_mean(values: np.ndarray) -> float:
-    """Mean of independent values in units of its standard error."""
+    """Return the mean of independent values in units of its standard error."""
     return float(values.mean() / (values.std() / np.sqrt(values.size)))
 
 
@@ -61,7 +61,7 @@ GATE = 5e-4
 
 @pytest.mark.parametrize("f_number", [4.0, 8.0])
 @VARIANTS
-def test_illuminance_falls_off_as_the_lens_does(variant, f_number):
+def test_render_illuminance_follows_lens(variant, f_number):
     image, camera = flat(variant, f_number)
     x_mm = (np.arange(65) - 32) * image.pitch_um * 1e-3
     tan_field = np.hypot(x_mm, x_mm[:, None]) / camera.image_distance_mm
@@ -73,7 +73,7 @@ def test_illuminance_falls_off_as_the_lens_does(variant, f_number):
     assert 0.44 < expected.min() / expected.max() < 0.48  # cos⁴ 35° = .45
 
 
-def test_electrons_of_a_flat_field():
+def test_render_flat_field_electrons():
     scene = pixsim.load_scene("flat", resolution=65, spp=4, luminance_cd_per_m2=200)
     camera = pixsim.Camera(die_mm=0.325)  # 65 pixels of 5 µm: one on the axis, and hardly any fall-off
     image = pixsim.render(scene, camera)
@@ -92,7 +92,7 @@ def test_electrons_of_a_flat_field():
 
 
 def csf_sample_means(n: int) -> np.ndarray:
-    """The CSF chart averaged over each of n × n samples: 4 Gauss points an axis, as it is separable but for its mean."""
+    """Return means of the CSF chart over n × n samples, by 4 Gauss points per axis."""
     node, weight = np.polynomial.legendre.leggauss(4)
     at = (np.arange(n)[:, None] + 0.5 + node / 2) / n
     mean = charts.csf_value(0.0, 0.0)
@@ -105,7 +105,7 @@ def csf_sample_means(n: int) -> np.ndarray:
     ("variant", "size"),
     [pytest.param("llvm_ad_spectral", {}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})],
 )
-def test_the_csf_scene_is_the_chart(variant, size):
+def test_render_csf_matches_chart(variant, size):
     scene = pixsim.load_scene("csf", variant=variant, **size)
     camera, image = scene.camera(), pixsim.render(scene)
     n = image.shape[0]
@@ -125,7 +125,7 @@ GRATING_ROWS = 16
 
 @cache
 def grating(camera: pixsim.Camera, frequency_lp_per_mm: float, folder: Path) -> pixsim.SpectralImage:
-    """16 of 1024 rows of the shipped scene, with a sinusoid (or at 0 lp/mm nothing) on it."""
+    """Render 16 of 1024 rows of the packaged scene with a sinusoid; 0 lp/mm is a uniform field."""
     x = (np.arange(16384) + 0.5) / 16384  # 100 texels a cycle: bilinear interpolation keeps 0.03 % of 60 lp/mm
     contrast = 0.9 if frequency_lp_per_mm else 0.0
     texels = charts.sine_value(x, frequency_lp_per_mm, contrast).astype(np.float32)
@@ -156,7 +156,7 @@ def mean_electrons(image, camera, pixel) -> np.ndarray:
 @pytest.mark.parametrize("pitch_um", [5.3, 8.0, 15.0])
 @pytest.mark.parametrize("frequency_lp_per_mm", [5.0, 20.0, 60.0])
 @pytest.mark.parametrize(("f_number", "distance_m"), [(2.8, 1.0), (8.0, 1.0), (4.0, 0.02)])  # the last at |m| = 0.24
-def test_contrast_is_diffraction_times_photodiode(f_number, distance_m, frequency_lp_per_mm, pitch_um, grating_folder):
+def test_capture_contrast_is_diffraction_times_photodiode(f_number, distance_m, frequency_lp_per_mm, pitch_um, grating_folder):
     camera = pixsim.Camera(f_number=f_number, object_distance_m=distance_m)
     image, plain = (grating(camera, frequency, grating_folder) for frequency in (frequency_lp_per_mm, 0.0))
     pixel = pixsim.Pixel(pitch_um=pitch_um)
@@ -182,11 +182,11 @@ def test_contrast_is_diffraction_times_photodiode(f_number, distance_m, frequenc
     assert abs(quadrature / mean) < 2e-3 * expected
 
 
-# --- What is left out, and what is left in ---
+# --- Fewer passes ---
 
 
 @VARIANTS
-def test_one_pass_serves_every_band(variant):
+def test_render_one_pass_gives_all_bands(variant):
     scene = pixsim.load_scene("flat", variant=variant, resolution=16)
     quick, full = pixsim.render(scene), pixsim.render(scene, full=True)
     assert quick.factors is not None
@@ -195,7 +195,7 @@ def test_one_pass_serves_every_band(variant):
     assert np.abs(full.data / quick.data - 1).max() < 1e-6
 
 
-def test_one_pass_serves_every_band_of_a_chart():
+def test_render_chart_one_pass_gives_all_bands():
     scene = pixsim.load_scene("csf", resolution=64, spp=64)
     quick, full, other = pixsim.render(scene), pixsim.render(scene, full=True), pixsim.render(scene, full=True, seed=1)
     ratio = full.data.mean(axis=(0, 1), dtype=float) / quick.data.mean(axis=(0, 1), dtype=float)
@@ -209,10 +209,10 @@ def test_one_pass_serves_every_band_of_a_chart():
     assert abs(np.corrcoef(noise[:, first[0]], noise[:, second[0]])[0, 1]) < 0.3
 
 
-# --- Which way is up ---
+# --- Orientation ---
 
 
-def test_top_left_stays_top_left_in_every_file(tmp_path):
+def test_render_top_left_is_kept_in_files(tmp_path):
     import matplotlib.image
     import OpenEXR
 
@@ -251,7 +251,7 @@ def test_top_left_stays_top_left_in_every_file(tmp_path):
 
 
 @VARIANTS
-def test_a_seed_gives_its_bits(variant):
+def test_render_equal_seeds_are_bit_identical(variant):
     scene = pixsim.load_scene("csf", variant=variant, resolution=128)
     first, again, other = (pixsim.render(scene, seed=seed).data[:, :, 20].astype(float) for seed in (3, 3, 5))
     assert np.array_equal(first, again)
@@ -278,7 +278,7 @@ for threads in (None,) if cores == "one" else (2, 3, 8):
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be chosen here")
 @VARIANTS
-def test_threads_change_no_bit(variant):
+def test_render_threads_are_bit_identical(variant):
     def hashes(cores: str) -> list[str]:
         # Mitsuba 3.9.1 alone waits for ever for a texture where there is only one core, hence the limit.
         done = subprocess.run(
@@ -328,7 +328,7 @@ def plane_scene(folder: Path, body: str, integrator: str = EXACT, spp: int = 64)
 
 
 def spectrum_over_lens(image: pixsim.SpectralImage, camera: pixsim.Camera) -> np.ndarray:
-    """Radiance behind the irradiance, mean over the picture, (B,)."""
+    """Return the mean radiance of a picture (B,) from its irradiance."""
     return (image.data / lens_sr(image, camera)[:, :, None]).mean(axis=(0, 1))
 
 
@@ -337,10 +337,10 @@ def reflectance_of_band(centre_nm: np.ndarray) -> np.ndarray:
 
 
 @VARIANTS
-def test_a_plane_under_a_uniform_sky(variant, tmp_path):
+def test_render_plane_under_uniform_sky(variant, tmp_path):
     scene = pixsim.load_scene(plane_scene(tmp_path, SKY), variant=variant)
     image, camera = pixsim.render(scene), scene.camera()
-    assert image.factors is not None  # one surface under one lamp: four pulses tell all bands
+    assert image.factors is not None  # one surface under one lamp: four pulses determine all bands
     assert camera.f_number == pytest.approx(2, rel=1e-5)
     # In a furnace a convex body's radiance is its reflectance times the sky; band means of D65 on a fine grid.
     centre_nm = image.wavelength_nm
@@ -366,7 +366,7 @@ def test_a_plane_under_a_uniform_sky(variant, tmp_path):
 
 @pytest.mark.parametrize("full", [False, True])
 @VARIANTS
-def test_a_lamp_without_a_picture(variant, full, tmp_path):
+def test_render_lamp_without_texture(variant, full, tmp_path):
     lamp = '<emitter type="area"><spectrum name="radiance" value="360:0, 830:4.7"/></emitter>'
     path = plane_scene(tmp_path, "")
     path.write_text(path.read_text().replace("</bsdf>", f"</bsdf>{lamp}"))
@@ -379,7 +379,7 @@ def test_a_lamp_without_a_picture(variant, full, tmp_path):
     np.testing.assert_allclose(radiance, 0.01 * (image.wavelength_nm - 360), rtol=1e-6)
 
 
-def test_a_second_lamp_of_another_spectrum(tmp_path):
+def test_render_two_lamp_spectra_add(tmp_path):
     sun = """<emitter type="directional">
         <vector name="direction" value="0, 0.6, 0.8"/>
         <spectrum name="irradiance" value="360:0, 830:4.7"/>
@@ -399,8 +399,8 @@ def test_a_second_lamp_of_another_spectrum(tmp_path):
     assert noise.max() < 4e-3  # so that the gate means something
 
 
-def test_a_fitted_lamp_beside_one_whose_colours_vary(tmp_path):
-    """The weights of a fit have both signs: its bands alone may be a little below zero, its pictures never."""
+def test_render_fitted_and_coloured_lamps_add(tmp_path):
+    """The weights of a fit have both signs: bands may be slightly below zero, pictures never."""
     rgb = np.random.default_rng(0).uniform(0, 1, (3, 4, 4))
     write_channels(tmp_path / "sky.exr", dict(zip("RGB", rgb, strict=True)), {})
     sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="1e-6"/></emitter>'
@@ -414,15 +414,15 @@ def test_a_fitted_lamp_beside_one_whose_colours_vary(tmp_path):
     np.testing.assert_array_equal(pixsim.read_irradiance(tmp_path / "image.exr").data, image.data)
 
 
-def test_a_black_picture_is_refused(tmp_path):
+def test_render_black_picture_raises(tmp_path):
     pixsim.write_chart(tmp_path / "black.exr", np.zeros((4, 4), np.float32))
     scene = pixsim.load_scene("flat", chart=str(tmp_path / "black.exr"), resolution=8)
-    with pytest.raises(PixsimError, match=r"black everywhere.*turned away.*unlit"):
+    with pytest.raises(PixsimError, match=r"a black picture.*faces the camera.*is lit"):
         pixsim.render(scene)
 
 
 @pytest.mark.parametrize(("name", "value"), [("resolution", 0), ("resolution", 16385), ("spp", 0), ("spp", 2**20 + 1)])
-def test_sizes_out_of_range_are_refused(name, value):
+def test_render_size_out_of_range_raises(name, value):
     with pytest.raises(PixsimError, match=rf"{name}: got {value}; allowed: 1 to"):
         pixsim.render(pixsim.load_scene("flat", **{"resolution": 8, name: value}))
 
@@ -433,7 +433,7 @@ TEXTURE_BYTES = 3 << 20  # whose hash goes into the header
 
 
 def traced(work):
-    """What comes of it, and the most memory that was taken for it beside what was there."""
+    """Return the result of a call and its peak of additional memory."""
     tracemalloc.start()
     result = work()
     most = tracemalloc.get_traced_memory()[1]
@@ -443,7 +443,7 @@ def traced(work):
 
 @pytest.fixture
 def large(monkeypatch):
-    """A job of 1024 × 1024 whose renders are grey, and which works on a few rows at a time."""
+    """Return a job of 1024 × 1024 samples with grey renders that works on a few rows at a time."""
     import mitsuba
 
     def grey(*_, sensor, spp, **__):
@@ -458,7 +458,7 @@ def large(monkeypatch):
     return job
 
 
-def test_a_render_takes_the_memory_of_its_picture_whatever_its_samples(large):
+def test_render_memory_is_independent_of_samples(large):
     (pictures, _), few = traced(lambda: large.run(0))
     size = pictures[0].nbytes
     assert size == 1024 * 1024 * 4
@@ -467,7 +467,7 @@ def test_a_render_takes_the_memory_of_its_picture_whatever_its_samples(large):
     assert many < 1.05 * few
 
 
-def test_an_image_takes_the_memory_of_what_it_is(large):
+def test_renderer_image_memory_is_bounded(large):
     pictures = [np.full((1024, 1024, 1), 0.5)]
     image, most = traced(lambda: large.image(pictures, 4))
     assert most < 1.2 * image.factors[1].nbytes + TEXTURE_BYTES
@@ -478,14 +478,14 @@ def test_an_image_takes_the_memory_of_what_it_is(large):
     assert most < 1.1 * image.data.nbytes + TEXTURE_BYTES
 
 
-def test_the_fall_off_of_a_part_is_that_of_the_whole(large):
+def test_fall_off_part_equals_whole(large):
     whole = large.fall_off()
     assert np.array_equal(large.fall_off(slice(100, 130), slice(7, 9)), whole[100:130, 7:9])
     assert 0.6 < whole.min() < whole.max() == pytest.approx(1, abs=1e-5)
 
 
-def test_progress_rises_to_one():
-    told: list[float] = []
-    pixsim.render(pixsim.load_scene("flat", resolution=8, variant="scalar_spectral"), progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1
+def test_render_progress_rises_to_one():
+    message: list[float] = []
+    pixsim.render(pixsim.load_scene("flat", resolution=8, variant="scalar_spectral"), progress=message.append)
+    assert message == sorted(message)
+    assert message[-1] == 1

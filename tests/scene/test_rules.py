@@ -1,4 +1,4 @@
-"""What may be left out of which scene, and what may not: small edits of shipped scenes, closed forms, and real renders."""
+"""Rules of the plan: edits of packaged scenes, closed forms, and real renders."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NEUTRAL_LAMP = '<spectrum name="{}" value="360:1, 830:1"/>'
 
 
 def bigger(times: float) -> tuple[str, str]:
-    """The chart, larger than the film."""
+    """Return an edit that makes the chart larger than the film."""
     return HALF, f'x="{0.350145791 * times}" y="{0.350145791 * times}"'
 
 
@@ -52,10 +52,10 @@ def moved_chart(transform: str) -> tuple[str, str]:
     return AWAY, transform
 
 
-# --- Each rule fires where it should ---
+# --- Rules that apply ---
 
 
-def test_a_chart_that_shines_alone():
+def test_lone_chart_is_recognised():
     plan = render_plan("slanted_edge")
     assert left_out(plan) == RULES - {"diffraction"}
     assert plan.integrator == {"type": "path", "max_depth": 1}
@@ -64,26 +64,26 @@ def test_a_chart_that_shines_alone():
     assert plan.bands.width_nm.size == 48
 
 
-def test_a_uniform_chart_needs_no_diffraction_and_a_coarse_film():
+def test_plan_uniform_chart_leaves_out_diffraction():
     plan = make_plan(load("flat"))
     assert left_out(plan) >= RULES | {"oversampling"}
     assert (plan.resolution, plan.spp, plan.diffraction) == (64, 4, False)
 
 
-def test_matt_boards_that_face_one_way():
+def test_decide_bounces_parallel_boards_need_one():
     for name in ("macbeth", "line_lamp"):
         plan = render_plan(name)
         assert left_out(plan) == {"spectral rank", "spectrum tables", "bounces", "lens samples"}
         assert plan.integrator == {"type": "direct"}
 
 
-def test_a_disc_is_as_good_as_a_rectangle_for_the_bounces(tmp_path):
+def test_decide_bounces_disk_equals_rectangle(tmp_path):
     plan = render_plan(edited(tmp_path, "flat", ('type="rectangle"', 'type="disk"')))
     assert left_out(plan) == {"spectral rank", "bounces", "lens samples"}  # but a disc does not fill the film
     assert plan.chart is None
 
 
-def test_one_bounce_that_the_scene_says_is_direct_light(tmp_path):
+def test_decide_bounces_depth_2_is_direct(tmp_path):
     ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', '<bsdf type="roughconductor"/>')
     plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="path">{DEPTH}</integrator>'), ball))
     assert plan.integrator == {"type": "direct"}
@@ -91,7 +91,7 @@ def test_one_bounce_that_the_scene_says_is_direct_light(tmp_path):
     assert plan.integrator is None
 
 
-def test_lamps_of_one_spectrum_are_one_light(tmp_path):
+def test_plan_equal_lamp_spectra_are_one_light(tmp_path):
     second = (
         END,
         '<emitter type="point"><point name="position" x="0" y="1" z="0"/><spectrum name="intensity" filename="{}"/></emitter>',
@@ -101,7 +101,7 @@ def test_lamps_of_one_spectrum_are_one_light(tmp_path):
         assert len(plan.lights) == lights
 
 
-# --- What must stay ---
+# --- Rules that do not apply ---
 
 ALONE, DETAIL, MATT = {"spectral rank", "bounces"}, {"texture samples", "diffraction"}, {"bounces", "lens samples"}
 FILM = '<translate z="$focus_distance"/>'
@@ -165,7 +165,7 @@ KEPT = {
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """With a picture whose left half is red and whose right half is blue."""
+    """Return a folder with a picture whose left half is red and whose right half is blue."""
     import OpenEXR
 
     texels = np.zeros((8, 8, 3), np.float32)
@@ -177,26 +177,26 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", KEPT)
-def test_a_rule_that_must_not_fire(name, folder):
-    scene, edits, kept = KEPT[name]
+def test_plan_rules_do_not_apply(name, folder):
+    scene, edits, stored = KEPT[name]
     before, plan = render_plan(scene), render_plan(edited(folder, scene, *edits))
-    assert not left_out(plan) & kept
-    assert kept - {"texture samples"} <= left_out(before) | {"diffraction"}, "the edit makes no difference"
-    if "lens samples" in kept:
+    assert not left_out(plan) & stored
+    assert stored - {"texture samples"} <= left_out(before) | {"diffraction"}, "the edit makes no difference"
+    if "lens samples" in stored:
         assert plan.lens == "thinlens"
-    if "bounces" in kept:
+    if "bounces" in stored:
         assert plan.integrator is None
-    if "diffraction" in kept:
+    if "diffraction" in stored:
         assert plan.diffraction
-    if "spectral rank" in kept:
+    if "spectral rank" in stored:
         assert plan.passes == plan.full_passes
-    if "texture samples" in kept:
+    if "texture samples" in stored:
         assert plan.spp * plan.passes >= plan.full_spp
-    if scene == "flat" and "diffraction" in kept:
+    if scene == "flat" and "diffraction" in stored:
         assert make_plan(load(folder / "flat.xml")).resolution is None
 
 
-def test_colours_that_vary_over_a_lamp_stay_in_place(folder):
+def test_plan_coloured_lamp_keeps_all_bands(folder):
     edits = [(RAW, ""), ('value="charts/csf.exr"', 'value="coloured.exr"')]
     scene = load(edited(folder, "csf", *edits), resolution=16)
     plan = make_render_plan(scene)
@@ -211,7 +211,7 @@ def test_colours_that_vary_over_a_lamp_stay_in_place(folder):
     assert (right / left)[(nm > 420) & (nm < 470)].min() > 5
 
 
-def test_a_slide_makes_a_light_of_its_own(folder):
+def test_plan_projector_slide_is_separate_light(folder):
     name = "a spot with a coloured slide"
     plan = render_plan(edited(folder, *KEPT[name][:1], *KEPT[name][1]))
     assert [light.lamp.spectrum is None for light in plan.lights] == [False, True]
@@ -219,7 +219,7 @@ def test_a_slide_makes_a_light_of_its_own(folder):
 
 
 @pytest.mark.parametrize("plugin", ["volpath", "direct", "volpathmis"])
-def test_another_integrator_stays(plugin, tmp_path):
+def test_decide_bounces_other_integrator_stays(plugin, tmp_path):
     plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="{plugin}"/>')))
     assert "bounces" not in left_out(plan)
     assert plan.integrator is None
@@ -227,11 +227,11 @@ def test_another_integrator_stays(plugin, tmp_path):
 
 
 @pytest.mark.parametrize(("depth", "integrator"), [(0, None), (1, None), (-1, {"type": "path", "max_depth": 1})])
-def test_depths_that_leave_nothing_to_leave_out_stay(depth, integrator, tmp_path):
+def test_decide_bounces_minimal_depth_stays(depth, integrator, tmp_path):
     assert render_plan(edited(tmp_path, "csf", (DEPTH, DEPTH.replace("2", str(depth))))).integrator == integrator
 
 
-def test_hidden_emitters_stay_hidden(tmp_path):
+def test_decide_bounces_hidden_emitters_stay_hidden(tmp_path):
     hidden = (DEPTH, f'{DEPTH}<boolean name="hide_emitters" value="true"/>')
     path = edited(tmp_path, "csf", hidden)
     assert render_plan(path).integrator == {"type": "path", "max_depth": 1, "hide_emitters": True}
@@ -239,7 +239,7 @@ def test_hidden_emitters_stay_hidden(tmp_path):
         pixsim.render(load(path, resolution=8))
 
 
-def test_what_the_user_says_stays():
+def test_plan_user_parameters_stay():
     plan = render_plan("slanted_edge", spp=9)
     assert (plan.spp, plan.full_spp) == (9, 9)
     assert "texture samples" not in left_out(plan)
@@ -249,7 +249,7 @@ def test_what_the_user_says_stays():
 
 
 @pytest.mark.parametrize("name", ["csf", "flat", "macbeth", "still_life"])
-def test_full_leaves_out_nothing(name):
+def test_plan_full_leaves_out_nothing(name):
     plan = make_plan(load(name), full=True)
     assert left_out(plan) == set()
     assert (plan.lens, plan.integrator, plan.resolution, plan.diffraction) == ("thinlens", None, None, True)
@@ -257,8 +257,8 @@ def test_full_leaves_out_nothing(name):
     assert not plan.factored
 
 
-def test_passes_share_samples_but_not_below_what_a_path_needs():
-    """multijitter of 4 correlates the dimensions of a path: the still life gets 0.8 % too dark, ten standard errors."""
+def test_decide_samples_passes_share_samples():
+    """With 4 samples multijitter correlates the dimensions of a path: the still life is 0.8 % too dark, 10 standard errors."""
     plan = render_plan("still_life")
     assert plan.passes > 4
     assert (plan.spp, plan.full_spp) == (16, 64)
@@ -271,7 +271,7 @@ def test_passes_share_samples_but_not_below_what_a_path_needs():
 # --- Focus ---
 
 
-def test_the_blur_that_a_pinhole_may_leave_out_goes_by_the_photodiode(tmp_path):
+def test_decide_lens_blur_limit_scales_with_photodiode(tmp_path):
     pixel = pixsim.Pixel(pitch_um=6.5, fill_factor=0.25)  # a photodiode of 3.25 µm
     camera = pixsim.Camera()
     most_um = BLUR_SHARE * TOLERANCE_E / BLURRED_EDGE * 3.25
@@ -287,7 +287,7 @@ def test_the_blur_that_a_pinhole_may_leave_out_goes_by_the_photodiode(tmp_path):
         assert decision(plan, "lens samples").bound_e == pytest.approx(bound, rel=1e-6)
 
 
-def test_the_blurred_edge_carries_what_the_bound_says():
+def test_decide_lens_blurred_edge_matches_bound():
     # Light beyond a straight edge across a disc of diameter 1: ∫ of the share of the disc beyond t, t from 0 to ½.
     t = (np.arange(100000) + 0.5) / 200000
     share = (np.arccos(2 * t) - 2 * t * np.sqrt(1 - 4 * t**2)) / np.pi
@@ -295,7 +295,7 @@ def test_the_blurred_edge_carries_what_the_bound_says():
     assert 2 * share.mean() / 2 == pytest.approx(BLURRED_EDGE, rel=1e-6)
 
 
-def test_a_chart_out_of_focus_is_blurred_by_the_disc(tmp_path):
+def test_render_unfocused_chart_is_blurred_by_disc(tmp_path):
     """A sinusoid through a uniform disc of diameter c keeps 2 J₁(πfc)/(πfc) of its contrast."""
     cycles = 8.0
     at = (np.arange(2048) + 0.5) / 2048
@@ -303,7 +303,7 @@ def test_a_chart_out_of_focus_is_blurred_by_the_disc(tmp_path):
     camera = pixsim.Camera(f_number=0.8, object_distance_m=0.1, die_mm=1.0)
     half = camera.chart_half_width_m
     tangent = half / 0.1
-    found = {}
+    result = {}
     for depth in (0.1, 0.2):
         wide = (HALF, f'x="{tangent * depth!r}" y="{3 * tangent * depth!r}"')
         path = edited(tmp_path, "csf", moved_chart(f'<translate z="{depth!r}"/>'), wide)
@@ -313,23 +313,23 @@ def test_a_chart_out_of_focus_is_blurred_by_the_disc(tmp_path):
         assert (make_render_plan(scene, camera).lens == "thinlens") == (depth != 0.1)
         x = 2 * np.pi * cycles * (np.arange(8, 24) + 0.5) / 32
         mean, sine, cosine = np.linalg.lstsq(np.stack([np.ones(16), np.sin(x), np.cos(x)], axis=1), row, rcond=None)[0]
-        found[depth] = np.hypot(sine, cosine) / mean
+        result[depth] = np.hypot(sine, cosine) / mean
     c_mm = 1e-3 * blur_um(camera, 0.2)
     u = np.pi * cycles * c_mm  # cycles a mm, for the die is 1 mm wide at any depth
     expected = abs(2 * j1(u) / u)
-    assert found[0.1] == pytest.approx(0.8 * np.sinc(cycles / 32), rel=0.01)
+    assert result[0.1] == pytest.approx(0.8 * np.sinc(cycles / 32), rel=0.01)
     # 32 × 16 cells of 64 samples: 2 % of noise in the contrast that is left.
-    assert 0.05 < expected < 0.9, "the case says nothing"
-    assert found[0.2] / found[0.1] == pytest.approx(expected, abs=0.03)
+    assert 0.05 < expected < 0.9, "the case does not test the bound"
+    assert result[0.2] / result[0.1] == pytest.approx(expected, abs=0.03)
 
 
-# --- What is refused, and what is not taken for something else ---
+# --- Errors ---
 
 TEXTURED = '<texture type="{}" name="radiance">{}</texture>'
 
 
 @pytest.mark.parametrize("picture", ["checkerboard", "bitmap"])
-def test_a_coloured_picture_that_shines_is_no_uniform_chart(picture, tmp_path):
+def test_lone_chart_coloured_picture_is_not_uniform(picture, tmp_path):
     import matplotlib.image
 
     matplotlib.image.imsave(tmp_path / "photo.png", np.random.default_rng(0).random((8, 8, 3)))
@@ -343,7 +343,7 @@ def test_a_coloured_picture_that_shines_is_no_uniform_chart(picture, tmp_path):
     assert plan.spp == 16
 
 
-def test_a_lamp_that_is_switched_off_leaves_the_others_on(tmp_path):
+def test_plan_dark_lamp_is_ignored(tmp_path):
     lamps = "".join(
         f'<emitter type="point"><point name="position" x="{x}" y="0" z="0"/>'
         f'<texture type="d65" name="intensity"><float name="scale" value="{scale}"/></texture></emitter>'
@@ -354,11 +354,11 @@ def test_a_lamp_that_is_switched_off_leaves_the_others_on(tmp_path):
     assert image.illuminance_lx().mean() > 2 * bare.illuminance_lx().mean()
 
 
-def test_a_scene_without_light_is_refused(tmp_path):
+def test_plan_scene_without_light_raises(tmp_path):
     text = (FOLDER / "macbeth.xml").read_text(encoding="utf-8")
     lamp = text[text.index('<emitter type="directional"') : text.index("</emitter>") + len("</emitter>")]
     scene = load(edited(tmp_path, "macbeth", (lamp, "")))
-    with pytest.raises(PixsimError, match="no emitter that shines"):
+    with pytest.raises(PixsimError, match="no emitter with light"):
         make_plan(scene)
 
 
@@ -368,18 +368,18 @@ def test_a_scene_without_light_is_refused(tmp_path):
         ("macbeth", (PATH, '<integrator type="ptracer"/>'), "integrator: got 'ptracer'; allowed: path, direct"),
         ("macbeth", (PATH, '<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>'), "got 'aov'"),
         ("macbeth", (END, '<medium type="homogeneous" id="fog"/>'), "volpath"),
-        ("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>'), "a whole film"),
+        ("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>'), "an uncropped film"),
         ("csf", ('<film type="hdrfilm">', '<medium type="homogeneous"/><film type="hdrfilm">'), "volpath|camera in a medium"),
         ("still_life", ('<float name="int_ior" value="1.5"/>', '<spectrum name="int_ior" value="400:1.6,700:1.5"/>'), "dispersive"),
     ],
 )
-def test_what_would_be_faked_is_refused(name, edit, message, tmp_path):
+def test_check_supported_unsupported_features_raise(name, edit, message, tmp_path):
     with pytest.raises(PixsimError, match=message):
         load(edited(tmp_path, name, edit))
 
 
-def test_maps_that_only_steer_may_be_raw_pictures(tmp_path):
-    """A normal map is three channels of any numbers: neither light nor reflectance."""
+def test_check_textures_maps_may_be_raw(tmp_path):
+    """A normal map has three channels of any values: it is neither light nor reflectance."""
     import matplotlib.image
 
     matplotlib.image.imsave(tmp_path / "normals.png", np.full((4, 4, 3), (0.5, 0.5, 1.0)))
@@ -392,7 +392,7 @@ def test_maps_that_only_steer_may_be_raw_pictures(tmp_path):
     assert pixsim.render(scene).illuminance_lx().min() > 0
 
 
-def test_parameters_of_an_included_file_are_known(tmp_path):
+def test_load_scene_included_parameters_are_known(tmp_path):
     (tmp_path / "more.xml").write_text(
         '<scene version="3.0.0"><default name="depth" value="3"/>'
         '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator></scene>',
@@ -404,15 +404,15 @@ def test_parameters_of_an_included_file_are_known(tmp_path):
         load(path, dept=2)
 
 
-def test_what_is_not_known_is_said(tmp_path):
+def test_plan_unknown_contents_state_reason(tmp_path):
     """Inside a band of 10 nm the spectrum of an unknown surface has no bound."""
     ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', '<bsdf type="principled"/>')
     assert not render_plan(edited(tmp_path, "macbeth", ball)).bounded
     assert render_plan("macbeth").bounded
 
 
-def test_paths_get_samples_enough_for_the_sampler(tmp_path):
-    """Of 4 samples, Mitsuba's default, multijitter correlates the dimensions of a path: up to 1 % too dark."""
+def test_decide_samples_paths_have_minimum(tmp_path):
+    """With 4 samples, Mitsuba's default, multijitter makes paths up to 1 % too dark."""
     few = edited(tmp_path, "still_life", ('<default name="spp" value="64"/>', '<default name="spp" value="4"/>'))
     assert render_plan(few).spp == 16
     assert render_plan(few, spp=4).spp == 4  # asked for
@@ -428,7 +428,7 @@ def chart_of(texels: np.ndarray, film: int) -> Chart:
 # --- What a lone chart needs: cell means ---
 
 
-def test_a_picture_holds_the_means_of_its_cells():
+def test_chart_picture_is_cell_means():
     texels = np.random.default_rng(0).uniform(0, 1, (24, 36))
     chart = Chart(texels, (24 / 6, 36 / 9), (6, 9))
     np.testing.assert_allclose(chart.picture((6, 9)), texels.reshape(6, 4, 9, 4).mean(axis=(1, 3)), rtol=1e-12)
@@ -438,7 +438,7 @@ def test_a_picture_holds_the_means_of_its_cells():
     np.testing.assert_allclose(middle.picture((6, 9)), texels[6:18, 9:27].reshape(6, 2, 9, 2).mean(axis=(1, 3)), rtol=1e-12)
 
 
-def test_a_uniform_chart_needs_the_fewest_samples():
+def test_samples_needed_uniform_chart_is_minimum():
     for texels in (None, np.full((4, 4), 0.3)):
         chart = Chart(texels, (1.0, 1.0), (64, 64))
         assert chart.uniform
@@ -451,19 +451,19 @@ def test_a_uniform_chart_needs_the_fewest_samples():
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("spp", [4, 16, 64])
-def test_the_error_on_a_ramp_is_that_of_the_strata(spp, axis):
-    """N samples of which each has a stratum of 1/N along an axis: a slope g leaves g N^-3/2/√12 in their mean."""
+def test_sampling_error_ramp_is_stratified(spp, axis):
+    """The mean of N samples, one in each stratum of 1/N, has an error of g N^-3/2/√12 for a slope g."""
     slope = 1e-5
     ramp = 1 + slope * np.arange(512.0)
     texels = np.tile(ramp, (512, 1)) if axis else np.tile(ramp[:, None], (1, 512))
-    found = np.sqrt(np.mean([sampling_error(chart_of(texels, 64), spp, seed) ** 2 for seed in range(4)]))
+    result = np.sqrt(np.mean([sampling_error(chart_of(texels, 64), spp, seed) ** 2 for seed in range(4)]))
     # 8 texels a cell; relative to 1 … 1.005. 4096 cells: 1.1 % of noise, 4σ.
-    assert found == pytest.approx(8 * slope * spp**-1.5 / 12**0.5, rel=0.05)
+    assert result == pytest.approx(8 * slope * spp**-1.5 / 12**0.5, rel=0.05)
 
 
 @cache
 def measured_error(name: str, spp: int) -> float:
-    """RMS relative error of a render's cells, from pairs of independent ones."""
+    """Return the RMS relative error of cells, from pairs of independent renders."""
     scene = load(name, resolution=SIZE, spp=spp)
     job = Renderer(scene, scene.camera(), make_render_plan(scene), 0)
     runs = np.array([job.run(index)[0][0][:, :, 0] for index in range(6)])
@@ -473,17 +473,17 @@ def measured_error(name: str, spp: int) -> float:
 
 @pytest.mark.parametrize("spp", [4, 16])
 @pytest.mark.parametrize("name", ["csf", "slanted_edge"])
-def test_the_error_foretold_is_that_of_the_render(name, spp):
-    chart, found = render_plan(name, resolution=SIZE).chart, measured_error(name, spp)
+def test_sampling_error_matches_render(name, spp):
+    chart, result = render_plan(name, resolution=SIZE).chart, measured_error(name, spp)
     foretold = [sampling_error(chart, spp, seed) for seed in range(16 if name == "csf" else 48)]
     # Most of the error is in few cells, of which 1024 are tried: one seed scatters by 12 % (the finest lines) to 40 % (the
     # edge, which 8 of the tried cells meet), all by 3 to 6 %, and the render's by 4 %; 10 % are the model's.
-    assert np.sqrt(np.mean(np.square(foretold))) == pytest.approx(found, rel=0.35)
+    assert np.sqrt(np.mean(np.square(foretold))) == pytest.approx(result, rel=0.35)
     if name == "csf":
-        assert 0.5 < foretold[0] / found < 2
+        assert 0.5 < foretold[0] / result < 2
 
 
-def test_more_samples_where_less_error_is_allowed():
+def test_samples_needed_grow_with_lower_tolerance():
     chart = render_plan("csf", resolution=SIZE).chart
     counts = [samples_needed(chart, tolerance, 1024) for tolerance in (1.0, 1e-2, 1e-3)]
     assert [count for count, _ in counts] == sorted({count for count, _ in counts})
@@ -506,26 +506,26 @@ def effect(texels: np.ndarray, pitch_um: float, f_number: float) -> float:
 
 @pytest.mark.parametrize("contrast", [0.01, 0.5])
 @pytest.mark.parametrize("half_periods", [3, 40, 127])
-def test_diffraction_takes_its_share_of_a_sinusoid(half_periods, contrast):
-    """1 + c cos loses c (1 - OTF) of it, which counts most where the sinusoid is darkest."""
+def test_diffraction_effect_sinusoid_matches_otf(half_periods, contrast):
+    """1 + c cos changes by c (1 - OTF) cos, relatively most where the sinusoid is darkest."""
     n, pitch_um, f_number = 128, 2.0, 4.0
     wave = contrast * np.cos(np.pi * half_periods * (np.arange(n) + 0.5) / n)
     frequency = half_periods / (2 * n * pitch_um * 1e-3)
     x = np.arccos(frequency * 550e-6 * f_number)
     otf = (2 * x - np.sin(2 * x)) / np.pi
-    found = effect(np.tile(1 + wave, (n, 1)), pitch_um, f_number)
-    assert found == pytest.approx((np.abs(wave) / (1 + wave)).max() * (1 - otf), rel=1e-5)
+    result = effect(np.tile(1 + wave, (n, 1)), pitch_um, f_number)
+    assert result == pytest.approx((np.abs(wave) / (1 + wave)).max() * (1 - otf), rel=1e-5)
     if contrast == 0.01:
-        assert found == pytest.approx(contrast * (1 - otf), rel=0.02)
+        assert result == pytest.approx(contrast * (1 - otf), rel=0.02)
 
 
-def test_diffraction_does_nothing_to_a_flat_field():
+def test_diffraction_effect_flat_field_is_zero():
     assert effect(np.ones((64, 64)), 1.0, 8.0) == 0.0
     assert diffraction_effect(Chart(None, (1.0, 1.0), (64, 64)), 1.0, NM, np.ones(1), 8.0) == 0.0
 
 
-def test_detail_of_a_large_film_is_not_averaged_away():
-    """Stripes two samples wide on a film of 1024: four of them are grey."""
+def test_diffraction_effect_large_film_keeps_detail():
+    """Stripes two samples wide on a film of 1024; a film of a quarter would be grey."""
     stripes = np.tile(np.arange(1024) // 2 % 2 + 1.0, (4, 1))
     chart = Chart(stripes, (4 / 1024, 1.0), (1024, 1024))
     wide = diffraction_effect(chart, 2.65, NM, np.ones(1), 4.0)
@@ -534,25 +534,25 @@ def test_detail_of_a_large_film_is_not_averaged_away():
     assert wide == pytest.approx(narrow, rel=1e-4)  # the OTF comes from a table
 
 
-def test_a_soft_chart_is_left_to_the_lens(tmp_path: Path):
-    """Half a period over the whole die: the lens takes less than the tolerance's tenth of it; a hundred take more."""
-    for half_periods, kept in ((1, False), (100, True)):
+def test_decide_diffraction_soft_chart_is_left_out(tmp_path: Path):
+    """The lens changes half a period over the die by less than a tenth of the tolerance, a hundred by more."""
+    for half_periods, stored in ((1, False), (100, True)):
         wave = 0.5 + 0.03 * np.cos(np.pi * half_periods * (np.arange(1024) + 0.5) / 1024)
         pixsim.write_chart(tmp_path / "soft.exr", np.tile(wave.astype(np.float32), (2, 1)))
         plan = render_plan("csf", chart=str(tmp_path / "soft.exr"), resolution=128)
-        assert plan.diffraction == kept
+        assert plan.diffraction == stored
     cutoff = optics.cutoff_cy_per_mm(830.0, pixsim.Camera().effective_f_number)
     assert 4 / np.pi * 0.03 / 0.47 / (2 * 2.7136) / cutoff < 1e-4  # by the OTF's slope at 0, 4/π over the cut-off
 
 
-def test_a_part_of_a_picture_is_that_part():
+def test_chart_picture_part_equals_whole():
     chart = Chart(np.random.default_rng(3).uniform(0.1, 1, (40, 30)), (2.0, 1.5), (12, 16))
     for part in (np.s_[3:9, 2:16], np.s_[:, 5:6], np.s_[0:1, :]):
         np.testing.assert_allclose(chart.picture((12, 16), part), chart.picture((12, 16))[part], rtol=1e-12)
 
 
-def test_a_large_film_is_told_by_its_steepest_part(monkeypatch):
-    """Detail in one corner: the part that is tried has it, and says nearly what the whole film does."""
+def test_diffraction_effect_large_film_uses_steepest_part(monkeypatch):
+    """With detail in one corner, the tested part contains it and has nearly the effect of the whole film."""
     texels = np.full((64, 512), 0.5)
     texels[40:60, 448:496] += 0.2 * np.sin(np.arange(48) * 0.8)
     chart = Chart(texels, (0.5, 0.5), (128, 1024))

@@ -1,4 +1,4 @@
-"""Scenes: what is read from a Mitsuba XML, checked by Mitsuba's own numbers and by lamps known in closed form."""
+"""Scenes: what is read from a Mitsuba XML, against Mitsuba's numbers and lamps in closed form."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def write_scene(folder: Path, *parts: str) -> Path:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_scenes_load_by_name_and_by_path(name):
+def test_load_scene_packaged_by_name_and_path(name):
     by_name, by_path = load(name), load(packaged_scenes()[name])
     assert by_name.content_hash == by_path.content_hash
     assert load(str(by_path.path)).path == by_name.path
 
 
-def test_shipped_charts_differ_in_their_chart_only():
+def test_packaged_charts_differ_in_chart_only():
     assert sorted(packaged_scenes()) == SHIPPED
     lines = {name: packaged_scenes()[name].read_text().splitlines() for name in CHARTS}
     chart = [index for index, line in enumerate(lines["csf"]) if '<default name="chart"' in line]
@@ -59,7 +59,7 @@ def test_shipped_charts_differ_in_their_chart_only():
         assert lines[name] == lines["csf"]
 
 
-def test_parameters_reach_the_scene(tmp_path):
+def test_load_scene_parameters_reach_nodes(tmp_path):
     body = '<default name="r" value="0.5"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
     path = write_scene(tmp_path, sensor_xml(), body)
 
@@ -75,20 +75,20 @@ def test_parameters_reach_the_scene(tmp_path):
 @pytest.mark.parametrize(
     ("asked", "near"), [("resolutoin", "resolution"), ("chart_half_widht", "chart_half_width"), ("luminance", None)]
 )
-def test_an_unknown_parameter_names_the_nearest(asked, near):
+def test_load_scene_unknown_parameter_suggests_name(asked, near):
     with pytest.raises(PixsimError, match=rf"scene parameter: got '{asked}'; allowed: .*emitter_scale.*spp") as error:
         load("csf", **{asked: 1})
     if near:
         assert f"Did you mean '{near}'?" in str(error.value)
 
 
-def test_a_parameter_in_a_comment_is_none(tmp_path):
+def test_load_scene_parameter_in_comment_is_unknown(tmp_path):
     path = write_scene(tmp_path, "<!-- $ghost -->", sensor_xml())
     with pytest.raises(PixsimError, match="scene parameter: got 'ghost'"):
         load(path, ghost=1)
 
 
-def test_a_parameter_without_default_must_be_given(tmp_path):
+def test_load_scene_parameter_without_default_is_required(tmp_path):
     path = write_scene(tmp_path, sensor_xml('<float name="fov" value="$fov"/>' + LENS))
     with pytest.raises(PixsimError, match="fov"):
         load(path)
@@ -103,7 +103,7 @@ def test_a_parameter_without_default_must_be_given(tmp_path):
         (b"<scene version='3.0.0'>\xff\xfe</scene>", "allowed: a readable XML file in UTF-8"),
     ],
 )
-def test_a_broken_file_is_refused(tmp_path, content, message):
+def test_load_scene_broken_file_raises(tmp_path, content, message):
     (tmp_path / "broken.xml").write_bytes(content)
     with pytest.raises(PixsimError, match=message) as error:
         load(tmp_path / "broken.xml")
@@ -111,7 +111,7 @@ def test_a_broken_file_is_refused(tmp_path, content, message):
 
 
 @pytest.mark.parametrize("missing", ["csv", "no/such.xml", "."])
-def test_a_missing_file_is_refused_with_what_there_is(missing):
+def test_load_scene_missing_file_lists_scenes(missing):
     with pytest.raises(PixsimError, match=rf"scene: got '{missing}'; allowed: an XML file, or one of {', '.join(SHIPPED)}\."):
         load(missing)
 
@@ -120,7 +120,7 @@ def test_a_missing_file_is_refused_with_what_there_is(missing):
 
 
 @pytest.mark.parametrize("name", [*CHARTS, "line_lamp", "macbeth"])
-def test_shipped_scenes_hold_the_default_camera(name):
+def test_packaged_scenes_have_default_camera(name):
     assert load(name).camera() == pixsim.Camera()
 
 
@@ -137,7 +137,7 @@ FIELDS = {
 
 @pytest.mark.parametrize(("width", "height"), [(60, 40), (40, 60), (50, 50)])
 @pytest.mark.parametrize("field", FIELDS)
-def test_the_field_of_view_is_mitsubas(tmp_path, field, width, height):
+def test_fov_x_deg_matches_mitsuba(tmp_path, field, width, height):
     path = write_scene(tmp_path, sensor_xml(FIELDS[field] + LENS, width=width, height=height))
     camera = load(path).camera()
     mi = import_mitsuba("scalar_spectral")
@@ -146,7 +146,7 @@ def test_the_field_of_view_is_mitsubas(tmp_path, field, width, height):
     assert camera.fov_deg == pytest.approx(float(np.ravel(expected_deg)[0]), rel=1e-5)
 
 
-def test_a_lens_from_numbers(tmp_path):
+def test_read_camera_lens_of_numbers(tmp_path):
     camera = load(write_scene(tmp_path, sensor_xml())).camera()
     assert camera.die_mm == pixsim.Camera().die_mm  # a Mitsuba scene has none
     v_mm = camera.die_mm / 2 / np.tan(np.radians(20))
@@ -156,7 +156,7 @@ def test_a_lens_from_numbers(tmp_path):
     assert camera.f_number == pytest.approx(f_mm / (2 * 0.5), rel=1e-5)
 
 
-def test_a_die_option_scales_a_lens_of_numbers(tmp_path):
+def test_camera_die_option_scales_lens_of_numbers(tmp_path):
     scene = load(write_scene(tmp_path, sensor_xml()))
     camera = scene.camera(CameraOptions(die_mm=10))
     # The same picture on a larger die: the field of view stays, v grows with the die, and f with v by the lens equation.
@@ -165,7 +165,7 @@ def test_a_die_option_scales_a_lens_of_numbers(tmp_path):
     assert camera.aperture_radius_m == pytest.approx(0.0005, rel=1e-5)
 
 
-def test_a_die_option_widens_the_view_of_a_lens_of_parameters():
+def test_camera_die_option_widens_view_of_parameters():
     camera = load("csf").camera(CameraOptions(die_mm=5))
     assert camera == pixsim.Camera(die_mm=5)
     assert camera.fov_deg > 60
@@ -173,14 +173,14 @@ def test_a_die_option_widens_the_view_of_a_lens_of_parameters():
     assert load("csf", fov=30).camera(CameraOptions(die_mm=5)).fov_deg == pytest.approx(30, rel=1e-5)
 
 
-def test_camera_options_replace_what_the_scene_says():
+def test_camera_options_override_scene():
     options = {"focal_length_mm": 6.0, "f_number": 2.8, "object_distance_m": 2.0, "transmittance": 0.9}
     for name, value in options.items():
         assert load("csf").camera(CameraOptions(**{name: value})) == pixsim.Camera(**{name: value})
     assert load("csf").camera(CameraOptions(**options)) == pixsim.Camera(**options)
 
 
-def test_the_chart_fills_the_view_of_any_camera():
+def test_for_camera_chart_fills_view():
     camera = pixsim.Camera(focal_length_mm=6, f_number=2, die_mm=5, object_distance_m=2.5)
     state = load("csf").for_camera(camera)
     sensor = next(node.props for node in state.nodes if node.props.plugin_name() == "thinlens")
@@ -193,14 +193,14 @@ def test_the_chart_fills_the_view_of_any_camera():
 
 
 def crossings_um(picture: np.ndarray, sample_um: float) -> np.ndarray:
-    """Where the lower rows of the CSF chart pass their mean."""
+    """Return the positions where the lower rows of the CSF chart cross their mean."""
     line = picture[picture.shape[0] * 7 // 8 :].mean(axis=0) - charts.csf_value(0, 0)
     at = np.flatnonzero(line[:-1] * line[1:] < 0)
     return (at + 0.5 + line[at] / (line[at] - line[at + 1])) * sample_um
 
 
 @pytest.mark.parametrize("lens", [{}, {"focal_length_mm": 6, "object_distance_m": 2.5}])
-def test_lp_per_mm_hold_on_the_sensor_for_any_lens(lens):
+def test_chart_frequencies_hold_on_sensor(lens):
     camera = pixsim.Camera(**lens)
     image = pixsim.render(pixsim.load_scene("csf", resolution=512, spp=4), camera)
     fall_off = lens_sr(image, camera) / lens_sr(image, camera).max()
@@ -213,7 +213,7 @@ def test_lp_per_mm_hold_on_the_sensor_for_any_lens(lens):
     assert np.abs(found_um - expected_um).max() < 1
 
 
-# --- Sensors that cannot be used ---
+# --- Unsupported sensors ---
 
 
 @pytest.mark.parametrize(
@@ -232,12 +232,12 @@ def test_lp_per_mm_hold_on_the_sensor_for_any_lens(lens):
         ([sensor_xml(FOV + LENS.replace("0.8", "-1"))], "focus_distance: got -1.0; allowed: a positive number"),
     ],
 )
-def test_sensors_that_are_refused(tmp_path, sensors, message):
+def test_sensor_node_unsupported_sensor_raises(tmp_path, sensors, message):
     with pytest.raises(PixsimError, match=message):
         load(write_scene(tmp_path, *sensors))
 
 
-def test_one_of_several_sensors_by_its_id(tmp_path):
+def test_load_scene_sensor_by_id(tmp_path):
     narrow = sensor_xml('<float name="fov" value="20"/>' + LENS, name="narrow")
     path = write_scene(tmp_path, sensor_xml(name="wide"), narrow)
     assert load(path, sensor="wide").camera().fov_deg == pytest.approx(40, rel=1e-5)
@@ -274,7 +274,7 @@ RGB = '<rgb name="radiance" value="1, 0.5, 0.2"/>'
 
 
 def planck(wavelength_nm: np.ndarray, temperature_k: float) -> np.ndarray:
-    """W m⁻² sr⁻¹ nm⁻¹, from the SI's constants."""
+    """Return Planck's radiance in W m⁻² sr⁻¹ nm⁻¹, with SI constants."""
     h, c, k = 6.62607015e-34, 299792458.0, 1.380649e-23
     metre = wavelength_nm * 1e-9
     return 1e-9 * 2 * h * c**2 / metre**5 / np.expm1(h * c / (metre * k * temperature_k))
@@ -300,14 +300,14 @@ def lamp_of(folder: Path, *emitters: str) -> Lamp | None:
     ],
     ids=["d65", "d65 × texture", "raw bitmap", "number", "regular", "irregular", "blackbody", "constant"],
 )
-def test_one_lamp_is_known(tmp_path, emitters, radiance):
+def test_find_lamp_single_lamp(tmp_path, emitters, radiance):
     lamp = lamp_of(tmp_path, *emitters)
     assert lamp is not None
     # float32 spectra, and five digits of D65's scale.
     np.testing.assert_allclose(lamp.spectrum.at(grid_nm()), radiance(grid_nm()), rtol=1e-4, atol=1e-4)
 
 
-def test_lamps_of_one_spectrum_are_one_lamp(tmp_path):
+def test_find_lamps_equal_spectra_are_grouped(tmp_path):
     lamp = lamp_of(tmp_path, area(d65_xml(0.5)), area(d65_xml(1.5)))
     assert lamp is not None
     assert lamp.luminance_cd_per_m2 == pytest.approx(1.5 * D65_LUMINANCE, rel=1e-4)  # that of the brightest
@@ -337,11 +337,11 @@ def test_lamps_of_one_spectrum_are_one_lamp(tmp_path):
         "environment",
     ],
 )
-def test_other_lights_are_no_single_lamp(tmp_path, emitters):
+def test_find_lamp_other_lights_return_none(tmp_path, emitters):
     assert lamp_of(tmp_path, *emitters) is None
 
 
-def test_a_textured_lamp_and_a_plain_one_of_the_same_spectrum(tmp_path):
+def test_find_lamps_textured_and_plain_share_spectrum(tmp_path):
     lamp = lamp_of(tmp_path, area(d65_xml(3)), area(d65_xml(0.5, bitmap("texture"))))
     assert lamp is not None
     assert lamp.luminance_cd_per_m2 == pytest.approx(0.5 * D65_LUMINANCE, rel=1e-4)  # that of texel value 1
@@ -349,7 +349,7 @@ def test_a_textured_lamp_and_a_plain_one_of_the_same_spectrum(tmp_path):
     assert powers == pytest.approx([6])
 
 
-def test_lamps_by_spectrum(tmp_path):
+def test_find_lamps_are_grouped_by_spectrum(tmp_path):
     pixsim.write_chart(tmp_path / "grey.exr", np.full((2, 2), 0.5, np.float32))
     emitters = [area(d65_xml(2)), area(REGULAR), area(RGB), area(d65_xml(1)), area(bitmap("radiance", ""))]
     scene = load(write_scene(tmp_path, sensor_xml(), *emitters))
@@ -362,7 +362,7 @@ def test_lamps_by_spectrum(tmp_path):
 
 
 @pytest.mark.parametrize("luminance", [0.01, 100, 1e6])
-def test_luminance_sets_the_emitters_scale(luminance):
+def test_load_scene_luminance_sets_emitter_scale(luminance):
     assert find_lamp(load("csf").parse(), "scalar_spectral").luminance_cd_per_m2 == pytest.approx(1000, rel=1e-4)
     scene = load("flat", luminance_cd_per_m2=luminance)
     assert float(scene.parameters["emitter_scale"]) == pytest.approx(luminance / D65_LUMINANCE, rel=1e-4)
@@ -370,12 +370,12 @@ def test_luminance_sets_the_emitters_scale(luminance):
 
 
 @pytest.mark.parametrize("value", [0, -5, "bright", float("nan"), float("inf")])
-def test_luminance_must_be_positive(value):
+def test_load_scene_luminance_not_positive_raises(value):
     with pytest.raises(PixsimError, match=r"luminance_cd_per_m2: got .*; allowed: a positive number"):
         load("flat", luminance_cd_per_m2=value)
 
 
-def test_luminance_needs_a_scene_that_can_take_it(tmp_path):
+def test_load_scene_luminance_without_emitter_scale_raises(tmp_path):
     path = write_scene(tmp_path, sensor_xml(), area(d65_xml()))
     with pytest.raises(PixsimError, match=r"has no parameter emitter_scale; allowed: scenes whose emitter has"):
         load(path, luminance_cd_per_m2=100)
@@ -385,7 +385,7 @@ def test_luminance_needs_a_scene_that_can_take_it(tmp_path):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -0.25])
-def test_texels_that_mitsuba_would_spread_are_refused_with_their_place(tmp_path, bad):
+def test_check_textures_invalid_texels_raise_with_position(tmp_path, bad):
     texels = np.ones((6, 8), np.float32)
     texels[2, 5] = bad
     pixsim.write_chart(tmp_path / "chart.exr", texels)
@@ -393,8 +393,8 @@ def test_texels_that_mitsuba_would_spread_are_refused_with_their_place(tmp_path,
         load("flat", chart=str(tmp_path / "chart.exr"))
 
 
-def test_maps_may_be_below_zero_wherever_they_lie(tmp_path, monkeypatch):
-    """Beside the scene, or where the command runs."""
+def test_check_textures_maps_may_be_negative(tmp_path, monkeypatch):
+    """The file is in the scene's folder or in the working directory."""
     bump = '<texture type="bitmap"><boolean name="raw" value="true"/><string name="filename" value="bump.exr"/></texture>'
     ball = f'<shape type="sphere"><bsdf type="bumpmap">{bump}<bsdf type="diffuse"/></bsdf></shape>'
     for here in (False, True):
@@ -406,7 +406,7 @@ def test_maps_may_be_below_zero_wherever_they_lie(tmp_path, monkeypatch):
         pixsim.load_scene(path)
 
 
-def test_a_missing_or_damaged_texture_is_refused(tmp_path):
+def test_load_scene_damaged_texture_raises(tmp_path):
     with pytest.raises(PixsimError, match=r"texture: got 'nowhere\.exr', which does not exist; allowed: a file, relative to"):
         load("flat", chart="nowhere.exr")
     whole = (packaged_scenes()["flat"].parent / "charts/slanted_edge.exr").read_bytes()
@@ -420,22 +420,22 @@ def test_a_missing_or_damaged_texture_is_refused(tmp_path):
 
 @pytest.fixture
 def copy(tmp_path):
-    """The flat scene with its chart in a folder of its own."""
+    """Copy the flat scene and its chart into a new folder."""
     shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")
     return tmp_path / "scenes" / "flat.xml"
 
 
-def test_the_hash_is_that_of_the_content(copy, tmp_path):
+def test_content_hash_depends_on_content_only(copy, tmp_path):
     expected = load("flat").content_hash
     assert load(copy).content_hash == expected  # another folder
     copy.write_text(copy.read_text().replace("<scene", "<!-- a remark -->\n\n<scene"))
     assert load(copy).content_hash == expected
     moved = copy.rename(tmp_path / "scenes" / "other_name.xml")
     assert load(moved).content_hash == expected
-    assert load("flat", resolution=1024).content_hash == expected  # the default, said aloud
+    assert load("flat", resolution=1024).content_hash == expected  # the default, given explicitly
 
 
-def test_the_hash_tells_textures_and_parameters(copy):
+def test_content_hash_changes_with_textures_and_parameters(copy):
     hashes = {load(copy).content_hash}
     for parameters in ({"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}, {"aperture_radius": 1e-3}):
         hashes.add(load(copy, **parameters).content_hash)
@@ -449,7 +449,7 @@ NEAR = '<transform name="to_world"><translate x="0.0000001"/></transform>'
 WIDE = '<point name="center" x="0" y="0" z="0.0000001"/>'
 
 
-def test_the_hash_tells_everything_that_is_seen(tmp_path):
+def test_content_hash_changes_with_visible_nodes(tmp_path):
     first = '<bsdf type="diffuse" id="a"><spectrum name="reflectance" value="400:0.1, 700:0.9"/></bsdf>'
     second = '<bsdf type="diffuse" id="b"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf>'
     ball, disk = '<shape type="sphere"><ref id="{}"/></shape>', '<shape type="disk"><ref id="{}"/></shape>'
@@ -465,10 +465,10 @@ def test_the_hash_tells_everything_that_is_seen(tmp_path):
     hashes = {name: load(write_scene(tmp_path, sensor_xml(), body)).content_hash for name, body in bodies.items()}
     again = load(write_scene(tmp_path, sensor_xml(), bodies["as it is"])).content_hash
     assert again == hashes.pop("as it is")
-    assert [name for name, found in hashes.items() if found == again] == []
+    assert [name for name, result in hashes.items() if result == again] == []
 
 
-def test_the_hash_tells_meshes(tmp_path):
+def test_content_hash_changes_with_meshes(tmp_path):
     path = write_scene(tmp_path, sensor_xml(), '<shape type="obj"><string name="filename" value="mesh.obj"/></shape>')
     hashes = set()
     for corner in (1, 2):

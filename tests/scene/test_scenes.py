@@ -1,4 +1,4 @@
-"""The scenes with lamps and objects, and the edits that scenes/README.md tells: each must change the picture as physics says."""
+"""Scenes with lamps and objects, and the edits of scenes/README.md: each changes the picture as physics predicts."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def luminance(path: Path, spp: int = 16, light_nm: tuple[int, int] = (360, 830),
 
 @cache
 def shipped(name: str):
-    """A shipped scene's radiance, with its own parameters; do not write into it."""
+    """Return the radiance of a packaged scene with its default parameters; do not modify it."""
     return radiance(FOLDER / f"{name}.xml")
 
 
@@ -81,12 +81,12 @@ def table(name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def spectrum(name: str, wavelength_nm) -> np.ndarray:
-    """A shipped table as Mitsuba reads it: straight between its points, 0 outside."""
+    """Return a packaged table as Mitsuba reads it: linear between its points, 0 outside."""
     return np.interp(wavelength_nm, *table(name), left=0.0, right=0.0)
 
 
 def in_pulses(name: str) -> np.ndarray:
-    """Mean over each pulse, (4,)."""
+    """Return the mean over each pulse, (4,)."""
     from_centre = np.linspace(-PULSE_NM, PULSE_NM, 401)
     weight = 1 - np.abs(from_centre) / PULSE_NM
     return (spectrum(name, LINES_NM[:, None] + from_centre) * weight).sum(axis=1) / weight.sum()
@@ -102,7 +102,7 @@ PATCHES = [f"macbeth/{path.stem}" for path in sorted((FOLDER / "spectra/macbeth"
 
 
 def patch(index: int, size: int = SIZE) -> tuple[slice, slice]:
-    """Rows and columns well inside a patch of macbeth.xml: six columns, four rows."""
+    """Return rows and columns well inside one of the 6 × 4 patches of macbeth.xml."""
     row, column = divmod(index, 6)
     rows, columns = (
         (int((row + 0.15) * size / 4), int((row + 0.85) * size / 4)),
@@ -139,7 +139,7 @@ STEPS = read_steps()
 
 
 class Edited(NamedTuple):
-    """A copy of a scene with a step done to it."""
+    """A copy of a scene with one step applied."""
 
     path: Path
     parameters: dict[str, str]
@@ -165,7 +165,7 @@ def copied(folder: Path, scene: str) -> Edited:
 
 @pytest.fixture
 def step(request, tmp_path) -> Edited:
-    """The step that the test's name tells, done."""
+    """Apply the step that the test's name names."""
     done = STEPS[request.node.originalname.removeprefix("test_step_")]
     edited = copied(tmp_path, done.scene)
     return (edited.replace(done.before, done.after) if done.before else edited)._replace(parameters=done.parameters)
@@ -176,11 +176,11 @@ def test_every_step_has_a_test():
     assert tests == set(STEPS)
 
 
-# --- The scenes as they are ---
+# --- Packaged scenes ---
 
 
 @VARIANTS
-def test_the_stock_mitsuba_renders_them_from_anywhere(variant, tmp_path, monkeypatch):
+def test_packaged_scenes_render_in_stock_mitsuba(variant, tmp_path, monkeypatch):
     mi = import_mitsuba(variant)
     monkeypatch.chdir(tmp_path)
     for name in SCENES:
@@ -191,18 +191,18 @@ def test_the_stock_mitsuba_renders_them_from_anywhere(variant, tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_pixsim_loads_them_with_their_camera(name):
+def test_packaged_scenes_have_their_camera(name):
     scene = pixsim.load_scene(name, variant=VARIANT)
     near = {"f_number": 2.8, "object_distance_m": 0.1} if name == "still_life" else {}
     assert scene.camera() == pixsim.Camera(**near)
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_they_tell_what_is_white(name):
+def test_packaged_scenes_state_white(name):
     assert '<default name="white_cd_per_m2" value="1000"/>' in (FOLDER / f"{name}.xml").read_text(encoding="utf-8")
 
 
-def test_they_are_small():
+def test_packaged_scenes_are_small():
     new = [FOLDER / "README.md", *(FOLDER / f"{name}.xml" for name in SCENES), *FOLDER.glob("spectra/**/*.spd")]
     assert sum(path.stat().st_size for path in new) < 200_000
 
@@ -210,7 +210,7 @@ def test_they_are_small():
 # --- Spectra ---
 
 
-def test_reflectances_are_the_standards():
+def test_packaged_reflectances_match_standards():
     import colour
 
     measured = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
@@ -223,7 +223,7 @@ def test_reflectances_are_the_standards():
 
 
 @pytest.mark.parametrize("name", LAMPS[:4])
-def test_lamps_are_the_standards(name):
+def test_packaged_lamps_match_standards(name):
     import colour
 
     standard = colour.SDS_ILLUMINANTS[name.upper().replace("_", "-")]
@@ -233,7 +233,7 @@ def test_lamps_are_the_standards(name):
     np.testing.assert_allclose(ours / ours.max(), standard.values[inside] / standard.values[inside].max(), rtol=1e-5, atol=1e-8)
 
 
-def test_the_laser_is_a_line():
+def test_packaged_laser_is_line():
     lit = FINE_NM[spectrum("laser_532nm", FINE_NM) > spectrum("laser_532nm", 532.0) / 2]
     assert np.ptp(lit) == pytest.approx(1, abs=0.11)  # one more step of FINE_NM on either side
     power = spectrum("laser_532nm", FINE_NM)
@@ -241,7 +241,7 @@ def test_the_laser_is_a_line():
 
 
 @pytest.mark.parametrize("lamp", LAMPS)
-def test_white_has_1000_cd_per_m2_under_each_lamp(lamp, tmp_path):
+def test_macbeth_white_is_1000_cd_per_m2(lamp, tmp_path):
     # In the file; five digits, and ȳ bends a little between its nanometres, most under the laser.
     assert luminous_flux(lamp) * COS_45 / np.pi == pytest.approx(WHITE_CD_PER_M2, rel=2e-4)
     # And in the picture: every patch a perfect diffuser.
@@ -251,15 +251,15 @@ def test_white_has_1000_cd_per_m2_under_each_lamp(lamp, tmp_path):
     wavelength_nm = table(lamp)[0][table(lamp)[1] > 0]
     light_nm = int(wavelength_nm.min()) - 1, min(int(wavelength_nm.max()) + 1, 830)
     picture = luminance(white.path, spp=64, light_nm=light_nm, lamp=f"spectra/{lamp}.spd")
-    found = np.mean([picture[patch(index)].mean() for index in range(24)])
+    result = np.mean([picture[patch(index)].mean() for index in range(24)])
     # 84 000 samples. From 8 seeds the noise is .04 % under FL11's lines, below .01 % under the others.
-    assert found == pytest.approx(WHITE_CD_PER_M2, rel=2e-3 if lamp == "fl11" else 5e-4)
+    assert result == pytest.approx(WHITE_CD_PER_M2, rel=2e-3 if lamp == "fl11" else 5e-4)
 
 
 # --- macbeth ---
 
 
-def test_every_patch_is_in_its_place_and_reflects_its_table():
+def test_macbeth_patches_match_tables():
     picture = shipped("macbeth")
     for index, name in enumerate(PATCHES):
         expected = in_pulses("d65") * in_pulses(name) * COS_45 / np.pi
@@ -268,7 +268,7 @@ def test_every_patch_is_in_its_place_and_reflects_its_table():
         np.testing.assert_allclose(picture[patch(index)].mean(axis=(0, 1)), expected, rtol=2e-3, err_msg=name)
 
 
-def test_a_dark_board_surrounds_the_patches():
+def test_macbeth_board_is_dark():
     strips = shipped("macbeth")[[0, -1]].mean(axis=1) / (in_pulses("d65") * COS_45 / np.pi)
     whole = [np.mean([in_pulses(name) for name in row], axis=0) for row in (PATCHES[:6], PATCHES[18:])]
     # Of the outermost of 64 rows the board has 8/15 (a sixtieth of the half width), and a tenth of each row beside patches.
@@ -278,28 +278,28 @@ def test_a_dark_board_surrounds_the_patches():
 
 
 @pytest.mark.parametrize("lamp", LAMPS)
-def test_patches_under_each_lamp_have_the_luminance_of_their_tables(lamp):
+def test_macbeth_patch_luminances_match_tables(lamp):
     light_nm = (531, 533) if lamp == "laser_532nm" else (360, 830)
     picture = luminance(FOLDER / "macbeth.xml", spp=256, light_nm=light_nm, lamp=f"spectra/{lamp}.spd")
-    found = np.array([picture[patch(index)].mean() for index in range(24)])
+    result = np.array([picture[patch(index)].mean() for index in range(24)])
     white = luminous_flux(lamp, PATCHES[18])
     expected = np.array([luminous_flux(lamp, name) / white for name in PATCHES])
     # 15 000 samples a patch; the noise of 3 × 24 of them is .01 % rms (at most .05 %) under smooth lamps, .035 % (.13 %)
     # under FL11, nothing under the laser.
     gate = {"fl11": 4e-3, "laser_532nm": 1e-4}.get(lamp, 1.5e-3)
-    np.testing.assert_allclose(found / found[18], expected, rtol=gate)
+    np.testing.assert_allclose(result / result[18], expected, rtol=gate)
 
 
 @pytest.mark.parametrize("lamp", ["d65", "a"])
-def test_pixsim_gives_patches_their_illuminance(lamp):
+def test_macbeth_patch_illuminances_match_tables(lamp):
     scene = pixsim.load_scene("macbeth", variant=VARIANT, resolution=48, lamp=f"spectra/{lamp}.spd")
     camera = scene.camera()
     image = pixsim.render(scene, camera, seed=0)
-    found = image.illuminance_lx() / lens_sr(image, camera)
+    result = image.illuminance_lx() / lens_sr(image, camera)
     for index, name in enumerate(PATCHES):
         expected = luminous_flux(lamp, name) * COS_45 / np.pi
         # Bands of 10 nm cost up to .3 % where reflectance is steep (red under A).
-        assert found[patch(index, 48)].mean() == pytest.approx(expected, rel=1e-2), name
+        assert result[patch(index, 48)].mean() == pytest.approx(expected, rel=1e-2), name
 
 
 # --- line_lamp ---
@@ -313,7 +313,7 @@ RED, ORANGE, GREEN, BLUE, WHITE = (
 )
 
 
-def test_line_lamp_has_its_patches_in_place():
+def test_line_lamp_patches_are_in_place():
     picture = shipped("line_lamp")
     names = {"15_red": RED, "07_orange": ORANGE, "14_green": GREEN, "13_blue": BLUE}
     for name, where in names.items():
@@ -322,7 +322,7 @@ def test_line_lamp_has_its_patches_in_place():
         np.testing.assert_allclose(relative, in_pulses(f"macbeth/{name}") / 0.9, rtol=3e-2, err_msg=name)
 
 
-def test_the_chart_of_line_lamp_stands_upright_and_is_neutral(tmp_path):
+def test_line_lamp_chart_is_upright_and_neutral(tmp_path):
     texels = np.full((8, 8), 0.1, np.float32)
     texels[:4, :4], texels[:4, 4:], texels[4:, :4] = 1.0, 0.6, 0.3
     pixsim.write_chart(tmp_path / "corners.exr", texels)
@@ -333,7 +333,7 @@ def test_the_chart_of_line_lamp_stands_upright_and_is_neutral(tmp_path):
         np.testing.assert_allclose(quarter.mean(axis=(0, 1)), expected, rtol=1e-2)  # .2 % at 530 nm, on a line's flank
 
 
-def test_lines_show_other_colours_than_day_does():
+def test_line_lamp_colours_differ_from_daylight():
     def red_to_white(lamp: str) -> float:
         picture = luminance(FOLDER / "line_lamp.xml", spp=64, lamp=f"spectra/{lamp}.spd")
         return float(picture[RED].mean() / picture[WHITE].mean())
@@ -349,7 +349,7 @@ def test_lines_show_other_colours_than_day_does():
 
 
 def spot(picture: np.ndarray, row: float, column: float, half: float = 0.02) -> np.ndarray:
-    """Mean over a square, (bands,); place and half side as fractions of the picture."""
+    """Return the mean over a square, (bands,); place and half side are fractions of the picture."""
     size = len(picture)
     rows, columns = (slice(round((at - half) * size), round((at + half) * size) + 1) for at in (row, column))
     return picture[rows, columns].mean(axis=(0, 1))
@@ -369,31 +369,31 @@ PLACES = {  # row, column, reflectance
 
 
 @pytest.mark.parametrize("thing", PLACES)
-def test_things_are_in_their_places_and_have_their_colours(thing):
+def test_still_life_objects_have_place_and_colour(thing):
     row, column, name = PLACES[thing]
-    found, direct = spot(shipped("still_life"), row, column), colour_of(name)
+    result, direct = spot(shipped("still_life"), row, column), colour_of(name)
     # A wavelength more or less reflected than the mean stays so; light from other things dilutes it by less than a third.
-    np.testing.assert_allclose(found / found.sum(), direct / direct.sum(), atol=0.08)
+    np.testing.assert_allclose(result / result.sum(), direct / direct.sum(), atol=0.08)
 
 
-def test_the_red_cube_reddens_the_wall_beside_it():
+def test_still_life_red_cube_reddens_wall():
     picture = shipped("still_life")
-    beside, far = spot(picture, 0.5, 0.075), spot(picture, 0.10, 0.85)
-    assert 1.5 < beside[3] / beside[0] / (far[3] / far[0]) < 4  # 690 against 450 nm; measured 2.7
+    others, far = spot(picture, 0.5, 0.075), spot(picture, 0.10, 0.85)
+    assert 1.5 < others[3] / others[0] / (far[3] / far[0]) < 4  # 690 against 450 nm; measured 2.7
 
 
-def test_display_white_suits_the_still_life():
+def test_still_life_display_white_is_suitable():
     picture = luminance(FOLDER / "still_life.xml")
     assert 300 < np.median(picture) < 700
     assert np.percentile(picture, 99) == pytest.approx(WHITE_CD_PER_M2, rel=0.15)
 
 
-def test_pixsim_and_mitsuba_agree_on_the_still_life():
+def test_still_life_matches_mitsuba():
     scene = pixsim.load_scene("still_life", variant=VARIANT, resolution=32, spp=16)
     camera = scene.camera()
     image = pixsim.render(scene, camera, seed=0)
-    found = (image.illuminance_lx() / lens_sr(image, camera)).mean()
-    assert found == pytest.approx(luminance(FOLDER / "still_life.xml").mean(), rel=0.02)  # noise of .3 % in each
+    result = (image.illuminance_lx() / lens_sr(image, camera)).mean()
+    assert result == pytest.approx(luminance(FOLDER / "still_life.xml").mean(), rel=0.02)  # noise of .3 % in each
 
 
 # --- The edits ---
@@ -425,8 +425,8 @@ def test_step_coloured_bitmap(step):
 def test_step_another_lamp(step):
     ratio, by_day = step.radiance, shipped("macbeth")
     for index in (6, 12):  # orange, blue
-        found = ratio[patch(index)].mean(axis=(0, 1)) / by_day[patch(index)].mean(axis=(0, 1))
-        np.testing.assert_allclose(found, in_pulses("a") / in_pulses("d65"), rtol=2e-3)  # as in the test of the patches
+        result = ratio[patch(index)].mean(axis=(0, 1)) / by_day[patch(index)].mean(axis=(0, 1))
+        np.testing.assert_allclose(result, in_pulses("a") / in_pulses("d65"), rtol=2e-3)  # as in the test of the patches
     lighter = {i: luminous_flux("a", PATCHES[i]) / luminous_flux("d65", PATCHES[i]) for i in (6, 12)}
     assert lighter[6] > 1.1
     assert lighter[12] < 0.9
@@ -454,14 +454,14 @@ def test_step_second_lamp(step):
                                in_pulses("a") / in_pulses("d65"), rtol=2e-3)  # fmt: skip
     # A path meets one of two lamps by chance. From 4 seeds the largest error of a patch is .08 %, of the picture .2 % (edges).
     for index in range(24):
-        found = both[patch(index)].mean(axis=(0, 1))
+        result = both[patch(index)].mean(axis=(0, 1))
         expected = (second + shipped("macbeth"))[patch(index)].mean(axis=(0, 1))
-        np.testing.assert_allclose(found, expected, rtol=3e-3)
+        np.testing.assert_allclose(result, expected, rtol=3e-3)
     total = both.mean(axis=(0, 1)) / (second + shipped("macbeth")).mean(axis=(0, 1))
     np.testing.assert_allclose(total, 1, rtol=6e-3)
 
 
-def test_pixsim_adds_lamps(tmp_path):
+def test_render_lamps_add_up(tmp_path):
     done = STEPS["second_lamp"]
     edited = copied(tmp_path, done.scene).replace(done.before, done.after)
 
@@ -476,8 +476,8 @@ def test_pixsim_adds_lamps(tmp_path):
 
 def test_step_another_reflectance(step):
     picture = step.radiance
-    found = picture[patch(0)].mean(axis=(0, 1)) / (in_pulses("d65") * COS_45 / np.pi)
-    np.testing.assert_allclose(found, [0.1, 0.1, 0.8, 0.8], rtol=2e-3)  # as in the test of the patches
+    result = picture[patch(0)].mean(axis=(0, 1)) / (in_pulses("d65") * COS_45 / np.pi)
+    np.testing.assert_allclose(result, [0.1, 0.1, 0.8, 0.8], rtol=2e-3)  # as in the test of the patches
     np.testing.assert_allclose(picture[patch(1)], shipped("macbeth")[patch(1)], rtol=1e-5)
 
 
@@ -533,7 +533,7 @@ def blur_px(path: Path, row: float, column: float, **parameters: str) -> float:
     profile = radiance(path, spp=256, size=512, crop=crop, **parameters)[:, :, 0].mean(axis=0)
 
     def edge(x, left, step, slope, at, radius):
-        """Share of a disc beyond a straight edge, mean over each pixel, on light that is not quite even."""
+        """Return the part of a disc beyond a straight edge, mean over each pixel, on slightly uneven light."""
         t = np.clip((x[:, None] + np.linspace(-0.5, 0.5, 21) - at) / radius, -1, 1)
         share = 0.5 + (t * np.sqrt(1 - t**2) + np.arcsin(t)) / np.pi
         return left + slope * x + step * share.mean(axis=1)
@@ -555,19 +555,19 @@ BLUR_GATE = 0.12
 
 
 @pytest.mark.parametrize(("edge", "distance_m"), [(SUN_EDGE, SUN_M), (PAWN_EDGE, PAWN_M)])
-def test_what_is_out_of_focus_is_blurred_as_the_lens_says(edge, distance_m):
+def test_render_out_of_focus_blur_matches_lens(edge, distance_m):
     assert blur_px(FOLDER / "still_life.xml", *edge) == pytest.approx(expected_blur_px(distance_m, **LENS), rel=BLUR_GATE)
 
 
 def test_step_another_focus(step):
     focus = LENS | {name: float(value) for name, value in step.parameters.items()}
     assert blur_px(step.path, *SUN_EDGE, **step.parameters) < 1  # .01, but for the pixels and the rim; 1.5 before
-    found = blur_px(step.path, *PAWN_EDGE, **step.parameters)
-    assert found == pytest.approx(expected_blur_px(PAWN_M, **focus), rel=BLUR_GATE)
+    result = blur_px(step.path, *PAWN_EDGE, **step.parameters)
+    assert result == pytest.approx(expected_blur_px(PAWN_M, **focus), rel=BLUR_GATE)
 
 
 def test_step_wider_aperture(step):
     wide = LENS | {name: float(value) for name, value in step.parameters.items()}
-    found = blur_px(step.path, *SUN_EDGE, **step.parameters)
-    assert found == pytest.approx(expected_blur_px(SUN_M, **wide), rel=BLUR_GATE)
-    assert found == pytest.approx(2.8 * expected_blur_px(SUN_M, **LENS), rel=BLUR_GATE)
+    result = blur_px(step.path, *SUN_EDGE, **step.parameters)
+    assert result == pytest.approx(expected_blur_px(SUN_M, **wide), rel=BLUR_GATE)
+    assert result == pytest.approx(2.8 * expected_blur_px(SUN_M, **LENS), rel=BLUR_GATE)

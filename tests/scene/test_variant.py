@@ -1,4 +1,4 @@
-"""Which Mitsuba variant runs: libraries that are too old, broken, missing or fine, each in a process of its own."""
+"""Choice of a Mitsuba variant with libraries that are too old, broken, missing or usable, in separate processes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def wheel_installed() -> bool:
 
 
 def python(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh process that has no LLVM chosen for it but by `environment`."""
+    """Run code in a new process whose LLVM is chosen by `environment` only."""
     clean = {key: value for key, value in os.environ.items() if key != variant.LLVM_VARIABLE}
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S)
@@ -41,31 +41,31 @@ def python(code: str, *arguments: str, **environment: str) -> subprocess.Complet
 
 @pytest.fixture
 def fresh(monkeypatch):
-    """`choose` anew; the variable is set, since without it Dr.Jit, imported by another test, would settle the matter."""
+    """Clear the cache of `choose`; the variable is set, since another test may have imported Dr.Jit."""
     monkeypatch.setenv(variant.LLVM_VARIABLE, "of a test")
     variant.choose.cache_clear()
     yield monkeypatch
     variant.choose.cache_clear()
 
 
-# --- Judging a library ---
+# --- Versions of libraries ---
 
 
-def test_a_library_without_a_version_is_too_old():
+def test_llvm_version_missing_function_is_0():
     name = ctypes.util.find_library("m")  # stands for LLVM 15, which has no LLVMGetVersion either
     if name is None:
         pytest.skip("no libm to load")
     assert variant.llvm_version(name) == 0
 
 
-def test_what_is_no_library_has_no_version(tmp_path):
+def test_llvm_version_other_file_is_none(tmp_path):
     (tmp_path / "libLLVM.so").write_text("not a library")
     assert variant.llvm_version(str(tmp_path / "libLLVM.so")) is None
     assert variant.llvm_version(str(tmp_path / "nowhere.so")) is None
 
 
 @pytest.mark.skipif(not OLD_SYSTEM_LLVM, reason="no LLVM 11 to 16 on this system")
-def test_an_old_system_llvm_is_too_old():
+def test_find_llvm_old_system_library_is_rejected():
     for path in OLD_SYSTEM_LLVM:
         version = variant.llvm_version(path)
         assert version is not None
@@ -73,7 +73,7 @@ def test_an_old_system_llvm_is_too_old():
 
 
 def fake_llvm(folder: Path, major: int) -> str:
-    """A library that says that it is this version of LLVM."""
+    """Build a library that reports this version of LLVM."""
     if shutil.which("cc") is None:
         pytest.skip("no C compiler")
     source = f"void LLVMGetVersion(unsigned *a, unsigned *b, unsigned *c) {{ *a = {major}; if (b) *b = 0; if (c) *c = 0; }}"
@@ -83,7 +83,7 @@ def fake_llvm(folder: Path, major: int) -> str:
 
 
 @pytest.mark.parametrize(("major", "usable"), [(16, False), (17, True), (21, True)])
-def test_the_oldest_usable_version_is_17(tmp_path, fresh, major, usable):
+def test_find_llvm_oldest_version_is_17(tmp_path, fresh, major, usable):
     library = fake_llvm(tmp_path, major)
     assert variant.llvm_version(library) == major
     fresh.setenv(variant.LLVM_VARIABLE, library)
@@ -97,12 +97,12 @@ def test_the_oldest_usable_version_is_17(tmp_path, fresh, major, usable):
 # --- The order of choice ---
 
 
-def test_the_variable_comes_before_the_system_and_the_system_before_the_wheel(tmp_path, fresh):
-    old, own, system, wheel = (fake_llvm(tmp_path, major) for major in (16, 18, 19, 21))
+def test_find_llvm_order_is_variable_system_wheel(tmp_path, fresh):
+    old, chosen, system, wheel = (fake_llvm(tmp_path, major) for major in (16, 18, 19, 21))
     fresh.setattr(variant, "_system_candidates", lambda: [old, system])
     fresh.setattr(variant, "_wheel_candidates", lambda: [wheel])
-    fresh.setenv(variant.LLVM_VARIABLE, own)
-    assert variant.find_llvm() == (own, "DRJIT_LIBLLVM_PATH, LLVM 18")
+    fresh.setenv(variant.LLVM_VARIABLE, chosen)
+    assert variant.find_llvm() == (chosen, "DRJIT_LIBLLVM_PATH, LLVM 18")
     fresh.delenv(variant.LLVM_VARIABLE)
     assert variant.find_llvm() == (system, "system, LLVM 19")
     fresh.setattr(variant, "_system_candidates", lambda: [old])
@@ -111,8 +111,8 @@ def test_the_variable_comes_before_the_system_and_the_system_before_the_wheel(tm
     assert variant.find_llvm() == (None, "no LLVM 17 or newer was found")
 
 
-def test_a_choice_is_the_same_however_often_it_is_made(tmp_path, fresh):
-    """`choose` sets the variable for Dr.Jit: that must not look like the user's own choice the next time."""
+def test_choose_repeated_is_equal(tmp_path, fresh):
+    """`choose` sets the variable for Dr.Jit, which must not count as the user's choice later."""
     system = fake_llvm(tmp_path, 19)
     fresh.setattr(variant, "_system_candidates", lambda: [system])
     fresh.setenv(variant.LLVM_VARIABLE, "")
@@ -124,15 +124,15 @@ def test_a_choice_is_the_same_however_often_it_is_made(tmp_path, fresh):
     assert first.reason == "system, LLVM 19"
 
 
-def test_newer_libraries_come_first_and_links_once(tmp_path):
+def test_newest_first_resolves_links(tmp_path):
     for name in ("libLLVM-9.so.1", "libLLVM-21.so", "libLLVM.so.18.1"):
         (tmp_path / name).touch()
     (tmp_path / "libLLVM.so").symlink_to("libLLVM-9.so.1")
-    found = variant._newest_first(tmp_path.iterdir())
-    assert [Path(path).name for path in found] == ["libLLVM-21.so", "libLLVM.so.18.1", "libLLVM-9.so.1"]
+    result = variant._newest_first(tmp_path.iterdir())
+    assert [Path(path).name for path in result] == ["libLLVM-21.so", "libLLVM.so.18.1", "libLLVM-9.so.1"]
 
 
-def test_what_is_installed_by_hand_is_found_but_not_taken(tmp_path, fresh):
+def test_found_by_hand_is_listed_but_unused(tmp_path, fresh):
     library = fake_llvm(tmp_path, 19)
     fresh.setenv(variant.LLVM_VARIABLE, "")
     fresh.setenv("LD_LIBRARY_PATH", str(tmp_path))
@@ -148,7 +148,7 @@ def test_what_is_installed_by_hand_is_found_but_not_taken(tmp_path, fresh):
 
 
 @pytest.mark.parametrize("kind", ["too old", "no library", "missing", "folder"])
-def test_an_unusable_library_in_the_variable_stops_with_a_message(tmp_path, kind):
+def test_find_llvm_unusable_variable_raises(tmp_path, kind):
     (tmp_path / "broken.so").write_text("not a library")
     old = ctypes.util.find_library("m")
     path, message = {
@@ -169,7 +169,7 @@ def test_an_unusable_library_in_the_variable_stops_with_a_message(tmp_path, kind
     assert not (tmp_path / "out").exists()
 
 
-# --- What is taken by itself ---
+# --- Automatic choice ---
 
 RENDER = """
 import sys
@@ -185,7 +185,7 @@ if sys.platform == "linux":
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc/self/maps")
 @pytest.mark.skipif(not wheel_installed(), reason=f"{variant.LLVM_WHEEL} is not installed")
-def test_with_the_wheel_an_llvm_that_works_is_loaded():
+def test_choose_with_wheel_loads_working_llvm():
     done = python(RENDER)
     assert done.returncode == 0, done.stderr
     name, path, mapped = done.stdout.splitlines()
@@ -194,7 +194,7 @@ def test_with_the_wheel_an_llvm_that_works_is_loaded():
     assert variant.llvm_version(path) >= 17
 
 
-def test_without_llvm_the_slow_variant_says_how_to_get_the_fast_one(fresh):
+def test_choose_without_llvm_warns_with_hint(fresh):
     fresh.setattr(variant, "find_llvm", lambda: (None, "no LLVM 17 or newer was found"))
     with pytest.warns(UserWarning, match=r"scalar_spectral, since no LLVM 17.*pip install karellen-llvm-core"):
         scene = pixsim.load_scene("flat", resolution=8)
@@ -204,7 +204,7 @@ def test_without_llvm_the_slow_variant_says_how_to_get_the_fast_one(fresh):
         pixsim.load_scene("flat", variant="llvm_ad_spectral")
 
 
-def test_scalar_needs_no_llvm_and_no_warning(fresh):
+def test_choose_scalar_needs_no_llvm(fresh):
     fresh.setattr(variant, "find_llvm", lambda: pytest.fail("looked for an LLVM"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -212,21 +212,21 @@ def test_scalar_needs_no_llvm_and_no_warning(fresh):
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "llvm", ""])
-def test_another_variant_is_refused(name):
+def test_choose_unknown_variant_raises(name):
     with pytest.raises(PixsimError, match=rf"variant: got '{name}'; allowed: llvm_ad_spectral, scalar_spectral"):
         variant.choose(name)
 
 
-# --- Dr.Jit was there first, and may have found an LLVM that aborts ---
+# --- Dr.Jit imported first, perhaps with an LLVM that aborts ---
 
 
-def test_after_drjit_a_render_still_works():
+def test_choose_after_drjit_renders_scalar():
     done = python("import drjit" + RENDER)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0] == "scalar_spectral"
 
 
-def test_after_drjit_no_variant_is_swapped_in_silence():
+def test_choose_after_drjit_warns_or_raises():
     code = """import drjit
 import pixsim
 try:

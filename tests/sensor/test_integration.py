@@ -1,4 +1,4 @@
-"""Light to mean electrons: exact integration over photodiodes, its spline and strips, and the light's spectrum.
+"""Light to mean electrons: integration over photodiodes, its spline and strips, and the spectrum of the light.
 
 Conservation and closed forms at the extremes of pitch and size: pixsim.accuracy.stability.integration.
 """
@@ -39,7 +39,7 @@ def seeded(seed: int) -> np.random.Generator:
 
 
 def cell_means(antiderivative, n: int, length: float) -> np.ndarray:
-    """Exact means of a function over n equal cells of [0, length]."""
+    """Return exact means of a function over n equal cells of [0, length]."""
     return np.diff(antiderivative(np.linspace(0, length, n + 1))) * n / length
 
 
@@ -47,7 +47,7 @@ def cell_means(antiderivative, n: int, length: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pitch_um", [np.pi, np.sqrt(2), 3.1, 0.77])
-def test_pixels_that_do_not_divide_the_picture_are_centred_and_conserve(pitch_um):
+def test_integrate_pixels_any_pitch_is_centred_and_conserves(pitch_um):
     n, length_um = 60, 60.0
 
     def antiderivative(x):
@@ -66,7 +66,7 @@ def test_pixels_that_do_not_divide_the_picture_are_centred_and_conserve(pitch_um
 
 @pytest.mark.parametrize("frequency_lp_per_mm", [5.0, 20.0, 33.333, 60.0])
 @pytest.mark.parametrize(("pitch_um", "fill_factor"), [(2.0, 0.9), (5.3, 0.05), (6.5, 0.31), (7.77, 1.0), (15.0, 0.73)])
-def test_contrast_of_a_sinusoid_is_the_sinc_of_the_photodiode(frequency_lp_per_mm, pitch_um, fill_factor):
+def test_integrate_pixels_sinusoid_contrast_is_sinc(frequency_lp_per_mm, pitch_um, fill_factor):
     omega, contrast, side_um = 2e-3 * np.pi * frequency_lp_per_mm, 0.5, pitch_um * np.sqrt(fill_factor)
     line = cell_means(lambda x: x - contrast / omega * np.cos(omega * x + 0.3), 1024, DIE_UM)
     pixels = integrate_pixels(np.tile(line, (8, 1)), DIE_UM / 1024, pitch_um, side_um)[0]
@@ -74,7 +74,7 @@ def test_contrast_of_a_sinusoid_is_the_sinc_of_the_photodiode(frequency_lp_per_m
     waves = np.stack([np.ones_like(x), np.sin(omega * x), np.cos(omega * x)], axis=1)
     mean, sine, cosine = np.linalg.lstsq(waves, pixels, rcond=None)[0]
     sinc = np.sinc(frequency_lp_per_mm * side_um * 1e-3)
-    # Found at 60 lp/mm 0.022 % for the 1.2 µm photodiode and 0.007 % for the others, 6e-6 at 33 lp/mm and below.
+    # Measured: at 60 lp/mm 0.022 % for the 1.2 µm photodiode and 0.007 % for the others, 6e-6 at 33 lp/mm and below.
     # A cubic spline errs by 0.55 %, plain area weights by 15 %.
     tolerance = 3e-4 if frequency_lp_per_mm > 50 else 1e-5
     assert np.hypot(sine, cosine) / mean == pytest.approx(contrast * sinc, rel=tolerance)
@@ -82,7 +82,7 @@ def test_contrast_of_a_sinusoid_is_the_sinc_of_the_photodiode(frequency_lp_per_m
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 3)])
-def test_tiny_pictures_keep_what_they_hold(shape):
+def test_integrate_pixels_tiny_picture_conserves(shape):
     picture = np.random.default_rng(0).uniform(0.5, 1.5, shape)
     whole = integrate_pixels(picture, 1.0, 1.0, 1.0)
     np.testing.assert_allclose(whole, picture, rtol=1e-14)
@@ -92,7 +92,7 @@ def test_tiny_pictures_keep_what_they_hold(shape):
 
 
 @pytest.mark.parametrize("pitch_um", [1e-310, 1e-12, 1e-5])
-def test_more_pixels_than_any_memory_holds_are_refused(pitch_um):
+def test_integrate_pixels_too_many_pixels_raises(pitch_um):
     # 1e-310 µm was an OverflowError: infinity has no integer.
     with pytest.raises(PixsimError, match=r"pixel.pitch_um: got .*at most"):
         pixel_count(DIE_UM, pitch_um)
@@ -108,7 +108,7 @@ def smooth(shape: tuple[int, int], seed: int = 1) -> np.ndarray:
 
 
 def mixed(shape: tuple[int, int] = (30, 41)) -> np.ndarray:
-    """Smooth, with a star and an edge in some columns and rows."""
+    """Return a smooth picture with a star and an edge in some columns and rows."""
     picture = smooth(shape)
     picture[7, 5] = 1e6
     picture[12:20, 11] = 1e-9
@@ -121,18 +121,18 @@ def by_scipy(samples: np.ndarray, degree: int):
 
 
 @pytest.mark.parametrize(("n", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (5, 5), (6, 5), (40, 5), (301, 5)])
-def test_the_spline_is_scipys(n, degree):
+def test_spline_matches_scipy(n, degree):
     samples = smooth((n, 3))
     spline, at = by_scipy(samples, degree), np.sort(np.random.default_rng(2).uniform(0, n, 50))
-    found = integrate_axis(samples, 1.0, at[:25], at[25:], 0)
-    np.testing.assert_allclose(found, spline(at[25:]) - spline(at[:25]), rtol=0, atol=4e-15 * n)
+    result = integrate_axis(samples, 1.0, at[:25], at[25:], 0)
+    np.testing.assert_allclose(result, spline(at[25:]) - spline(at[:25]), rtol=0, atol=4e-15 * n)
 
 
 @pytest.mark.parametrize("picture", [smooth((33, 50)), mixed()], ids=["smooth", "edges"])
 @pytest.mark.parametrize(("pitch_um", "side_um"), [(0.7, 0.5), (3.1, 3.1)])
-def test_strips_and_columns_on_demand_change_nothing(monkeypatch, picture, pitch_um, side_um):
+def test_integrate_pixels_strips_and_columns_are_bit_identical(monkeypatch, picture, pitch_um, side_um):
     whole = integrate_pixels(picture, 1.0, pitch_um, side_um)
-    kept = integrate_pixels(picture, 1.0, pitch_um, side_um, running_integral(picture))
+    stored = integrate_pixels(picture, 1.0, pitch_um, side_um, running_integral(picture))
     monkeypatch.setattr(integration, "STRIP_COLUMNS", 3)
     asked: list[tuple[int, int]] = []
 
@@ -142,64 +142,64 @@ def test_strips_and_columns_on_demand_change_nothing(monkeypatch, picture, pitch
 
     width = picture.shape[1]
     scale = np.abs(whole).max()
-    for found in (
+    for result in (
         integrate_pixels(picture, 1.0, pitch_um, side_um),
         integrate_pixels(picture, 1.0, pitch_um, side_um, running_integral(picture)),
         integrate_pixels(Columns(picture.shape, columns), 1.0, pitch_um, side_um),
-        kept,
+        stored,
     ):
-        assert np.abs(found - whole).max() < 1e-13 * scale
+        assert np.abs(result - whole).max() < 1e-13 * scale
     assert set(asked) == {(first, min(first + 3, width)) for first in range(0, width, 3)}
 
 
-def test_single_precision_is_read_a_strip_at_a_time(monkeypatch):
+def test_integrate_pixels_float32_needs_strip_memory_only(monkeypatch):
     picture = smooth((20, 9)).astype(np.float32)
     monkeypatch.setattr(integration, "STRIP_COLUMNS", 2)
     np.testing.assert_array_equal(integrate_pixels(picture, 1.0, 2.3, 1.1), integrate_pixels(picture.astype(float), 1.0, 2.3, 1.1))
 
 
-# --- An edge of great contrast ---
+# --- High-contrast edges ---
 
 
 @pytest.mark.parametrize("contrast", [1e3, 1e6, 1e10])
 @pytest.mark.parametrize("side_um", [0.3, 0.7, 1.0, 2.3])
-def test_light_does_not_ring_into_darkness(contrast, side_um):
+def test_integrate_pixels_hard_edge_does_not_ring(contrast, side_um):
     line = np.repeat([1.0, 1 / contrast], [40, 40]) * np.ones((3, 1))
     centres = np.arange(side_um / 2 + 0.05, 80 - side_um / 2, side_um)
-    found = integrate_axis(line, 1.0, centres - side_um / 2, centres + side_um / 2, 1)
-    assert found.min() >= 0
+    result = integrate_axis(line, 1.0, centres - side_um / 2, centres + side_um / 2, 1)
+    assert result.min() >= 0
     # Beyond the cell behind the edge the dark side has its own light. Rounding: 80 eps of the bright half.
     dark, bright = centres - side_um / 2 > 41, centres + side_um / 2 < 39
-    np.testing.assert_allclose(found[:, dark], side_um / contrast, atol=40 * 80 * 2.2e-16)
-    np.testing.assert_allclose(found[:, bright], side_um, rtol=1e-12)
+    np.testing.assert_allclose(result[:, dark], side_um / contrast, atol=40 * 80 * 2.2e-16)
+    np.testing.assert_allclose(result[:, bright], side_um, rtol=1e-12)
 
 
-def test_a_limited_picture_still_counts_every_electron_once():
+def test_limit_overshoot_conserves_sum():
     stars = np.zeros((40, 40))
     stars[10, 12] = stars[11, 30] = stars[33, 5] = 1e6
-    found = integrate_pixels(stars, 1.0, 0.8, 0.8)
-    assert found.min() >= 0
+    result = integrate_pixels(stars, 1.0, 0.8, 0.8)
+    assert result.min() >= 0
     # Clipped after the fact, what rang below zero came on top: 92 % too much.
-    assert found.sum() == pytest.approx(stars.sum(), rel=1e-9)
+    assert result.sum() == pytest.approx(stars.sum(), rel=1e-9)
 
 
-def test_the_limit_leaves_crests_and_troughs_as_they_are():
-    """Of what the grid resolves, at 5 samples a period and with troughs at zero; an edge elsewhere brings the limit in."""
+def test_limit_overshoot_keeps_resolved_crests():
+    """The sinusoid has 5 samples per period and troughs at zero; an edge elsewhere activates the limit."""
     n, omega = 200, 2 * np.pi / 5
     waves = np.diff(np.arange(n + 1) - np.cos(omega * np.arange(n + 1.0)) / omega)
     line = np.concatenate([waves, np.zeros(60)])[None]
     at = np.arange(20.0, 180.0, 0.37)
-    found = integrate_axis(line, 1.0, at, at + 0.2, 1)[0]
+    result = integrate_axis(line, 1.0, at, at + 0.2, 1)[0]
     exact = 0.2 - (np.cos(omega * (at + 0.2)) - np.cos(omega * at)) / omega
     # Of a crest, 0.4: the spline's own error is 0.06 %; without room for crests the limit would cut 12 %.
-    np.testing.assert_allclose(found, exact, atol=1e-3 * 0.4)
+    np.testing.assert_allclose(result, exact, atol=1e-3 * 0.4)
     alone = integrate_axis(waves[None], 1.0, at, at + 0.2, 1)[0]
-    np.testing.assert_allclose(found, alone, atol=1e-6)
+    np.testing.assert_allclose(result, alone, atol=1e-6)
 
 
 @pytest.mark.parametrize("below_zero", [False, True])
-def test_one_edge_limits_the_whole_picture_unless_it_is_no_light(monkeypatch, below_zero):
-    """Also where the edge is in another strip; columns on demand are asked for a second time then."""
+def test_integrate_axis_one_edge_limits_whole_picture(monkeypatch, below_zero):
+    """The edge may be in another strip; columns on request are then computed twice."""
     picture, edges = smooth((30, 12)), np.arange(0.0, 29.0, 0.37)
     picture[:, 2] = np.tile([1.0, 1.2, 0.4], 10)  # what the limit changes
     picture[7, 11] = 1e6
@@ -214,8 +214,8 @@ def test_one_edge_limits_the_whole_picture_unless_it_is_no_light(monkeypatch, be
         asked.append(first)
         return picture[:, first:last]
 
-    for each in (picture, Columns(picture.shape, columns)):
-        change = np.abs(integrate_axis(each, 1.0, edges, edges + 0.3, 0) - plain).max(axis=0)
+    for item in (picture, Columns(picture.shape, columns)):
+        change = np.abs(integrate_axis(item, 1.0, edges, edges + 0.3, 0) - plain).max(axis=0)
         if below_zero:
             assert change.max() < 1e-9
         else:
@@ -224,10 +224,10 @@ def test_one_edge_limits_the_whole_picture_unless_it_is_no_light(monkeypatch, be
     assert asked == [0, 3, 6, 9] * (1 if below_zero else 2)
 
 
-# --- Electrons of the light ---
+# --- Electrons ---
 
 
-def test_electrons_do_not_depend_on_oversampling():
+def test_mean_signal_rate_is_independent_of_oversampling():
     def picture(n: int) -> np.ndarray:
         y = cell_means(lambda x: x + 40 * np.sin(x / 100), n, DIE_UM)
         return y[:, None] * cell_means(lambda x: x - 25 * np.cos(x / 60), n, DIE_UM)
@@ -238,14 +238,14 @@ def test_electrons_do_not_depend_on_oversampling():
         rates.append(mean_signal_rate(irradiance, Camera(), derive(Pixel(pitch_um=9.1))))
     coarse, fine = rates
     assert coarse.shape == fine.shape == (298, 298)
-    # Found: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4 (the picture's slope is cut there).
+    # Measured: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4 (the picture's slope is cut there).
     assert coarse.sum() == pytest.approx(fine.sum(), rel=1e-5)
     assert np.abs(coarse - fine)[3:-3, 3:-3].max() < 1e-4 * fine.mean()
     assert np.abs(coarse - fine).max() < 1e-3 * fine.mean()
 
 
 @pytest.mark.parametrize("f_number", [1.0, 1.8, 8.0])
-def test_a_grating_behind_the_lens_keeps_the_contrast_of_a_pupil_of_2_sin_alpha(f_number):
+def test_diffracted_rate_grating_contrast_is_otf(f_number):
     """At 0.3 of 2 sin α/λ, with tan α = 1/(2 N (1 + |m|)): a cut-off of 2 tan α/λ would be 12 % off at f/1."""
     camera, wavelength_mm, n = Camera(f_number=f_number), 550e-6, 512
     sin_alpha = np.sin(np.arctan(1 / (2 * camera.working_f_number)))
@@ -259,7 +259,7 @@ def test_a_grating_behind_the_lens_keeps_the_contrast_of_a_pupil_of_2_sin_alpha(
     assert contrast == pytest.approx(otf, rel=1e-6)  # float32 pictures
 
 
-def test_general_and_factored_images_give_the_same_electrons():
+def test_mean_signal_rate_factored_equals_general():
     rng = seeded(8)
     spectra, pictures = rng.uniform(1e-3, 4e-3, (2, 3)), rng.uniform(0.2, 1, (2, 48, 48))
     factored = SpectralImage(NM, WIDTH_NM, 4.0, factors=(spectra, pictures))
@@ -271,7 +271,7 @@ def test_general_and_factored_images_give_the_same_electrons():
 
 
 @pytest.mark.parametrize("diffraction", [True, False])
-def test_negative_lobes_of_a_factored_image_cancel(diffraction):
+def test_mean_signal_rate_negative_factors_cancel(diffraction):
     rng = seeded(9)
     # Spectra as a fit of few pulses gives them: large, of both signs, while the light that they add up to is positive.
     pictures = np.cumsum(rng.uniform(0.2, 1, (4, 48, 48)), axis=0) / 4
@@ -298,7 +298,7 @@ def per_joule(options: dict, nm: float, within: tuple | None = None) -> float:
 
 @pytest.mark.parametrize("laser_nm", [526.0, 532.0, 534.5])
 @pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
-def test_a_laser_off_the_centre_of_its_band(technology, laser_nm):
+def test_electrons_per_joule_laser_off_band_centre(technology, laser_nm):
     physics = derive(Pixel(pitch_um=8.0, technology=technology))
     options = {"technology": technology}
     exact = float(physics.quantum_efficiency(laser_nm)) * laser_nm * 1e-9 / (planck * light_speed)
@@ -310,7 +310,7 @@ def test_a_laser_off_the_centre_of_its_band(technology, laser_nm):
 
 
 @pytest.mark.parametrize(("cut_nm", "share"), [(640, 0.0), (645, 0.0), (646, 0.1), (650, 0.5), (653, 0.8), (655, 1.0), (700, 1.0)])
-def test_an_infrared_cut_through_a_band(cut_nm, share):
+def test_electrons_per_joule_infrared_cut_inside_band(cut_nm, share):
     options = {"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}
     # Light that is even over the band: at its centre, times the part below the cut.
     assert per_joule(options, 650.0) == pytest.approx(0.5 * share * 650e-9 / (planck * light_speed), rel=1e-12)
@@ -321,7 +321,7 @@ def test_an_infrared_cut_through_a_band(cut_nm, share):
 
 
 @pytest.mark.parametrize(("cut_nm", "below"), [(651.0, 1.0), (649.0, 0.0)])
-def test_an_infrared_cut_beside_a_line(cut_nm, below):
+def test_electrons_per_joule_infrared_cut_near_line(cut_nm, below):
     # A line at 650.0 in parts of 1 nm: a cut a nanometre beside it takes all of it or nothing.
     nodes = 645.5 + np.arange(10)
     nodes[5] = 650.0
@@ -331,11 +331,11 @@ def test_an_infrared_cut_beside_a_line(cut_nm, below):
     assert seen == pytest.approx(below * 0.5 * 650e-9 / (planck * light_speed), rel=1e-12)
 
 
-def test_electrons_are_summed_in_double():
+def test_mean_signal_rate_sums_in_float64():
     nm = np.arange(405.0, 700.0, 10)
     data = np.random.default_rng(0).uniform(0.5, 1.5, (8, 8, nm.size)).astype(np.float32)
     image, physics = SpectralImage(nm, 10.0, 20.0, data=data), derive(Pixel(pitch_um=20.0))
     weight = electrons_per_joule(physics, image) * 1e-12
-    found = ideal_rate(image, physics)
-    assert found.dtype == np.float64
-    np.testing.assert_allclose(found, [[math.fsum(weight * one) for one in row] for row in data.astype(float)], rtol=1e-14)
+    result = ideal_rate(image, physics)
+    assert result.dtype == np.float64
+    np.testing.assert_allclose(result, [[math.fsum(weight * one) for one in row] for row in data.astype(float)], rtol=1e-14)

@@ -1,4 +1,4 @@
-"""The photodiode: charge against light from hours to picoseconds, its junctions, and what the sensor makes of it."""
+"""The photodiode: charge against light from hours to picoseconds, its junctions, and the signal of the sensor."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def pixel(technology: str = "0.35um", **options) -> Pixel:
 
 @pytest.mark.parametrize("built_in_v", [0.4, 0.851])
 @pytest.mark.parametrize("grading", [0.0, 0.1, 0.594])
-def test_charge_is_the_integral_of_the_capacitance(built_in_v, grading):
+def test_diode_charge_is_integral_of_capacitance(built_in_v, grading):
     for high_v, low_v in ((2.2, 1.0), (2.2, -0.1), (2.2, -0.7), (-0.3, -0.9), (0.0, -5.0)):
         knee = -0.5 * built_in_v
         expected = quad(
@@ -51,7 +51,7 @@ def test_charge_is_the_integral_of_the_capacitance(built_in_v, grading):
         assert junction_charge_fc(high_v, high_v - low_v, 3.0, built_in_v, grading) == pytest.approx(expected, rel=1e-11)
 
 
-def test_the_forward_continuation_is_spices_and_smooth_where_it_begins():
+def test_capacitance_forward_bias_is_smooth_spice_tangent():
     # SPICE: CJ/(1-FC)^(1+M) · (1 - FC(1+M) + M·V/PB) for forward voltages above FC·PB.
     pb, m = 0.4, 0.1
     for forward_v in (0.21, 0.4, 0.8):
@@ -61,7 +61,7 @@ def test_the_forward_continuation_is_spices_and_smooth_where_it_begins():
     assert np.diff(below)[0] / np.diff(above)[0] == pytest.approx(-1, abs=1e-4)
 
 
-def test_without_the_continuation_the_smallest_process_has_no_number():
+def test_capacitance_without_tangent_is_undefined():
     # The issue's NaN: 0.5 V forward at 1e12 e-/s is beyond the sidewall's 0.4 V.
     diode = diode_of(pixel("0.18um"))
     forward_v = -diode.open_circuit_v(1e12)
@@ -72,7 +72,7 @@ def test_without_the_continuation_the_smallest_process_has_no_number():
 
 
 @pytest.mark.parametrize("technology", PITCHES_UM)
-def test_the_diode_is_the_pixels_own(technology):
+def test_diode_of_pixel_has_its_area(technology):
     physics = derive(pixel(technology))
     diode, junction = diode_of(physics), physics.technology.junction
     assert diode.charge_e(junction.reset_voltage_v, junction.voltage_swing_v) == pytest.approx(physics.full_well_e, rel=1e-12)
@@ -82,14 +82,14 @@ def test_the_diode_is_the_pixels_own(technology):
     np.testing.assert_allclose(diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-13)
 
 
-def test_the_voltage_of_a_charge_is_found_in_deep_forward_bias_too():
+def test_drop_v_deep_forward_bias_inverts_charge():
     diode = default_diode()
     charge = np.logspace(-9, 20, 59)
     np.testing.assert_allclose(diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "value"), [("pb_v", 0.0), ("temperature_k", -1.0), ("area_um2", math.nan), ("mj", 1.0)])
-def test_impossible_diodes_are_refused(name, value):
+def test_diode_invalid_values_raise(name, value):
     with pytest.raises(PixsimError, match="diode"):
         replace(default_diode(), **{name: value})
     with pytest.raises(PixsimError, match="some capacitance"):
@@ -99,7 +99,7 @@ def test_impossible_diodes_are_refused(name, value):
 # --- Collected charge ---
 
 
-def test_public_face():
+def test_photodiode_public_names():
     current = np.array([[0, 1], [1e6, 1e17]], dtype=np.float32)
     charge = pixsim.photodiode.collected_charge_e(current, 0.03)
     assert charge.shape == (2, 2)
@@ -112,14 +112,14 @@ def test_public_face():
 
 
 @pytest.mark.parametrize("wrong", [-1.0, math.nan, math.inf])
-def test_impossible_arguments_are_refused(wrong):
+def test_collected_charge_invalid_arguments_raise(wrong):
     with pytest.raises(PixsimError, match=r"photocurrent_e_per_s: got .*not below 0"):
         collected_charge_e([1.0, wrong], 0.03)
     with pytest.raises(PixsimError, match=r"integration_s: got .*not below 0"):
         collected_charge_e(1.0, wrong)
 
 
-def test_a_varying_capacitance_is_no_constant_one():
+def test_diode_varying_capacitance_is_not_constant():
     # The mean over the swing misses the saturated charge by more than 10 %: C grows in forward bias.
     physics = derive(pixel())
     flat = {"cj_ff_per_um2": 0.0, "cjsw_ff_per_um": 0.0, "node_capacitance_ff": physics.capacitance_ff}
@@ -127,7 +127,7 @@ def test_a_varying_capacitance_is_no_constant_one():
     assert collected_charge_e(*SATURATED) / collected_charge_e(*SATURATED, constant) > 1.1
 
 
-def test_the_open_circuit_voltage_of_extreme_currents():
+def test_open_circuit_v_extreme_currents():
     diode = replace(default_diode(), saturation_current_e_per_s=5e-324)
     # The ratio overflows, its logarithm does not.
     assert diode.open_circuit_v(1e17) == pytest.approx(-diode.thermal_v * (math.log(1e17) - math.log(5e-324)), rel=1e-12)
@@ -137,7 +137,7 @@ def test_the_open_circuit_voltage_of_extreme_currents():
     assert default_diode().open_circuit_v(1e-12) == pytest.approx(-default_diode().thermal_v * 1e-12 / 819.0475, rel=1e-6)
 
 
-def test_a_negative_photocurrent_only_slows_the_discharge():
+def test_charge_from_total_negative_photocurrent_slows_discharge():
     # What a dark pixel's share below the mean is to the table; with less than I_s e^(-V_0/V_T) nothing is collected.
     diode = replace(default_diode(), reset_voltage_v=0.1)
     total = diode.saturation_current_e_per_s * np.array([0.0, 1e-3, 0.1, 1.0])
@@ -151,9 +151,9 @@ LOG_CURRENT, LOG_TIME = st.floats(-3, 17), st.floats(-9, math.log10(36000))
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.sampled_from([*PITCHES_UM]), st.floats(77, 400), st.tuples(LOG_CURRENT, LOG_CURRENT), st.tuples(LOG_TIME, LOG_TIME))
-def test_charge_grows_with_light_and_time_and_is_conserved(technology, temperature_k, log_current, log_time):
+def test_collected_charge_grows_with_light_and_time(technology, temperature_k, log_current, log_time):
     diode = diode_of(pixel(technology, temperature_k=temperature_k))
-    current, time_s = (np.power(10.0, sorted(each)) for each in (log_current, log_time))
+    current, time_s = (np.power(10.0, sorted(item)) for item in (log_current, log_time))
     charge = collected_charge_e(current[:, None], time_s, diode)
     rounding = 1e-12 * charge.max()
     assert np.diff(charge, axis=0).min() >= -rounding
@@ -167,7 +167,7 @@ def test_charge_grows_with_light_and_time_and_is_conserved(technology, temperatu
 
 
 @pytest.mark.parametrize(("technology", "ratio"), [("0.5um", 2.69), ("0.35um", 2.27), ("0.25um", 2.59), ("0.18um", 2.88)])
-def test_the_diodes_well_is_two_to_three_swings(technology, ratio):
+def test_diode_well_is_two_to_three_swings(technology, ratio):
     swing, diode = (derive(pixel(technology, well_limit=limit)) for limit in ("swing", "diode"))
     assert diode.full_well_e / swing.full_well_e == pytest.approx(ratio, abs=0.005)
     kind = diode_of(diode)
@@ -181,14 +181,14 @@ def test_the_diodes_well_is_two_to_three_swings(technology, ratio):
     assert diode.offset_fpn_e / diode.full_well_e == pytest.approx(swing.offset_fpn_e / swing.full_well_e, rel=1e-12)
 
 
-def test_a_given_well_is_a_larger_capacitance_with_the_same_voltages():
-    own, given_ = derive(pixel(well_limit="diode")), derive(pixel(well_limit="diode", full_well_e=500_000))
-    factor = 500_000 / own.full_well_e
-    assert diode_of(given_).capacitance_ff(1.3) == pytest.approx(factor * diode_of(own).capacitance_ff(1.3), rel=1e-12)
-    assert diode_of(given_).drop_v(500_000) == pytest.approx(float(diode_of(own).drop_v(own.full_well_e)), rel=1e-12)
+def test_derive_given_well_scales_capacitance():
+    standard, given_ = derive(pixel(well_limit="diode")), derive(pixel(well_limit="diode", full_well_e=500_000))
+    factor = 500_000 / standard.full_well_e
+    assert diode_of(given_).capacitance_ff(1.3) == pytest.approx(factor * diode_of(standard).capacitance_ff(1.3), rel=1e-12)
+    assert diode_of(given_).drop_v(500_000) == pytest.approx(float(diode_of(standard).drop_v(standard.full_well_e)), rel=1e-12)
 
 
-def test_a_diode_without_current_is_full_where_the_tangent_begins():
+def test_diode_full_v_without_current_is_tangent_bias():
     physics = derive(pixel(well_limit="diode", dark_current_e_per_s=0))
     assert diode_full_v(diode_of(physics)) == -0.5 * physics.technology.junction.pb_v
     assert saturation.linear_limit_e(diode_of(physics), physics.full_well_e, 0.1) == math.inf
@@ -200,7 +200,7 @@ def test_a_diode_without_current_is_full_where_the_tangent_begins():
 
 
 @pytest.mark.parametrize("options", [{"well_limit": "diode"}, {"conversion": "junction"}, {"capacitance": "paper"}])
-def test_a_pinned_photodiode_has_neither(options):
+def test_well_pinned_photodiode_options_raise(options):
     (name, value) = next(iter(options.items()))
     with pytest.raises(PixsimError, match=rf"pixel\.{name}: got '{value}' for 4t-bsi; allowed: .*3T technology"):
         derive(Pixel(technology="4t-bsi", pitch_um=2.8, **options))
@@ -208,7 +208,7 @@ def test_a_pinned_photodiode_has_neither(options):
         diode_of(Pixel(technology="4t-bsi", pitch_um=2.8))
 
 
-# --- What the sensor makes of it ---
+# --- Signal of the sensor ---
 
 
 def frame(physics, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3) -> np.ndarray:
@@ -217,19 +217,19 @@ def frame(physics, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed
 
 
 def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.ndarray:
-    """Without tables."""
-    kept = np.minimum(generated_e, physics.full_well_e)
+    """Return the signal level without tables."""
+    stored = np.minimum(generated_e, physics.full_well_e)
     if physics.pixel.well_limit == "diode":
         light = generated_e / integration_s - physics.dark_current_e_per_s
-        kept = collected_charge_e(light, integration_s, diode_of(physics))
+        stored = collected_charge_e(light, integration_s, diode_of(physics))
     if physics.pixel.conversion == "junction":
-        kept = saturation.converted_e(kept, physics.full_well_e, diode_of(physics))
-    return kept
+        stored = saturation.converted_e(stored, physics.full_well_e, diode_of(physics))
+    return stored
 
 
 @pytest.mark.parametrize(("limit", "conversion"), [*itertools.product(("swing", "diode"), ("linear", "junction"))])
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.97, 1.03, 30.0])
-def test_digital_numbers_without_noise_are_the_kernels(monkeypatch, limit, conversion, share):
+def test_read_out_without_noise_matches_kernel(monkeypatch, limit, conversion, share):
     physics = derive(pixel(well_limit=limit, conversion=conversion, bits=16, **QUIET))
     monkeypatch.setattr(sensors, "shot_noise", lambda mean_e, rng: mean_e.copy())
     light_e = share * physics.full_well_e
@@ -239,23 +239,23 @@ def test_digital_numbers_without_noise_are_the_kernels(monkeypatch, limit, conve
     assert np.abs(frame(physics, light_e) - expected).max() <= 0.57
 
 
-def test_shot_noise_goes_through_the_soft_corner():
+def test_read_out_soft_saturation_shapes_shot_noise():
     physics = derive(pixel(well_limit="diode", bits=20, **QUIET))
     light_e = 0.99 * physics.full_well_e
-    found = frame(physics, light_e, shape=(500, 500))
+    result = frame(physics, light_e, shape=(500, 500))
     mean_e = light_e + 0.03 * physics.dark_current_e_per_s
     x, weight = np.polynomial.hermite_e.hermegauss(21)
     levels = exact_level_e(physics, mean_e + math.sqrt(mean_e) * x, 0.03) * physics.dn_per_e
     mean = (weight * levels).sum() / weight.sum()
     spread = math.sqrt((weight * (levels - mean) ** 2).sum() / weight.sum())
-    assert found.mean() == pytest.approx(mean, abs=5 * spread / 500)
-    assert found.std() == pytest.approx(spread, rel=5 / math.sqrt(2 * 250_000))
+    assert result.mean() == pytest.approx(mean, abs=5 * spread / 500)
+    assert result.std() == pytest.approx(spread, rel=5 / math.sqrt(2 * 250_000))
     # Unlike the linear law's: the corner takes a third of the noise and 0.5 % of the signal.
     assert spread < 0.8 * math.sqrt(mean_e) * physics.dn_per_e
     assert mean < 0.999 * mean_e * physics.dn_per_e
 
 
-def test_before_saturation_both_limits_give_the_same_bits():
+def test_read_out_below_saturation_both_well_limits_agree():
     options = QUIET | {"full_well_e": 150_000, "prnu": 0.02, "read_noise_e": 20}
     swing, diode = (frame(derive(pixel(well_limit=limit, **options)), 90_000) for limit in ("swing", "diode"))
     np.testing.assert_array_equal(swing, diode)
@@ -264,7 +264,7 @@ def test_before_saturation_both_limits_give_the_same_bits():
 
 
 @pytest.mark.parametrize("technology", PITCHES_UM)
-def test_the_junction_bends_the_response_by_about_two_percent(technology):
+def test_converted_junction_nonlinearity_is_two_percent(technology):
     physics = derive(pixel(technology, conversion="junction"))
     charge = np.linspace(0, 1, 201) * physics.full_well_e
     bend = saturation.stored_signal_e(charge, 0.03, physics) / physics.full_well_e - charge / physics.full_well_e
@@ -276,14 +276,14 @@ def test_the_junction_bends_the_response_by_about_two_percent(technology):
     assert bend[20] > 0.3 * bend.max()
 
 
-def test_a_constant_capacitance_converts_linearly():
+def test_converted_constant_capacitance_is_linear():
     physics = derive(pixel(capacitance="paper", conversion="junction"))
     charge = np.linspace(0, 1.3, 50) * physics.full_well_e
     np.testing.assert_array_equal(saturation.stored_signal_e(charge, 0.03, physics), np.minimum(charge, physics.full_well_e))
 
 
 @pytest.mark.parametrize("integration_s", [1e-3, 0.1, 3600.0])
-def test_the_linear_limit_is_where_the_diode_takes_a_millionth(integration_s):
+def test_linear_limit_loss_is_1e_6_of_well(integration_s):
     physics = derive(pixel(well_limit="diode"))
     diode, well_e = diode_of(physics), physics.full_well_e
     limit_e = saturation.linear_limit_e(diode, well_e, integration_s)
@@ -300,7 +300,7 @@ def test_the_linear_limit_is_where_the_diode_takes_a_millionth(integration_s):
     assert saturation.level_table.cache_info() == (1, 1, 64, 1)
 
 
-def test_auto_exposure_aims_at_the_well_of_the_limit():
+def test_integration_time_targets_well_of_limit():
     times = [
         sensors.integration_time_s(Exposure(max_integration_s=10), derive(pixel(well_limit=limit)), 1e7)
         for limit in ("swing", "diode")

@@ -27,17 +27,17 @@ T035 = load_technology("0.35um")
 
 
 @pytest.mark.parametrize(("law", "most"), [("technology", 0.011), ("inset", 0.03), ("inset_unlimited", 0.03)])
-def test_fill_factor_laws_at_the_papers_three_points(law, most):
+def test_fill_factor_law_at_pitches_of_paper(law, most):
     technology = with_fill_factor_law(T035, law)
     # Chen et al. (2000). Two parameters through three points: 5.1, 31.1 and 72.9 %; of the others up to 5.4, 27.4, 73.4 %.
     for pitch_um, stated in ((5.3, 0.05), (6.5, 0.30), (15.0, 0.73)):
-        found = float(pixels.fill_factor_law(pitch_um, technology))
-        assert found == pytest.approx(stated, abs=most)
-        assert pixels.pitch_for_fill_factor_um(found, technology) == pytest.approx(pitch_um, rel=1e-12)
+        result = float(pixels.fill_factor_law(pitch_um, technology))
+        assert result == pytest.approx(stated, abs=most)
+        assert pixels.pitch_for_fill_factor_um(result, technology) == pytest.approx(pitch_um, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", TECHNOLOGIES)
-def test_fill_factor_law_and_its_inverse(name):
+def test_pitch_for_fill_factor_inverts_law(name):
     technology = load_technology(name)
     for fill_factor in (1e-6, 0.05, 0.4, 0.82):
         pitch_um = pixels.pitch_for_fill_factor_um(fill_factor, technology)
@@ -47,13 +47,13 @@ def test_fill_factor_law_and_its_inverse(name):
 
 
 @pytest.mark.parametrize(("name", "pitch_um"), [("0.5um", 7.57), ("0.35um", 5.30), ("0.25um", 3.79), ("0.18um", 2.73)])
-def test_five_percent_fill_factor_scales_with_the_process(name, pitch_um):
-    # Worked out when the law was fitted, to 0.01 µm; found 7.568, 5.297, 3.784 and 2.724.
+def test_pitch_for_five_percent_scales_with_process(name, pitch_um):
+    # Worked out when the law was fitted, to 0.01 µm; measured 7.568, 5.297, 3.784 and 2.724.
     assert pixels.pitch_for_fill_factor_um(0.05, load_technology(name)) == pytest.approx(pitch_um, abs=0.01)
 
 
 @pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
-def test_the_smallest_pitch_is_refused_and_named(technology):
+def test_derive_smallest_pitch_raises(technology):
     smallest = pixels.smallest_pitch_um(load_technology(technology))
     for pitch in (0.1, smallest, math.nextafter(smallest, math.inf)):
         with pytest.raises(
@@ -63,7 +63,7 @@ def test_the_smallest_pitch_is_refused_and_named(technology):
     assert 0 < pixels.derive(Pixel(technology=technology, pitch_um=smallest * (1 + 1e-9))).fill_factor < 1e-8
 
 
-def test_the_hint_fits_a_process_of_small_fill_factors(monkeypatch):
+def test_derive_small_fill_factor_limit_gives_reachable_hint(monkeypatch):
     crowded = load_technology("0.35um").model_copy(update={"fill_factor_limit": 0.04})
     monkeypatch.setattr("pixsim.sensor.pixel.load_technology", lambda _: crowded)
     with pytest.raises(PixsimError, match=r"2 % fill factor is reached at"):
@@ -71,7 +71,7 @@ def test_the_hint_fits_a_process_of_small_fill_factors(monkeypatch):
 
 
 @pytest.mark.parametrize("fill_factor", [0.0, -0.1, 0.826, 1.0])
-def test_unreachable_fill_factors_are_refused(fill_factor):
+def test_pitch_for_fill_factor_unreachable_raises(fill_factor):
     with pytest.raises(PixsimError, match=r"fill factor: got .*0\.826.*0\.35um"):
         pixels.pitch_for_fill_factor_um(fill_factor, T035)
 
@@ -80,13 +80,13 @@ def test_unreachable_fill_factors_are_refused(fill_factor):
 
 
 @pytest.mark.parametrize("grading", [0.0, 0.1, 0.382, 0.594, 0.9])
-def test_junction_capacitance_is_its_mean_over_the_swing(grading):
+def test_mean_junction_is_mean_over_swing(grading):
     charge_fc = quad(lambda v: 2.0 * (1 + v / 0.85) ** -grading, 1.0, 2.2, epsabs=0, epsrel=1e-13)[0]
     assert pixels.mean_junction_ff(2.0, 0.85, grading, 2.2, 1.0) == pytest.approx(charge_fc / 1.2, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", TECHNOLOGIES)
-def test_photodiode_capacitance_is_area_plus_rim_plus_node(name):
+def test_photodiode_capacitance_is_area_sidewall_and_node(name):
     t = load_technology(name).junction
 
     def capacitance_ff(v: float, area_um2: float) -> float:
@@ -100,7 +100,7 @@ def test_photodiode_capacitance_is_area_plus_rim_plus_node(name):
         assert found_ff == pytest.approx((mean_ff, capacitance_ff(t.reset_voltage_v, area_um2)), rel=1e-10)
 
 
-def test_reset_noise_is_ktc():
+def test_reset_noise_is_sqrt_ktc():
     # √(kTC) of 1 pF at 300 K is 64.4 µV; 402 e-.
     expected = math.sqrt(boltzmann * 300 * 1e-12) / electron
     assert pixels.reset_noise_e(1000.0, 300.0) == pytest.approx(expected, rel=1e-12)
@@ -142,15 +142,15 @@ SANITY = {
 
 
 @pytest.mark.parametrize(("capacitance", "name"), [(c, name) for c, row in SANITY.items() for name in row])
-def test_sanity_row(capacitance, name):
+def test_derive_packaged_process_matches_table(capacitance, name):
     physics = pixels.derive(Pixel(pitch_um=6.5, capacitance=capacitance))
-    found = {
+    result = {
         "dark_e": physics.dark_current_e_per_s * 0.03,
         "dynamic_range_db": physics.dynamic_range_db(0.03),
         "snr20_db": physics.snr_db(0.2 * physics.full_well_e, 0.03),
     }
     stated, tolerance = SANITY[capacitance][name]
-    assert found.get(name, getattr(physics, name, None)) == pytest.approx(stated, abs=tolerance)
+    assert result.get(name, getattr(physics, name, None)) == pytest.approx(stated, abs=tolerance)
 
 
 def test_dark_current_is_area_times_density_and_doubles():
@@ -165,7 +165,7 @@ def test_dark_current_is_area_times_density_and_doubles():
 # --- Dynamic range and signal-to-noise ratio ---
 
 
-def test_dynamic_range_and_snr_by_hand():
+def test_dynamic_range_and_snr_match_hand_calculation():
     options = {"full_well_e": 20_000, "dark_current_e_per_s": 5000, "read_noise_e": 20, "reset_noise_factor": 0}
     physics = pixels.derive(Pixel(**options))
     # Chen et al. (2000), eq. (1): (q_max - i_dc t) / √(σ_r² + i_dc t) with t = 0.2 s: 19 000/√1400 = 507.8.
@@ -175,13 +175,13 @@ def test_dynamic_range_and_snr_by_hand():
     assert physics.snr_db(8600, 0.2) == pytest.approx(20 * math.log10(86), rel=1e-12)
 
 
-def test_read_and_reset_noise_add_in_quadrature():
+def test_dark_noise_adds_in_quadrature():
     physics = pixels.derive(Pixel(dark_current_e_per_s=0, read_noise_e=40))
     noise_e = math.hypot(40, physics.reset_noise_e)
     assert physics.dynamic_range_db(0.03) == pytest.approx(20 * math.log10(physics.full_well_e / noise_e), rel=1e-12)
 
 
-def test_paper_capacitance_meets_the_axis_of_figure_2a():
+def test_dynamic_range_paper_capacitance_matches_figure_2a():
     rows = [pixels.derive(Pixel(pitch_um=p, capacitance="paper")) for p in np.linspace(5.3, 15, 20)]
     dr = [p.dynamic_range_db(0.03) for p in rows]
     snr = [p.snr_db(0.2 * p.full_well_e, 0.03) for p in rows]
@@ -196,14 +196,14 @@ def test_paper_capacitance_meets_the_axis_of_figure_2a():
 
 
 @pytest.mark.parametrize("integration_s", [2.0, 3.0])
-def test_a_well_full_of_dark_charge_has_no_dynamic_range(integration_s):
+def test_dynamic_range_full_of_dark_charge_raises(integration_s):
     physics = pixels.derive(Pixel(full_well_e=10_000, dark_current_e_per_s=5000))
     assert math.isfinite(physics.dynamic_range_db(1.999))
     with pytest.raises(PixsimError, match=r"dynamic range: got .*dark charge.*1e\+04"):
         physics.dynamic_range_db(integration_s)
 
 
-def test_the_snr_of_no_signal():
+def test_snr_zero_signal_is_minus_infinity():
     physics = pixels.derive(Pixel(read_noise_e=0, reset_noise_factor=0, dark_current_e_per_s=0))
     assert physics.snr_db(0.0, 1.0) == -math.inf
     assert physics.snr_db(100.0, 1.0) == pytest.approx(20.0, abs=1e-12)
@@ -215,7 +215,7 @@ def test_the_snr_of_no_signal():
 
 
 def sensitivity_e_per_lx_s_um2(reading: str, cut_nm: float | None) -> float:
-    """Under D65, on the photodiode, by a sum over 1 nm."""
+    """Return the sensitivity under D65 on the photodiode, by a sum in steps of 1 nm."""
     nm = np.arange(360.0, 831.0)
     qe = pixels.derive(Pixel(response=reading, infrared_cut_nm=cut_nm)).quantum_efficiency(nm)
     illuminance_lx = (luminous_weight(nm, 1.0) * d65(nm)).sum()
@@ -226,12 +226,12 @@ def sensitivity_e_per_lx_s_um2(reading: str, cut_nm: float | None) -> float:
     ("reading", "cut_nm", "stated"),
     [("literal", None, 430), ("literal", 720.0, 380), ("scaled", None, 3846), ("scaled", 720.0, 3499)],
 )
-def test_sensitivity_under_d65(reading, cut_nm, stated):
+def test_sensitivity_under_d65_matches_data(reading, cut_nm, stated):
     # The stated numbers come from another calculation (steps, standard observer): 2 %. Found: 430.1, 379.9, 3845.4, 3499.2.
     assert sensitivity_e_per_lx_s_um2(reading, cut_nm) == pytest.approx(stated, rel=0.02)
 
 
-def test_scaled_reading_is_amperes_per_watt():
+def test_response_curve_scaled_is_amperes_per_watt():
     nm = [400, 450, 500, 550, 600, 650, 700, 750, 800]
     stated = [0.156, 0.233, 0.364, 0.359, 0.357, 0.295, 0.221, 0.144, 0.072]
     # Stated to three digits; two of the nine (550 and 600 nm) are 0.0008 and 0.0009 off the file, hence not 0.0005.
@@ -243,7 +243,7 @@ def test_scaled_reading_is_amperes_per_watt():
     assert pixels.response_curve(600, "scaled", 0.37) == pytest.approx(0.37 * qe / peak, rel=1e-12)
 
 
-def test_literal_reading_is_the_files_number():
+def test_response_curve_literal_is_file_value():
     np.testing.assert_allclose(pixels.response_curve([400, 550, 560, 800], "literal", 0.37), [0.0120, 0.0379, 0.0392, 0.0111])
     assert pixels.response_curve(590, "literal", 0.37) == pytest.approx(0.0415, rel=1e-12)
     # Half way between 560 (0.0392) and 570 nm (0.0405).
@@ -251,7 +251,7 @@ def test_literal_reading_is_the_files_number():
 
 
 @pytest.mark.parametrize("reading", ["literal", "scaled"])
-def test_response_scales_with_the_technologys_peak_and_ends_with_the_file(reading):
+def test_response_curve_scales_with_peak(reading):
     nm = np.arange(380.0, 821.0, 5)
     curve = pixels.response_curve(nm, reading, 0.37)
     np.testing.assert_allclose(pixels.response_curve(nm, reading, 0.22), curve * 0.22 / 0.37, rtol=1e-12)
@@ -259,17 +259,17 @@ def test_response_scales_with_the_technologys_peak_and_ends_with_the_file(readin
     assert curve[(nm >= 400) & (nm <= 800)].min() > 0
 
 
-def test_a_given_quantum_efficiency_and_the_infrared_cut():
+def test_quantum_efficiency_given_with_infrared_cut():
     physics = pixels.derive(Pixel(quantum_efficiency=0.6, infrared_cut_nm=650))
     np.testing.assert_array_equal(physics.quantum_efficiency([300, 650, 650.1, 900]), [0.6, 0.6, 0.0, 0.0])
     with pytest.raises(ValidationError, match="greater than 0"):  # it would show black as white
         Pixel(quantum_efficiency=0)
 
 
-# --- What is given wins ---
+# --- Given values ---
 
 
-def test_given_values_replace_derived_ones():
+def test_derive_given_values_replace_derived():
     given = {"fill_factor": 0.9, "full_well_e": 6000, "read_noise_e": 3, "prnu": 0.007, "dsnu": 0, "offset_fpn": 1e-3}
     physics = pixels.derive(Pixel(pitch_um=1.4, bits=12, black_level_dn=64, column_fpn=0, dark_current_e_per_s=2, **given))
     assert (physics.fill_factor, physics.full_well_e, physics.prnu, physics.dsnu) == (0.9, 6000, 0.007, 0)
@@ -280,7 +280,7 @@ def test_given_values_replace_derived_ones():
 
 
 @pytest.mark.parametrize(("name", "pitch_um", "full_well_e"), [("4t-bsi", 1.4, 6000), ("4t-fsi", 6.0, 25000)])
-def test_a_pinned_photodiode_has_its_given_well_and_no_ktc(name, pitch_um, full_well_e):
+def test_derive_pinned_photodiode_has_no_ktc(name, pitch_um, full_well_e):
     physics = pixels.derive(Pixel(technology=name, pitch_um=pitch_um))
     # The density was divided by the photodiode's area with the fill factor rounded: 5 %.
     assert physics.full_well_e == pytest.approx(full_well_e, rel=0.05)

@@ -1,4 +1,4 @@
-"""The raw frame leaves and comes back as the same numbers, and other programs read the same ones."""
+"""Raw frames: files read back as the same numbers, also by other programs."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ def frame(dn: np.ndarray = CODES, bits: int = 12) -> Frame:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_every_number_comes_back(suffix: str, tmp_path: Path) -> None:
+def test_write_frame_numbers_read_back(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"raw{suffix}"
     given = frame()
     pixsim.write_frame(path, given)
-    found = pixsim.read_frame(path)
-    np.testing.assert_array_equal(found.dn, CODES)
-    assert found.dn.dtype == np.uint16
-    assert (found.black_level_dn, found.white_level_dn, found.bits, found.pitch_um) == (64.25, 4095.0, 12, 5.3)
-    assert (found.dn_per_e, found.integration_s, found.saturated_fraction) == (0.37, 1 / 60, 1 / 3)
-    pixsim.write_frame(tmp_path / f"again{suffix}", found)
+    result = pixsim.read_frame(path)
+    np.testing.assert_array_equal(result.dn, CODES)
+    assert result.dn.dtype == np.uint16
+    assert (result.black_level_dn, result.white_level_dn, result.bits, result.pitch_um) == (64.25, 4095.0, 12, 5.3)
+    assert (result.dn_per_e, result.integration_s, result.saturated_fraction) == (0.37, 1 / 60, 1 / 3)
+    pixsim.write_frame(tmp_path / f"again{suffix}", result)
     assert (tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
-    assert sorted(each.name for each in tmp_path.iterdir()) == sorted([path.name, f"again{suffix}"])
+    assert sorted(item.name for item in tmp_path.iterdir()) == sorted([path.name, f"again{suffix}"])
 
 
 @pytest.mark.parametrize(("bits", "suffixes"), [(8, SUFFIXES), (16, SUFFIXES), (17, (".exr", ".npz")), (24, (".exr", ".npz"))])
-def test_every_code_of_an_adc_is_held(bits: int, suffixes: tuple[str, ...], tmp_path: Path) -> None:
+def test_write_frame_all_codes_read_back(bits: int, suffixes: tuple[str, ...], tmp_path: Path) -> None:
     top = 2**bits - 1
     dn = np.unique(np.concatenate([np.arange(300) % (top + 1), top - np.arange(300) % (top + 1)])).astype(np.int32)[None, :]
     for suffix in suffixes:
@@ -48,14 +48,14 @@ def test_every_code_of_an_adc_is_held(bits: int, suffixes: tuple[str, ...], tmp_
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
-def test_more_bits_than_a_picture_holds_are_refused_and_leave_nothing(suffix: str, tmp_path: Path) -> None:
+def test_write_frame_too_many_bits_raises_and_leaves_no_file(suffix: str, tmp_path: Path) -> None:
     with pytest.raises(pixsim.PixsimError, match=r"up to 65536; allowed: 16 bits. Write .exr or .npz"):
         pixsim.write_frame(tmp_path / f"raw{suffix}", frame(np.array([[1, 65536]], np.int32), 17))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_others_read_the_same_numbers(tmp_path: Path) -> None:
-    """Pillow, NumPy and OpenEXR by themselves; the levels where DNG keeps them."""
+def test_write_frame_other_readers_agree(tmp_path: Path) -> None:
+    """Pillow, NumPy and OpenEXR read the numbers, and the levels are in DNG's tags."""
     for suffix in (".png", ".tiff", ".npz", ".exr"):
         pixsim.write_frame(tmp_path / f"raw{suffix}", frame())
     for suffix in (".png", ".tiff"):
@@ -77,23 +77,23 @@ def test_others_read_the_same_numbers(tmp_path: Path) -> None:
         assert file.header()["unit"] == "DN"
 
 
-def test_a_frame_without_facts(tmp_path: Path) -> None:
-    """Of another program: what it does not tell is not known."""
+def test_read_frame_without_metadata(tmp_path: Path) -> None:
+    """Items that a file of another program does not state are None."""
     Image.fromarray(CODES.astype(np.uint16)).save(tmp_path / "other.png")
-    found = pixsim.read_frame(tmp_path / "other.png")
-    assert [getattr(found, name) for name in FACTS] == [None] * len(FACTS)
-    told = PngInfo()
-    told.add_text("black_level_dn", "many")
-    told.add_text("bits", "nan")
-    Image.fromarray(CODES.astype(np.uint16)).save(tmp_path / "odd.png", pnginfo=told)
-    found = pixsim.read_frame(tmp_path / "odd.png")
-    assert (found.black_level_dn, found.bits) == (None, None)
+    result = pixsim.read_frame(tmp_path / "other.png")
+    assert [getattr(result, name) for name in FACTS] == [None] * len(FACTS)
+    metadata = PngInfo()
+    metadata.add_text("black_level_dn", "many")
+    metadata.add_text("bits", "nan")
+    Image.fromarray(CODES.astype(np.uint16)).save(tmp_path / "odd.png", pnginfo=metadata)
+    result = pixsim.read_frame(tmp_path / "odd.png")
+    assert (result.black_level_dn, result.bits) == (None, None)
     np.savez(tmp_path / "one.npz", picture=CODES)
     np.testing.assert_array_equal(pixsim.read_frame(tmp_path / "one.npz").dn, CODES)
 
 
-def test_a_file_of_another_program_counts_the_top_code_only_and_says_so(tmp_path: Path) -> None:
-    """One pixel of twelve stands at 4095; how many lost charge below it, only the simulation knows."""
+def test_raw_frame_foreign_file_has_top_code_fraction(tmp_path: Path) -> None:
+    """One pixel of twelve is at 4095; saturated pixels below the top code cannot be counted."""
     path = tmp_path / "raw.npz"
     pixsim.write_frame(path, frame())
     simulated = pixsim.read_frame(path)
@@ -105,19 +105,19 @@ def test_a_file_of_another_program_counts_the_top_code_only_and_says_so(tmp_path
     np.savez(path, dn=CODES, bits=12)
     other = pixsim.read_frame(path)
     assert (other.saturated_fraction, other.top_code_fraction) == (None, 1 / 12)
-    assert "0.0833 of the pixels at the top code; saturated ones below it cannot be counted" in repr(other)
+    assert "top_code_fraction=0.0833 (saturated pixels below the top code cannot be counted)" in repr(other)
     np.savez(path, dn=CODES)
     unknown = pixsim.read_frame(path)
     assert (unknown.saturated_fraction, unknown.top_code_fraction) == (None, None)
-    assert "saturation not known" in repr(unknown)
+    assert "saturation unknown" in repr(unknown)
 
 
 @pytest.mark.parametrize(
-    ("name", "array", "told"),
+    ("name", "array", "message"),
     [
-        ("a.npz", np.array([[0.5]]), "whole numbers from 0 on"),
-        ("a.npz", np.array([[-1]]), "whole numbers from 0 on"),
-        ("a.npz", np.array([[np.nan]]), "whole numbers from 0 on"),
+        ("a.npz", np.array([[0.5]]), "whole numbers from 0 to"),
+        ("a.npz", np.array([[-1]]), "whole numbers from 0 to"),
+        ("a.npz", np.array([[np.nan]]), "whole numbers from 0 to"),
         ("a.npz", np.array(["a"]), "whole numbers, "),
         ("a.npz", np.zeros((0, 3)), "whole numbers, "),
         ("a.npz", np.zeros((2, 3, 3)), "whole numbers, "),
@@ -125,15 +125,15 @@ def test_a_file_of_another_program_counts_the_top_code_only_and_says_so(tmp_path
         ("a.tiff", np.zeros((4, 4), np.uint8), "mode L"),
     ],
 )
-def test_what_is_no_raw_frame(name: str, array: np.ndarray, told: str, tmp_path: Path) -> None:
+def test_read_frame_invalid_values_raise(name: str, array: np.ndarray, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     np.savez(path, dn=array) if path.suffix == ".npz" else Image.fromarray(array).save(path)
-    with pytest.raises(pixsim.PixsimError, match=told):
+    with pytest.raises(pixsim.PixsimError, match=message):
         pixsim.read_frame(path)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_file_cut_off_anywhere_is_refused(suffix: str, tmp_path: Path) -> None:
+def test_read_frame_truncated_file_raises(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"raw{suffix}"
     pixsim.write_frame(path, frame(np.arange(4096, dtype=np.int32).reshape(64, 64)))
     whole = path.read_bytes()
@@ -143,7 +143,7 @@ def test_a_file_cut_off_anywhere_is_refused(suffix: str, tmp_path: Path) -> None
             pixsim.read_frame(path)
 
 
-def test_names_that_say_no_format(tmp_path: Path) -> None:
+def test_write_frame_unknown_ending_raises(tmp_path: Path) -> None:
     for call in (lambda path: pixsim.write_frame(path, frame()), pixsim.read_frame):
         with pytest.raises(pixsim.PixsimError, match=r"\.exr, \.tiff, \.tif, \.png, \.npz"):
             call(tmp_path / "raw.dat")
@@ -157,26 +157,26 @@ def run(line: str) -> int:
     return int(end.value.code or 0)
 
 
-def test_a_run_writes_them_and_the_edge_is_as_sharp_in_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_writes_frames_of_equal_sfr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     small = "-D resolution=192 --camera.die-mm 1.0 --pixel.black-level-dn 40 --exposure.well-target 0.7"
     assert run(f"run slanted_edge {small} --raw tiff --raw png --raw npz --out {out}") == 0
     frames = {suffix: pixsim.read_frame(out / f"raw{suffix}") for suffix in (".exr", ".tiff", ".png", ".npz")}
-    for found in frames.values():
-        np.testing.assert_array_equal(found.dn, frames[".exr"].dn)
-        assert (found.black_level_dn, found.white_level_dn, found.bits) == (40.0, 1023.0, 10)
+    for result in frames.values():
+        np.testing.assert_array_equal(result.dn, frames[".exr"].dn)
+        assert (result.black_level_dn, result.white_level_dn, result.bits) == (40.0, 1023.0, 10)
     capsys.readouterr()
-    told = set()
+    message = set()
     for suffix in frames:
         assert run(f"sfr {out}/raw{suffix} --out {tmp_path}/sfr{suffix} --json") == 0
-        told.add(capsys.readouterr().out)
-    assert len(told) == 1
+        message.add(capsys.readouterr().out)
+    assert len(message) == 1
     assert run(f"run slanted_edge {small} --pixel.bits 20 --raw png --out {tmp_path}/deep") == 2
     assert "--raw: got tiff or png for an ADC of 20 bits" in capsys.readouterr().err
     assert not (tmp_path / "deep").exists()
 
 
-def test_a_raw_frame_without_facts_can_be_written(tmp_path: Path) -> None:
+def test_write_frame_without_metadata(tmp_path: Path) -> None:
     for suffix in SUFFIXES:
         pixsim.write_frame(tmp_path / f"bare{suffix}", RawFrame(CODES))
         assert pixsim.read_frame(tmp_path / f"bare{suffix}").black_level_dn is None

@@ -1,4 +1,4 @@
-"""Mean electrons to digital numbers: exposure, and every noise against its closed form.
+"""Mean electrons to digital numbers: exposure, and each noise source against its closed form.
 
 Statistical tests use fixed seeds, 250 000 columns of 4 pixels and gates of 5σ: 6e-7 false alarms each, with another seed.
 """
@@ -49,7 +49,7 @@ def seeded(seed: int) -> np.random.Generator:
 
 
 @pytest.mark.parametrize("dark_e_per_s", [0.0, 30_000.0])
-def test_auto_exposure_fills_the_well_to_95_percent(dark_e_per_s):
+def test_integration_time_automatic_fills_well_to_target(dark_e_per_s):
     physics = derive(Pixel(**CLEAN | {"dark_current_e_per_s": dark_e_per_s}))
     time_s = sensors.integration_time_s(Exposure(max_integration_s=1.0), physics, 200_000.0)
     assert (200_000 + dark_e_per_s) * time_s == pytest.approx(0.95 * 40_000, rel=1e-12)
@@ -64,7 +64,7 @@ def test_auto_exposure_fills_the_well_to_95_percent(dark_e_per_s):
 # --- Noise ---
 
 
-def standard_scores(found: np.ndarray, mean: float, variance: float) -> tuple[float, float]:
+def standard_scores(values: np.ndarray, mean: float, variance: float) -> tuple[float, float]:
     """Distances of mean and variance of (4, columns) values from the expected ones, in standard errors.
 
     Columns are independent, whatever pixels share within one (column FPN) and whatever their kurtosis: the errors come
@@ -75,11 +75,11 @@ def standard_scores(found: np.ndarray, mean: float, variance: float) -> tuple[fl
         per_column = values.mean(axis=0)
         return float((per_column.mean() - expected) / (per_column.std(ddof=1) / np.sqrt(per_column.size)))
 
-    return score(found.astype(float), mean), score((found - mean) ** 2, variance)
+    return score(values.astype(float), mean), score((values - mean) ** 2, variance)
 
 
 def frames(physics: PixelPhysics, mean_e: float, integration_s: float, count: int = 1) -> list[np.ndarray]:
-    """Frames of one sensor of a million pixels under even light."""
+    """Return frames of one sensor of a million pixels under even light."""
     sensor = sensors.sample_sensor(physics, SHAPE, seeded(11))
     return [sensors.read_out(np.full(SHAPE, mean_e), integration_s, sensor, seeded(21 + i)) for i in range(count)]
 
@@ -110,7 +110,7 @@ NOISES = {
 
 
 @pytest.mark.parametrize("name", NOISES)
-def test_mean_and_variance_of_every_noise(name):
+def test_read_out_mean_and_variance_match_closed_forms(name):
     options, signal_e = NOISES[name]
     physics = derive(Pixel(**CLEAN | options))
     mean = float(sensors.frame_mean_dn(signal_e, 0.1, physics))
@@ -122,7 +122,7 @@ def test_mean_and_variance_of_every_noise(name):
     assert abs(variance_score) < SIGMAS
 
 
-def test_closed_form_by_hand():
+def test_frame_variance_matches_hand_calculation():
     physics = derive(Pixel(**CLEAN | ALL | {"reset_noise_factor": 0}))
     gain = (2**14 - 1 - 1000) / 40_000
     assert sensors.frame_mean_dn(15_000, 0.1, physics) == pytest.approx(1000 + gain * 21_000, rel=1e-12)
@@ -133,7 +133,7 @@ def test_closed_form_by_hand():
     assert without == pytest.approx(gain**2 * temporal + 1 / 12, rel=1e-12)
 
 
-def test_the_fixed_pattern_stays_from_frame_to_frame():
+def test_read_out_fixed_pattern_is_constant():
     physics = derive(Pixel(**CLEAN | ALL))
     first, second = frames(physics, 15_000, 0.1, count=2)
     mean = float(sensors.frame_mean_dn(15_000, 0.1, physics))
@@ -144,7 +144,7 @@ def test_the_fixed_pattern_stays_from_frame_to_frame():
     assert all(abs(score) < SIGMAS for score in standard_scores((first + second) / 2, mean, fixed + temporal / 2))
 
 
-def test_column_offsets_are_shared_within_a_column_only():
+def test_read_out_column_offsets_are_per_column():
     physics = derive(Pixel(**CLEAN | {"column_fpn": 0.002, "read_noise_e": 12}))
     (frame,) = frames(physics, 0, 0.1)
     deviation = frame - 1000.0
@@ -155,7 +155,7 @@ def test_column_offsets_are_shared_within_a_column_only():
         assert abs(per_column.mean() - expected) < SIGMAS * per_column.std() / np.sqrt(per_column.size)
 
 
-def test_fixed_pattern_maps():
+def test_sample_sensor_maps_have_given_spread():
     physics = derive(Pixel(**CLEAN | ALL))
     sensor = sensors.sample_sensor(physics, SHAPE, seeded(3))
     # Mean 1 and spread as asked, at 5σ of a million (gamma: fourth moment 3.54 σ⁴ for a spread of 0.3).
@@ -168,7 +168,7 @@ def test_fixed_pattern_maps():
     assert (clean.gain, clean.dark_gain, clean.offset_e, clean.column_offset_e) == (None, None, None, None)
 
 
-def test_shot_noise_of_dim_and_bright_pixels_together():
+def test_shot_noise_dim_and_bright_pixels():
     mean_e = np.array([[0.0, 2.0, 1e12]])
     counts = sensors.shot_noise(np.repeat(mean_e, 1000, axis=0), seeded(6))
     assert not counts[:, 0].any()
@@ -178,7 +178,7 @@ def test_shot_noise_of_dim_and_bright_pixels_together():
     assert np.all(np.abs(counts.mean(axis=0) - mean_e) <= SIGMAS * np.sqrt(mean_e / 1000))
 
 
-def test_the_well_clips_before_read_noise_and_offsets():
+def test_read_out_well_clips_before_read_noise():
     physics = derive(Pixel(**CLEAN | {"read_noise_e": 100, "bits": 16, "black_level_dn": 30_000}))
     (frame,) = frames(physics, 1e6, 0.1)
     # A full well reads 2^16 - 1 on average; read noise goes both ways, but the ADC keeps the lower half alone.
@@ -191,7 +191,7 @@ def test_the_well_clips_before_read_noise_and_offsets():
 
 
 def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, size: int = 250_000) -> float:
-    """Of pixels under even light in 10 ms; `offset` of all of them, as a fraction of the well, in the place of their own."""
+    """Return the saturated fraction under even light in 10 ms, with the same `offset`, a fraction of the well, for all pixels."""
     physics = derive(pixel)
     sensor = sensors.sample_sensor(physics, (4, size // 4), seeded(31))
     if offset is not None:
@@ -203,8 +203,8 @@ def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, 
 
 
 @pytest.mark.parametrize("wells", [0.99, 1.0, 1.01])
-def test_saturation_is_counted_in_the_charge_before_noise_and_offsets(wells):
-    """Offsets of -5 % keep all pixels below the top code: those at the well are Poisson counts that reach it."""
+def test_saturated_fraction_is_counted_before_noise(wells):
+    """Offsets of -5 % keep all pixels below the top code; saturated are the Poisson counts that reach the well."""
     pixel = Pixel(**CLEAN | {"full_well_e": 10_000.5, "read_noise_e": 20})
     expected = poisson.sf(10_000, wells * 10_000.5)
     error = SIGMAS * np.sqrt(expected * (1 - expected) / 250_000)
@@ -212,7 +212,7 @@ def test_saturation_is_counted_in_the_charge_before_noise_and_offsets(wells):
     assert 0.15 < expected < 0.85
 
 
-def test_a_soft_saturation_is_counted_from_where_the_diode_takes_charge():
+def test_saturated_fraction_soft_limit_is_linear_limit():
     pixel = Pixel(well_limit="diode", prnu=0, dark_current_e_per_s=1e3, dsnu=0)
     physics = derive(pixel)
     limit_e = linear_limit_e(physics.diode, physics.full_well_e, 0.01)
@@ -223,7 +223,7 @@ def test_a_soft_saturation_is_counted_from_where_the_diode_takes_charge():
     assert saturated_fraction(pixel, wells) == pytest.approx(expected, abs=error)
 
 
-def test_the_top_code_counts_where_the_charge_does_not_reach_the_well():
+def test_saturated_fraction_counts_top_code():
     assert saturated_fraction(Pixel(**CLEAN), 0.9, offset=0.2) == 1.0
 
 
@@ -247,7 +247,7 @@ def even_light(spectra: np.ndarray, picture_values: list[float], shape=(24, 24),
 
 
 @pytest.mark.parametrize("general", [False, True], ids=["factors", "data"])
-def test_electrons_of_an_even_field(general):
+def test_capture_even_field_electrons(general):
     spectra = np.array([[1e-3, 2e-3, 4e-3], [3e-3, 0.0, 1e-3]])
     irradiance = even_light(spectra, [0.7, 1.9], general=general)
     pixel = Pixel(pitch_um=100, fill_factor=0.4, response="scaled")
@@ -263,7 +263,7 @@ def test_electrons_of_an_even_field(general):
     assert frame.dn.shape == frame.mean_e.shape == (27, 27)
 
 
-def test_the_estimate_of_electrons_is_unbiased():
+def test_frame_electrons_are_unbiased():
     irradiance = even_light(np.array([[1e-3, 2e-3, 4e-3]]), [1.0])
     options = CLEAN | {"dark_current_e_per_s": 50_000, "read_noise_e": 30, "full_well_e": 1e5}
     sensor = sensors.make_sensor(Pixel(pitch_um=5.3, fill_factor=0.5, **options), Camera(), seed=1)
@@ -277,7 +277,7 @@ def test_the_estimate_of_electrons_is_unbiased():
     assert frame.saturated_fraction == 0.0
 
 
-def test_a_seed_is_an_individual():
+def test_make_sensor_seed_sets_fixed_pattern():
     pixel = Pixel(pitch_um=20)
     one, same, other = (sensors.make_sensor(pixel, Camera(), seed=seed) for seed in (4, 4, 5))
     for name in ("gain", "dark_gain", "offset_e", "column_offset_e"):
@@ -285,7 +285,7 @@ def test_a_seed_is_an_individual():
         assert np.all(getattr(one, name) != getattr(other, name))
 
 
-def test_the_same_stream_gives_the_same_bits_and_another_one_others():
+def test_capture_equal_streams_give_equal_frames():
     irradiance = even_light(np.array([[1e-3, 2e-3, 4e-3]]), [1.0])
     sensor = sensors.make_sensor(Pixel(pitch_um=20), Camera(), seed=4)
     one, same, other = (sensors.capture(irradiance, Camera(), sensor, rng=seeded(seed)).dn for seed in (1, 1, 2))
@@ -293,22 +293,22 @@ def test_the_same_stream_gives_the_same_bits_and_another_one_others():
     assert 0.5 < np.mean(one != other) < 1.0
 
 
-def test_a_sensor_of_another_shape_is_refused():
+def test_capture_other_sensor_shape_raises():
     sensor = sensors.make_sensor(Pixel(pitch_um=20), Camera(die_mm=2.0))
     with pytest.raises(PixsimError, match=r"sensor: got \(100, 100\) pixels .*\(135, 135\).*Make the sensor"):
         sensors.capture(even_light(np.ones((1, 3)), [1.0]), Camera(), sensor, rng=seeded(0))
 
 
 @pytest.mark.parametrize("options", [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}])
-def test_a_frame_is_the_chain_stage_by_stage(options):
-    """Each stage written out, with the same numbers drawn in the same order: the same codes, bit for bit, beyond the well too."""
+def test_capture_equals_its_stages(options):
+    """The stages written out, with the same random numbers, give the same codes, also beyond the well."""
     p = derive(Pixel(pitch_um=6.5, **options))
     assert p.pixel.well_limit == "swing"
     mean_e = np.random.default_rng(1).uniform(0, 1.4 * p.full_well_e, (40, 30))
-    kept = mean_e.copy()
+    stored = mean_e.copy()
     sensor = sensors.sample_sensor(p, mean_e.shape, np.random.default_rng(2))
-    found = sensors.read_out(mean_e, 0.05, sensor, np.random.default_rng(3))
-    np.testing.assert_array_equal(mean_e, kept)
+    result = sensors.read_out(mean_e, 0.05, sensor, np.random.default_rng(3))
+    np.testing.assert_array_equal(mean_e, stored)
 
     rng = np.random.default_rng(2)
     gain = np.maximum(1 + p.prnu * rng.standard_normal(mean_e.shape), 0) if p.prnu else 1.0
@@ -320,13 +320,13 @@ def test_a_frame_is_the_chain_stage_by_stage(options):
     rng = np.random.default_rng(3)
     level = np.minimum(rng.poisson(mean_e * gain + dark).astype(float), p.full_well_e)
     level = level + np.hypot(p.reset_noise_e, p.read_noise_e) * rng.standard_normal(mean_e.shape)
-    for each in offset:
-        level = level + each
+    for item in offset:
+        level = level + item
     dn = np.clip(np.rint(level * p.dn_per_e + p.pixel.black_level_dn), 0, 2**p.pixel.bits - 1)
-    np.testing.assert_array_equal(found, dn.astype(np.int32))
+    np.testing.assert_array_equal(result, dn.astype(np.int32))
 
 
-# --- What cannot be, and what hardly can ---
+# --- Invalid and extreme values ---
 
 
 @pytest.mark.parametrize(
@@ -339,7 +339,7 @@ def test_a_frame_is_the_chain_stage_by_stage(options):
     ],
     ids=lambda light: "-".join(light),
 )
-def test_impossible_light_is_refused_before_it_spreads(light):
+def test_capture_invalid_light_raises(light):
     (kind, value), *_ = light.items()
     if isinstance(value, float):
         picture = np.ones((24, 24))
@@ -350,14 +350,14 @@ def test_impossible_light_is_refused_before_it_spreads(light):
         sensors.capture(image, Camera(), sensors.make_sensor(Pixel(pitch_um=20), Camera()), rng=seeded(0))
 
 
-def test_no_light_and_no_dark_current_takes_the_longest_exposure():
+def test_integration_time_darkness_is_maximum():
     dark, sensor = even_light(np.zeros((1, 3)), [1.0]), sensors.make_sensor(Pixel(pitch_um=20, dark_current_e_per_s=0), Camera())
     frame = sensors.capture(dark, Camera(), sensor, Exposure(max_integration_s=3.0), rng=seeded(0))
     assert (frame.integration_s, frame.mean_e.max(), frame.mean_dark_e) == (3.0, 0.0, 0.0)
 
 
-def test_the_most_uneven_dark_charge_is_still_a_count():
-    """A DSNU of 100: one pixel in ten thousand has all of the dark charge."""
+def test_read_out_largest_dsnu_is_valid():
+    """With a DSNU of 100 one pixel in ten thousand has all the dark charge."""
     physics = derive(Pixel(dsnu=100, dark_current_e_per_s=1e6, bits=24))
     sensor = sensors.sample_sensor(physics, (300, 300), seeded(0))
     assert sensor.dark_gain.min() >= 0
@@ -367,7 +367,7 @@ def test_the_most_uneven_dark_charge_is_still_a_count():
     assert 0 <= dn.min() <= dn.max() <= 2**24 - 1
 
 
-def test_a_gain_that_would_lose_its_mean_is_refused():
+def test_pixel_large_prnu_raises():
     with pytest.raises(ValidationError, match="prnu"):
         Pixel(prnu=0.31)
     gain = sensors.sample_sensor(derive(Pixel(prnu=0.3)), (1000, 1000), seeded(0)).gain
@@ -385,10 +385,10 @@ def test_a_gain_that_would_lose_its_mean_is_refused():
             r"pixel\.pitch_um: got 0\.001, which makes 1e\+09 pixels; .*at most",
         ),
         ({"pitch_um": 3000}, {}, {}, r"pitch_um: got 3000; allowed: at most the die, 2713\.6"),
-        ({}, {}, {"seed": -1}, "seed: got -1; allowed: an integer of 0 and more"),
-        *(({}, {}, {"aspect": each}, r"aspect: got .*; allowed: width over height") for each in (0.0, -1.0, math.nan, math.inf)),
+        ({}, {}, {"seed": -1}, "seed: got -1; allowed: an integer of 0 or more"),
+        *(({}, {}, {"aspect": item}, r"aspect: got .*; allowed: width over height") for item in (0.0, -1.0, math.nan, math.inf)),
     ],
 )
-def test_a_sensor_that_cannot_be_is_refused_before_it_is_drawn(pixel, camera, options, message):
+def test_make_sensor_invalid_arguments_raise(pixel, camera, options, message):
     with pytest.raises(PixsimError, match=message):
         sensors.make_sensor(Pixel(**pixel), Camera(**camera), **options)

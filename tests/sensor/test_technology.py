@@ -1,4 +1,4 @@
-"""Technologies: their files, sources and ranges, what cannot be, and their names in results."""
+"""Technologies: files, sources, ranges, invalid values, and names in results."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ T035 = load_technology("0.35um")
 # --- Files ---
 
 
-def test_the_packaged_technologies():
+def test_load_technology_packaged_names():
     assert set(packaged("data/technologies")) == {*TECHNOLOGIES, *PINNED}
 
 
@@ -32,7 +32,7 @@ def text_of_035um() -> str:
 
 
 @pytest.mark.parametrize("name", [*TECHNOLOGIES, *PINNED])
-def test_every_number_has_a_source_and_a_confidence(name):
+def test_load_technology_numbers_have_source_and_confidence(name):
     table = read_toml(packaged("data/technologies")[name])
     numbers = {key: value for key, value in table.items() if key != "name"}
     common = set(Technology.model_fields) - {"name", "sources", "ranges", "junction", "full_well_e_per_um2", *OPTIONAL}
@@ -51,7 +51,7 @@ def test_every_number_has_a_source_and_a_confidence(name):
     assert loaded.ranges == {key: tuple(entry["range"]) for key, entry in numbers.items() if "range" in entry}
 
 
-def test_plausible_ranges_hold_what_is_known():
+def test_technology_ranges_hold_known_values():
     """The 0.37 measured at 0.35 µm is plausible for every 3T process; dark current is known to a factor of 3, a node to 40 %."""
     for name in TECHNOLOGIES:
         ranges = load_technology(name).ranges
@@ -64,8 +64,8 @@ def test_plausible_ranges_hold_what_is_known():
         np.testing.assert_allclose(node, [0.6, 1.4], rtol=1e-9)
 
 
-def test_ranges_are_no_content():
-    """Another range changes no result, so no row's key; another value does."""
+def test_technology_ranges_do_not_change_content():
+    """Another range changes no result, and so no key of a row; another value does."""
     bare = T035.model_copy(update={"ranges": {}, "sources": {}})
     assert bare.content == T035.content
     assert T035.with_numbers({"dsnu": 0.2}, "here").content == T035.content | {"dsnu": 0.2}
@@ -85,18 +85,18 @@ RANGES = [
 
 
 @pytest.mark.parametrize(
-    ("written", "instead", "told"),
+    ("written", "instead", "message"),
     [
-        *(("range = [0.1, 0.6]", f"range = {each}", told) for each, told in RANGES),
+        *(("range = [0.1, 0.6]", f"range = {each}", message) for each, message in RANGES),
         # A swing above the reset voltage would turn the diode forward.
         ("range = [0.9, 1.5]", "range = [0.9, 2.3]", r"range of voltage_swing_v: .*2\.3 exceeds reset_voltage_v = 2\.2"),
         ('source = "name of the process"', "", "source"),
     ],
 )
-def test_a_file_that_cannot_be_is_refused(written, instead, told, tmp_path):
+def test_load_technology_damaged_file_raises(written, instead, message, tmp_path):
     assert written in text_of_035um()
     (tmp_path / "mine.toml").write_text(text_of_035um().replace(written, instead), encoding="utf-8")
-    with pytest.raises(PixsimError, match=told) as caught:
+    with pytest.raises(PixsimError, match=message) as caught:
         load_technology(str(tmp_path / "mine.toml"))
     assert "mine.toml" in str(caught.value) or "ranges.dsnu" in str(caught.value)
 
@@ -107,11 +107,11 @@ def test_a_file_that_cannot_be_is_refused(written, instead, told, tmp_path):
         ({"fill_factor_inset_features": 20}, "fill_factor_inset_features = 20 exceeds"),
         ({"dark_doubling_k": 1e-3}, "dark_doubling_k"),
         ({"full_well_e_per_um2": 1000.0}, "either full_well_e_per_um2 or all of reset_voltage_v"),
-        (dict.fromkeys(("cj_ff_per_um2", "cjsw_ff_per_um", "node_capacitance_ff"), 0), "no capacitance keeps a charge"),
+        (dict.fromkeys(("cj_ff_per_um2", "cjsw_ff_per_um", "node_capacitance_ff"), 0), "must be at least 1e-06"),
         ({"voltage_swing_v": 9.0}, r"voltage_swing_v = 9.*reset_voltage_v = 2\.2"),
     ],
 )
-def test_a_process_that_cannot_be_is_refused(values, message):
+def test_technology_invalid_values_raise(values, message):
     whole = T035.model_dump()
     if values.keys() <= Junction.model_fields.keys():
         values = {"junction": whole["junction"] | values}
@@ -119,7 +119,7 @@ def test_a_process_that_cannot_be_is_refused(values, message):
         Technology.model_validate(whole | values)
 
 
-def test_an_unknown_technology_lists_the_known_ones():
+def test_load_technology_unknown_name_lists_names():
     with pytest.raises(PixsimError, match=r"'0\.13um'") as caught:
         derive(Pixel(technology="0.13um"))
     assert all(name in str(caught.value) for name in TECHNOLOGIES)
@@ -127,7 +127,7 @@ def test_an_unknown_technology_lists_the_known_ones():
         load_technology("nowhere/nowhere.toml")
 
 
-def test_a_technology_of_ones_own(tmp_path):
+def test_load_technology_user_file(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text(text_of_035um().replace('"0.35um"', '"mine"'))
     physics, packaged_one = (derive(Pixel(technology=name)) for name in (str(mine), "0.35um"))
@@ -139,8 +139,8 @@ def test_a_technology_of_ones_own(tmp_path):
 
 
 @pytest.mark.parametrize("name", [*TECHNOLOGIES, *PINNED])
-def test_a_technology_with_other_numbers(name):
-    """Every number with a range can go to both ends; nothing else changes, and the source says what was there."""
+def test_technology_with_numbers_changes_values(name):
+    """Every number with a range can be set to both ends; nothing else changes, and the source states the old value."""
     technology = load_technology(name)
     for number, ends in technology.ranges.items():
         for end in ends:
@@ -148,13 +148,13 @@ def test_a_technology_with_other_numbers(name):
             assert moved.numbers == technology.numbers | {number: end}
             assert (moved.name, moved.ranges) == (technology.name, technology.ranges)
             assert moved.sources[number].startswith(f"set by the study; the file has {technology.numbers[number]:g} (")
-            assert {key: told for key, told in moved.sources.items() if key != number} == {
-                key: told for key, told in technology.sources.items() if key != number
+            assert {key: source for key, source in moved.sources.items() if key != number} == {
+                key: source for key, source in technology.sources.items() if key != number
             }
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"dark_currnt": 1.0}, r"process\.x: got 'dark_currnt'; allowed: .*node_capacitance_ff.* Did you mean"),
         ({"name": 1.0}, r"process\.x: got 'name'"),
@@ -164,8 +164,8 @@ def test_a_technology_with_other_numbers(name):
         ({"voltage_swing_v": 2.3}, r"process\.x: junction: voltage_swing_v = 2\.3 exceeds reset_voltage_v = 2\.2"),
     ],
 )
-def test_numbers_that_cannot_be_are_refused(values, told):
-    with pytest.raises(PixsimError, match=told):
+def test_technology_with_invalid_numbers_raises(values, message):
+    with pytest.raises(PixsimError, match=message):
         T035.with_numbers(values, "process.x")
 
 
@@ -175,7 +175,7 @@ def test_numbers_that_cannot_be_are_refused(values, told):
 STUDIES = [
     (["0.35um", "0.25um"], ["0.35um", "0.25um"]),
     (["/home/me/mine.toml", "b/mine.toml", "c.d/mine.toml"], ["mine", "mine-2", "mine-3"]),
-    # mine-2 is another one's own name; a file system may not tell Mine from mine
+    # mine-2 is the plain label of another technology; some file systems ignore case
     (["a/mine.toml", "b/mine.toml", "mine-2.toml"], ["mine", "mine-3", "mine-2"]),
     (["a/Mine.toml", "b/mine.toml"], ["Mine", "mine-2"]),
     (["none", "data sheet.toml"], ["data sheet", "data sheet-2"]),
@@ -185,12 +185,12 @@ STUDIES = [
 
 
 @pytest.mark.parametrize(("technologies", "labels"), STUDIES)
-def test_labels_are_names_and_no_two_are_alike(technologies: list[str], labels: list[str]) -> None:
+def test_labels_of_are_unique(technologies: list[str], labels: list[str]) -> None:
     assert list(labels_of(technologies)) == labels
-    assert len({file_label(each).casefold() for each in labels}) == len(labels)
+    assert len({file_label(label).casefold() for label in labels}) == len(labels)
 
 
-def test_a_label_is_one_line_that_steers_no_terminal() -> None:
+def test_label_of_is_one_printable_line() -> None:
     assert label_of("x/two\nlines\t \x1b[31m.toml") == r"two lines \x1b[31m"
     assert label_of("none") == "data sheet"
     assert file_label("data sheet") == "data_sheet"

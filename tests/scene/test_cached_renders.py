@@ -1,4 +1,4 @@
-"""A kept render is the render: the same bytes from it as without it, found again for whatever makes the same light only."""
+"""Cached renders: results are the same bytes with and without the cache, and only equal light shares an entry."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ import pixsim
 from pixsim.base import cache
 from pixsim.base.cache import LIMIT_VARIABLE
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.scene import convergence
-from pixsim.scene import renderer as kept_renders
+from pixsim.scene import convergence, renderer
 from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import CachedRenders, Renderer
@@ -32,20 +31,20 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def rendered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """A number for each real render."""
-    found: list[int] = []
+    """Count the real renders."""
+    result: list[int] = []
     real = Renderer._rendered
 
     def counted(self, index, level, progress):
-        found.append(index)
+        result.append(index)
         return real(self, index, level, progress)
 
     monkeypatch.setattr(Renderer, "_rendered", counted)
-    return found
+    return result
 
 
 def run(out: Path, options: str = "", scene: str | Path = "csf") -> dict[str, bytes]:
-    """The bytes of all that a run leaves but its times."""
+    """Return the bytes of all files of a run, without its times."""
     out.with_suffix(".toml").write_text("render_noise = 100\npixel.pitch_um = 84.8", encoding="utf-8")  # two renders are enough
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -54,7 +53,7 @@ def run(out: Path, options: str = "", scene: str | Path = "csf") -> dict[str, by
     return {path.name: path.read_bytes() for path in out.iterdir() if path.name != "provenance.json"}
 
 
-def test_the_same_bytes_with_an_empty_a_warm_and_no_cache(tmp_path, rendered, monkeypatch):
+def test_render_cache_empty_warm_or_off_gives_equal_bytes(tmp_path, rendered, monkeypatch):
     cold = run(tmp_path / "out")
     assert len(rendered) == len(cache.entries("render")) == 2
     monkeypatch.setattr(Renderer, "_loaded", property(lambda _: pytest.fail("a Mitsuba scene was built")))
@@ -67,7 +66,7 @@ def test_the_same_bytes_with_an_empty_a_warm_and_no_cache(tmp_path, rendered, mo
     assert len(cold) == 8
 
 
-def test_the_same_bytes_after_damage(tmp_path, folder, rendered):
+def test_render_damaged_cache_gives_equal_bytes(tmp_path, folder, rendered):
     cold = run(tmp_path / "out")
     path = sorted(folder.glob("render/*.npz"))[1]
     whole = bytearray(path.read_bytes())
@@ -79,7 +78,7 @@ def test_the_same_bytes_after_damage(tmp_path, folder, rendered):
     assert rendered == [0, 1, 1]
 
 
-def test_several_lights_and_pulses_come_back(tmp_path, rendered):
+def test_cached_renders_several_lights_are_restored(tmp_path, rendered):
     first = run(tmp_path / "out", scene="macbeth")
     count = len(rendered)
     assert run(tmp_path / "out", scene="macbeth") == first
@@ -99,21 +98,21 @@ def test_several_lights_and_pulses_come_back(tmp_path, rendered):
         ("--full", True),
     ],
 )
-def test_what_does_not_change_the_light_finds_it(option, again, tmp_path, rendered):
+def test_render_cache_ignores_unrelated_settings(option, again, tmp_path, rendered):
     run(tmp_path / "out")
     del rendered[:]
     run(tmp_path / "other", option)
     assert bool(rendered) == again
 
 
-def test_a_noise_that_asks_for_more_takes_what_is_there(tmp_path, rendered):
+def test_render_cache_lower_noise_extends_runs(tmp_path, rendered):
     run(tmp_path / "out", "-D spp=4")
     run(tmp_path / "out", "-D spp=4 --render-noise 2")
     assert rendered == list(range(len(rendered)))
     assert len(rendered) > 2
 
 
-def test_an_edited_texture_is_rendered_again(tmp_path, rendered):
+def test_render_cache_edited_texture_renders_again(tmp_path, rendered):
     pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), 0.5, np.float32))
     path = edited(tmp_path, "flat")
     option = f"-D chart={tmp_path / 'mine.exr'}"
@@ -127,7 +126,7 @@ def test_an_edited_texture_is_rendered_again(tmp_path, rendered):
     assert len(rendered) == 2 * count
 
 
-def test_an_edited_scene_is_rendered_again(tmp_path, rendered):
+def test_render_cache_edited_scene_renders_again(tmp_path, rendered):
     path = edited(tmp_path, "csf")
     run(tmp_path / "out", scene=path)
     count = len(rendered)
@@ -138,7 +137,7 @@ def test_an_edited_scene_is_rendered_again(tmp_path, rendered):
 
 
 @pytest.mark.parametrize("package", ["pixsim", "mitsuba", "drjit"])
-def test_another_version_renders_again(package, tmp_path, rendered, monkeypatch):
+def test_render_cache_other_version_renders_again(package, tmp_path, rendered, monkeypatch):
     run(tmp_path / "out")
     real = cache.version_fingerprint
     monkeypatch.setattr(cache, "version_fingerprint", lambda *names: real(*names).replace(f"{package} ", f"{package} 99."))
@@ -146,7 +145,7 @@ def test_another_version_renders_again(package, tmp_path, rendered, monkeypatch)
     assert rendered == [0, 1, 0, 1]
 
 
-def test_a_study_finds_the_render_of_the_study_before(tmp_path, rendered):
+def test_render_cache_is_shared_by_studies(tmp_path, rendered):
     from pixsim.studies.study import load_study, render_for
 
     plan = load_study("chen2000")
@@ -161,7 +160,7 @@ def test_a_study_finds_the_render_of_the_study_before(tmp_path, rendered):
     assert first.header == again.header
 
 
-def test_what_measures_renders_never_takes_a_kept_one(rendered, folder):
+def test_render_cache_is_unused_by_measurements(rendered, folder):
     scene = pixsim.load_scene("flat", resolution=8, variant="scalar_spectral")
     for _ in range(2):
         pixsim.render(scene)
@@ -169,20 +168,20 @@ def test_what_measures_renders_never_takes_a_kept_one(rendered, folder):
     assert not list(folder.rglob("*.npz"))
 
 
-def test_one_job_keeps_a_share_of_the_cache_only(monkeypatch):
-    """In a second run, what was found counts as much as what is new."""
+def test_cached_renders_size_is_limited(monkeypatch):
+    """Entries from an earlier run count as much as new ones."""
     monkeypatch.setenv(LIMIT_VARIABLE, str(16 / 1024))  # 16 MiB: 4 for one job
     picture = np.zeros((512, 512, 1), np.float32)  # 1 MiB
     for _ in range(2):
         job = CachedRenders("job")
         for index in range(6):
             if job.find(index, 0) is None:
-                job.keep(index, 0, [picture], 16)
-        assert len(cache.entries(kept_renders.KIND)) == 4
+                job.store(index, 0, [picture], 16)
+        assert len(cache.entries(renderer.KIND)) == 4
 
 
-def test_the_clock_ends_a_kept_render_at_the_same_place(rendered, monkeypatch):
-    """Kept renders cost no time: counted anew, the same limit would let each repeat go further. A new one takes a second here."""
+def test_render_cache_time_limit_is_reproduced(rendered, monkeypatch):
+    """Cached renders take no time, so a clock would let each repetition render more. A new render takes a second here."""
     monkeypatch.setattr(convergence.time, "perf_counter", lambda: float(len(rendered)))
     scene = pixsim.load_scene("csf", variant="scalar_spectral", resolution=32)
     pixel = pixsim.Pixel(pitch_um=84.8)
@@ -191,7 +190,7 @@ def test_the_clock_ends_a_kept_render_at_the_same_place(rendered, monkeypatch):
         camera = scene.camera()
         plan = make_render_plan(scene, camera)
         how = {"render_noise": 1e-6, "max_seconds": max_seconds, "keep": True}
-        with pytest.warns(UserWarning, match="ended the render"):
+        with pytest.warns(UserWarning, match="ended rendering"):
             image, noise = render_until(scene, camera, plan, [pixel], pixsim.Exposure(), **how)
         return noise.runs, image.factors[1].tobytes()
 
