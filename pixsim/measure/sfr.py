@@ -17,11 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import tukey
 
-from pixsim.base.arrays import Array, read_array, read_arrays
+from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import output_folder, size_of, write_json
-from pixsim.light.exr import read_channels, shortest
-from pixsim.sensor.raw import BITS_OF_PICTURES, read_frame
+from pixsim.base.files import output_folder, write_json
+from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, read_picture
 from pixsim.show.figures import COLOURS, new_figure
 from pixsim.show.pages import Plate
 
@@ -285,8 +284,10 @@ def response(spread: Array) -> tuple[Array, Array]:
     return frequency, modulation / modulation[0] / np.maximum(filter_response, 1 / MAX_CORRECTION)
 
 
-SUFFIXES = ".exr, .npy, .npz, or a greyscale .png or .tiff of 16 bits"
-MAX_BITS = 32
+# Of what a file states about a picture.
+METADATA_RANGES = {
+    "pitch_um": (1e-6, 1e6), "black_level_dn": (-1e12, 1e12), "bits": (1.0, 32.0), "white_level_dn": (1e-12, 1e12),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -308,58 +309,24 @@ def read_edge_picture(path: Path) -> EdgePicture:
 
     Raises PixsimError if the file is missing, damaged, in colour, or encoded for a display, such as an 8-bit PNG.
     """
-    readers = {".exr": read_exr_picture, ".npy": read_npy_picture, ".npz": read_npy_picture}
-    readers |= {".png": read_picture, ".tif": read_picture, ".tiff": read_picture}
-    if path.suffix.lower() not in readers:
-        raise invalid("edge picture", f"'{path}'", SUFFIXES)
-    size_of(path, "edge picture", SUFFIXES)
-    return readers[path.suffix.lower()](path)
-
-
-def read_exr_picture(path: Path) -> EdgePicture:
-    """The channel of an EXR; pitch, black level and bits come from pixsim's header."""
-    channels, header = read_channels(path)
-    if len(channels) != 1:
-        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: DN of pixsim's raw.exr, or luminance")
-    (data,) = channels.values()
-    pitch_um, black_level_dn, bits = (_attribute(path, header, name) for name in ("pitch_um", "black_level_dn", "bits"))
-    if (pitch_um is not None and not pitch_um > 0) or (bits is not None and not 1 <= bits <= MAX_BITS):
-        got = f"pitch_um {pitch_um}, bits {bits}"
-        raise invalid(f"header of '{path}'", got, f"a pitch above 0 and 1 to {MAX_BITS} bits")
-    return EdgePicture(data, pitch_um, black_level_dn, None if bits is None else 2.0**bits - 1)
-
-
-def _attribute(path: Path, header: dict[str, Any], name: str) -> float | None:
-    """A number of an EXR's header, restored to its decimal value before the conversion to float32."""
-    value = header.get(name)
-    if value is None:
-        return None
-    if not isinstance(value, int | float) or not math.isfinite(value):
-        raise invalid(f"header of '{path}'", f"{name} = {value!r}", "a number")
-    return shortest(value)
-
-
-def read_npy_picture(path: Path) -> EdgePicture:
-    expected = "a readable file of numpy.save or numpy.savez"
-    if path.suffix.lower() == ".npy":
-        loaded = read_array(path, "edge picture", expected)
-    else:
-        arrays = read_arrays(path, "edge picture", expected)
-        if "dn" in arrays:  # written by pixsim
-            return read_picture(path)
-        if len(arrays) != 1:
-            raise invalid(f"arrays of '{path}'", ", ".join(arrays) or "none", "one: the picture")
-        (loaded,) = arrays.values()
-    if loaded.dtype.kind not in "biuf":
-        raise invalid("edge picture", f"'{path}' of {loaded.dtype}", "real numbers")
-    return EdgePicture(loaded)
-
-
-def read_picture(path: Path) -> EdgePicture:
-    """A greyscale 16-bit PNG or TIFF; 8-bit ones are encoded for a display, which distorts the edge."""
-    frame = read_frame(path)
-    top = 2.0**BITS_OF_PICTURES - 1 if frame.white_level_dn is None else frame.white_level_dn
-    return EdgePicture(frame.dn, frame.pitch_um, frame.black_level_dn, top)
+    data, metadata = read_picture(path, "edge picture", (*SUFFIXES, ".npy"))
+    if data.dtype.kind not in "biuf":
+        raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
+    numbers: dict[str, float] = {}
+    is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
+    for name, (low, high) in METADATA_RANGES.items():
+        if name in metadata:
+            try:
+                numbers[name] = float(np.asarray(metadata[name]).item())
+            except (TypeError, ValueError):
+                if is_image:  # a text of another program under the same name
+                    continue
+                numbers[name] = math.nan
+            if not low <= numbers[name] <= high:
+                raise invalid(f"metadata of '{path}'", f"{name} = {metadata[name]!r}", f"a number from {low:g} to {high:g}")
+    bits = numbers.get("bits", BITS_OF_PICTURES if is_image else None)
+    top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
+    return EdgePicture(data, numbers.get("pitch_um"), numbers.get("black_level_dn"), top)
 
 
 def sfr_summary(edge: EdgeResponse, pitch_um: float | None) -> dict[str, Any]:

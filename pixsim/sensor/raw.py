@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import DAMAGE, read_arrays
+from pixsim.base.arrays import DAMAGE, read_array, read_arrays
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import judge_picture, size_of
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
@@ -166,16 +166,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     ([[64, 1023]], 64.0, 10, None)
     """
     path = Path(path)
-    readers = {".exr": _read_exr, ".npz": _read_npz, ".png": _read_picture, ".tif": _read_picture, ".tiff": _read_picture}
-    if path.suffix.lower() not in readers:
-        raise invalid("raw frame", f"'{path}'", f"a file that ends in {', '.join(SUFFIXES)}")
-    size_of(path, "raw frame", f"a file that ends in {', '.join(SUFFIXES)}")
-    try:
-        dn, metadata = readers[path.suffix.lower()](path)
-    except PixsimError:
-        raise
-    except DAMAGE as error:
-        raise invalid("raw frame", f"'{path}' ({' '.join(str(error).split())})", "a readable file of digital numbers") from None
+    dn, metadata = read_picture(path, "raw frame", SUFFIXES)
     if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
         raise invalid(f"raw frame '{path}'", f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
     if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**32 and (dn == np.floor(dn)).all()):
@@ -189,23 +180,49 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts)
 
 
-def _read_exr(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
+def read_picture(path: Path, name: str, suffixes: tuple[str, ...]) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Values of a linear greyscale picture as stored, and the items of `FACTS` that the file states, neither of them checked.
+
+    path : .exr (one channel), .npy, .npz (`dn`, or a single array), .png or .tiff (16 bits)
+    name : of the picture, for messages
+    suffixes : that are allowed
+
+    Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or of another format.
+    """
+    expected = f"a readable file that ends in {', '.join(suffixes)}"
+    readers: dict[str, Any] = {".exr": _read_exr, ".npy": _read_numpy, ".npz": _read_numpy}
+    readers |= dict.fromkeys((".png", ".tif", ".tiff"), _read_image)
+    if path.suffix.lower() not in suffixes:
+        raise invalid(name, f"'{path}'", expected)
+    size_of(path, name, expected)
+    try:
+        return readers[path.suffix.lower()](path, name, expected)
+    except PixsimError:
+        raise
+    except DAMAGE as error:
+        raise invalid(name, f"'{path}' ({' '.join(str(error).split())})", expected) from None
+
+
+def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
     channels, header = read_channels(path)
     if len(channels) != 1:
-        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one channel of digital numbers")
-    metadata = {name: header[name] if name == "bits" else shortest(header[name]) for name in FACTS if name in header}
-    return next(iter(channels.values())), metadata | _json_of(header.get("facts"))
+        raise invalid(f"channels of '{path}'", ", ".join(sorted(channels)[:8]), "one: digital numbers or luminance")
+    metadata = {name: header[name] for name in FACTS if name in header}
+    decimals = {name: shortest(value) for name, value in metadata.items() if name != "bits" and isinstance(value, float)}
+    return next(iter(channels.values())), metadata | decimals | _json_of(header.get("facts"))
 
 
-def _read_npz(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
-    arrays = read_arrays(path, "raw frame", "a readable file of digital numbers")
+def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
+    if path.suffix.lower() == ".npy":
+        return read_array(path, name, expected), {}
+    arrays = read_arrays(path, name, expected)
     if "dn" not in arrays and len(arrays) != 1:
-        raise invalid(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, or a single array of digital numbers")
-    name = "dn" if "dn" in arrays else next(iter(arrays))
-    return arrays[name], {fact: arrays[fact] for fact in FACTS if fact in arrays}
+        raise invalid(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, the digital numbers, or a single array")
+    picture = "dn" if "dn" in arrays else next(iter(arrays))
+    return arrays[picture], {fact: arrays[fact] for fact in FACTS if fact in arrays}
 
 
-def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
+def _read_image(path: Path, name: str, _: str) -> tuple[NDArray[Any], dict[str, Any]]:
     from PIL import Image
 
     judge_picture(path)
@@ -213,11 +230,11 @@ def _read_picture(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
     with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
         if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
             hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
-            raise invalid(f"raw frame '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", hint)
+            raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", hint)
         metadata: dict[str, Any] = dict(getattr(image, "text", {}))
         tags = getattr(image, "tag_v2", {})
         levels = {BLACK_LEVEL_TAG: "black_level_dn", WHITE_LEVEL_TAG: "white_level_dn"}
-        metadata |= {name: tags[tag] for tag, name in levels.items() if tag in tags}
+        metadata |= {level: tags[tag] for tag, level in levels.items() if tag in tags}
         return np.asarray(image), metadata | _json_of(tags.get(DESCRIPTION_TAG))
 
 
