@@ -23,7 +23,7 @@ from pixsim.light.exr import write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
-from pixsim.report.settings import FILLED, Light, only_sheets, record_rows, scene_rows
+from pixsim.report.settings import FILLED, Light, only_data_sheets, record_rows, scene_rows
 from pixsim.report.wording import budget_lines, dark_note, score_line
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
@@ -74,7 +74,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     camera = Camera.model_validate(summary["camera"])
     display = Display.model_validate(summary["display"])
     light = Light.of(irradiance, display, [summary["integration_s"]])
-    sheet = only_sheets([physics.technology.name])
+    sheet = only_data_sheets([physics.technology.name])
     told = score.statistics()
     if sheet and told["fill_factor"] > FILLED:
         del told["fill_factor"]  # none was told
@@ -173,11 +173,11 @@ def run_and_write(
         lap("read" if not more else "render")
         progress("sense and score")
         irradiance.header |= white_header(irradiance, camera, settings.display)
-        bench = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
-        score = bench.score("evaluate", settings.seed)
+        chain = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
+        score = chain.simulate("evaluate", settings.seed)
         if "error_budget" in more:  # over as many sensors as it asks for, the pictured one among them
             sensors = more["error_budget"]["settings"]["sensors"]
-            others = [bench.score("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
+            others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
             more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
         lap("sense and score")
         progress("write")

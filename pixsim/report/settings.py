@@ -87,6 +87,6 @@ def record_rows(name: str, record: Record, from_a_sheet: bool, sources: Mapping[
     return rows
 
 
-def only_sheets(technologies: Iterable[str]) -> bool:
+def only_data_sheets(technologies: Iterable[str]) -> bool:
     """Whether all sensors are known by their data sheets."""
     return all(each == NO_TECHNOLOGY for each in technologies)

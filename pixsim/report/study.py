@@ -15,7 +15,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import is_csf
-from pixsim.report.settings import FILLED, Light, Row, only_sheets, record_rows, scene_rows
+from pixsim.report.settings import FILLED, Light, Row, only_data_sheets, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
 from pixsim.report.wording import study_dark_notes, target_notes
 from pixsim.sensor.pixel import physics_of
@@ -37,7 +37,7 @@ from pixsim.studies.result import (
     within_words,
 )
 
-ROOM_FOR_LEGEND = 1.35  # over the highest point, for a legend of three lines
+LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
 def other_statistics(result: StudyResult, curve: Curve) -> Plate:
@@ -102,7 +102,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor, left")
     detail += axes.plot(curve.pitch_um, shown50, "^:", ms=4, color=COLOURS[0], label="MTF50 on the display, left")
     axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    axes.set_ylim(0, ROOM_FOR_LEGEND * max(mtf50))
+    axes.set_ylim(0, LEGEND_HEADROOM * max(mtf50))
     other = axes.twinx()
     light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure, right")
     other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
@@ -274,7 +274,7 @@ def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
     records: dict[str, Record] = {"camera": result.camera} | {
         name: getattr(study, name) for name in ("pixel", "exposure", "display")
     }
-    sheets = only_sheets(study.technologies)
+    sheets = only_data_sheets(study.technologies)
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 

@@ -187,15 +187,15 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     What the cache holds is only shown, in a fifth of the time that the light on the pixels takes.
     """
     study, pitch_um = result.study, float(curve.pitch_um[place])
-    light = light_of(study, result.lights, curve.technology)
-    key = block_key(result.content.frames(curve.technology, pitch_um), 0)
+    light = light_of(study, result.scenes, curve.technology)
+    key = block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0)
     kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
     physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
     whole = tuple(pixels_along(um, pitch_um) for um in picture_size_um(result.irradiance))
     if not isinstance(light, PreparedScene) or kept is None or kept.shape != whole:
-        bench = chain_at(study, light, result.camera, curve.technology, pitch_um)
-        frame = bench.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
-        screen, white_e = bench.screen, bench.white_e_per_s * frame.integration_s
+        chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
+        frame = chain.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
+        screen, white_e = chain.screen, chain.white_e_per_s * frame.integration_s
     else:
         screen, white_e = light.screen, light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s
         # Nothing that is shown depends on the saturated fraction or on the mean signal.

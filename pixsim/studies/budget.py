@@ -48,7 +48,7 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
 from pixsim.viewer.display import white_header
-from pixsim.viewer.score import ImagingChain, Lights, chain_at_pitch, prepare_scene
+from pixsim.viewer.score import ImagingChain, SceneCache, chain_at_pitch, prepare_scene
 
 SCAN_PITCHES = 9  # to find where the optimum is
 AROUND = 1.35  # times and parts of it, where it is looked for again
@@ -157,17 +157,17 @@ def relative_rms(got: Array, reference: Array) -> float:
 def probe(image: SpectralImage, setup: Setup) -> Probe:
     """Sense and score a picture at the set-up's pixel, and at its pitches."""
     start = time.perf_counter()
-    with unheard():
-        chain_at = benches(image, setup, setup.pitches_um)
-        bench = chain_at(setup.pixel.pitch_um)
+    with without_warnings():
+        chain_at = chains_of(image, setup, setup.pitches_um)
+        chain = chain_at(setup.pixel.pitch_um)
         middle = time.perf_counter()
-        first = score(bench, setup, setup.pixel.pitch_um, 0)
+        first = score(chain, setup, setup.pixel.pitch_um, 0)
         end = time.perf_counter()
-        own = np.array([first, *(score(bench, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))])
+        own = np.array([first, *(score(chain, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))])
         swept = zip(setup.pitches_um, map(chain_at, setup.pitches_um), strict=True)
         sweep = np.array([[score(each, setup, p, k) for k in range(setup.sensors)] for p, each in swept])
     shape = len(setup.pitches_um), setup.sensors
-    return Probe(bench.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
+    return Probe(chain.signal_e_per_s, own, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
 
 
 class PairedNoise(np.random.Generator):
@@ -205,15 +205,15 @@ def few_counts(mean: Array, z: Array) -> Array:
     return count
 
 
-def score(bench: ImagingChain, setup: Setup, pitch_um: float, sensor: int) -> float:
+def score(chain: ImagingChain, setup: Setup, pitch_um: float, sensor: int) -> float:
     """Mean ΔE of an individual sensor, the same for the same set-up, pitch and number."""
     own = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
-    return bench.view(bench.capture_with(own, PairedNoise(own.bit_generator))).mean_delta_e
+    return chain.score_frame(chain.capture_with(own, PairedNoise(own.bit_generator))).mean_delta_e
 
 
-def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], ImagingChain]:
-    """A bench of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless at the optimum."""
-    lights, own_um = Lights(image, setup.camera, setup.display), setup.pixel.pitch_um
+def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], ImagingChain]:
+    """A chain of any of the pitches, which share a frame, and of the set-up's pixel, which has its own unless at the optimum."""
+    lights, own_um = SceneCache(image, setup.camera, setup.display), setup.pixel.pitch_um
     widest_um = setup.border_um or max(pitches_um, default=own_um)
 
     def at(pitch_um: float) -> ImagingChain:
@@ -228,7 +228,7 @@ def benches(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()
 
 
 @contextmanager
-def unheard() -> Iterator[None]:
+def without_warnings() -> Iterator[None]:
     """Advice that a run gives once (clipped white) is not given for each of many probes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
@@ -253,9 +253,9 @@ def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) ->
     low, high = pitch_range_um(setup)
     if low * AROUND >= high:
         return ()
-    with unheard():
+    with without_warnings():
         scanned = np.geomspace(low, high, SCAN_PITCHES)
-        chain_at = benches(image, setup, scanned.tolist())
+        chain_at = chains_of(image, setup, scanned.tolist())
         errors = [score(chain_at(p), setup, p, 0) for p in scanned.tolist()]
     best = float(scanned[int(np.argmin(errors))])
     around = np.geomspace(max(low, best / AROUND), min(high, best * AROUND), count)
@@ -367,7 +367,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     noise = noise_of(job, both, 1.0, [setup.physics()], setup.exposure)[0]
     image = job.image([(one + other) / 2 for one, other in zip(*both, strict=True)], 2 * spp)
     parts = [job.image(half, spp) for half in (first, second)]
-    with unheard():  # the run itself says so
+    with without_warnings():  # the run itself says so
         white = white_header(image, camera, setup.display)
     for each in (image, *parts):
         each.header |= white

@@ -47,7 +47,7 @@ def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
         rendered = time.perf_counter()
         bench = make_imaging_chain(image, camera, pixel, exposure, pixsim.Display())
         projected = time.perf_counter()
-        bench.score("growth")
+        bench.simulate("growth")
         seconds = {
             "plan": planned - start,
             "render": rendered - planned,

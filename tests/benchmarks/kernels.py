@@ -159,7 +159,7 @@ def targets() -> None:
     light = prepare_scene(film, CAMERA, physics, DISPLAY)
     bench = chain_at_pitch(light, physics, EXPOSURE)
     shape, signal = bench.signal_e_per_s.shape, bench.signal_e_per_s
-    frame = bench.score(0).frame
+    frame = bench.simulate(0).frame
     white_e = bench.white_e_per_s * frame.integration_s
 
     def noise() -> None:
@@ -171,7 +171,7 @@ def targets() -> None:
     row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
 
     def evaluation() -> None:
-        chain_at_pitch(light, physics, EXPOSURE).score(1).statistics()
+        chain_at_pitch(light, physics, EXPOSURE).simulate(1).statistics()
 
     plain = partial(plain_evaluation, bench, frame.mean_e, white_e, frame.integration_s)
     row("sense, display, score of a 512² frame", 0.08, evaluation, plain)
@@ -180,7 +180,7 @@ def targets() -> None:
 def unavoidable(bench: ImagingChain) -> dict[str, float]:
     """Seconds of the draws, the transforms and the cube roots of one evaluation."""
     p, rng = bench.physics, np.random.default_rng(0)
-    mean_e = bench.score(0).frame.mean_e
+    mean_e = bench.simulate(0).frame.mean_e
     dots = bench.screen.ideal.shape
     grey, planes = empty_planes(*dots), empty_planes(3, *dots)
     grey[...] = planes[...] = bench.screen.ideal
@@ -201,7 +201,7 @@ def parts() -> None:
     for pitch_um in PITCHES_UM:
         bench = chain_at_pitch(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
         found = unavoidable(bench)
-        whole, sum_ = median_s(lambda bench=bench: bench.score(1).statistics(), 21), sum(found.values())
+        whole, sum_ = median_s(lambda bench=bench: bench.simulate(1).statistics(), 21), sum(found.values())
         told = ", ".join(f"{name} {1e3 * each:.1f}" for name, each in found.items())
         print(f"{pitch_um:15.1f} µm: {1e3 * whole:8.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {told}", flush=True)
 

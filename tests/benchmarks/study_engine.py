@@ -2,7 +2,7 @@
 
     python tests/benchmarks/study_engine.py [--repeats 2000] [--scheduler tcp://host:8786]
 
-The work is `ImagingChain.score(...).statistics()` in a loop in this process, in the same run; what a study takes beyond it, over
+The work is `ImagingChain.simulate(...).statistics()` in a loop in this process, in the same run; what a study takes beyond it, over
 the number of evaluations, is its overhead: keys, tasks, workers, frames and rows. On several processes the work is shared
 out, so that their own start counts too.
 """
@@ -22,7 +22,7 @@ from helpers.timing import seconds_of
 import pixsim
 from pixsim.studies.evaluations import chain_at, light_of, stream_key
 from pixsim.studies.study import render_for
-from pixsim.viewer.score import Lights
+from pixsim.viewer.score import SceneCache
 
 PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
 TIMED = 100  # evaluations of each pitch that tell what the work costs
@@ -44,13 +44,13 @@ def small_study(repeats: int) -> pixsim.Study:
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
     irradiance, camera = render_for(study)
-    light = light_of(study, Lights(irradiance, camera, study.display), "0.35um")
+    light = light_of(study, SceneCache(irradiance, camera, study.display), "0.35um")
 
     def evaluations() -> None:
         for pitch_um in PITCHES_UM:
             bench = chain_at(study, light, camera, "0.35um", pitch_um)
             for repeat in range(TIMED):
-                bench.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
+                bench.simulate(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
 
     return seconds_of(evaluations) / (TIMED * len(PITCHES_UM))
 

@@ -111,7 +111,7 @@ def library_threads(_: int, __: object) -> int:
     picture = np.random.default_rng(0).random((1, 768, 768)).astype(np.float32)
     image = pixsim.SpectralImage(np.array([550.0]), 10.0, 2.65, factors=(np.ones((1, 1)), picture))
     image.header["luminance_cd_per_m2"] = 1000.0
-    make_imaging_chain(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).score("threads")
+    make_imaging_chain(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).simulate("threads")
     all_threads = {int(task.name) for task in Path("/proc/self/task").iterdir()}
     return len(all_threads - {thread.native_id for thread in threading.enumerate()})
 
@@ -182,8 +182,8 @@ def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tm
     assert len(finished) == 8
     assert set(finished) < set(expected.splitlines())
     taken = []
-    view = ImagingChain.view
-    monkeypatch.setattr(ImagingChain, "view", lambda self, frame: taken.append(1) or view(self, frame))
+    view = ImagingChain.score_frame
+    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: taken.append(1) or view(self, frame))
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert len(taken) == ROWS - len(finished)
     assert (tmp_path / "out/results.csv").read_bytes() == expected
@@ -218,14 +218,14 @@ def test_two_studies_in_one_folder_are_one_too_many(toml: Path, expected: bytes,
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
     second: list[subprocess.CompletedProcess[str]] = []
-    view = ImagingChain.view
+    view = ImagingChain.score_frame
 
     def view_after_the_second(self, frame):
         if not second:
             second.append(subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False))
         return view(self, frame)
 
-    monkeypatch.setattr(ImagingChain, "view", view_after_the_second)
+    monkeypatch.setattr(ImagingChain, "score_frame", view_after_the_second)
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert second[0].returncode == 2
     assert re.search(r"another process is at work.*one at a time.*--out", second[0].stderr)
@@ -297,7 +297,7 @@ def test_a_cluster_gives_the_same_bytes(by: str, cluster: str, toml: Path, expec
 
 def test_one_worker_of_one_thread_computes_what_it_is_asked(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """joblib takes a cluster of one thread for none, and would compute here."""
-    monkeypatch.setattr(ImagingChain, "view", lambda *_: pytest.fail("computed here"))
+    monkeypatch.setattr(ImagingChain, "score_frame", lambda *_: pytest.fail("computed here"))
     with running_cluster(tmp_path, 1) as address:
         pixsim.study(toml, tmp_path / "out", scheduler=address)
     assert (tmp_path / "out/results.csv").read_bytes() == expected

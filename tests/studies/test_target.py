@@ -19,7 +19,7 @@ from helpers.tiny import tiny as tiny_study
 import pixsim
 from pixsim.report.wording import target_notes
 from pixsim.sensor.readout import Frame
-from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
+from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_PER_ADDITION, additions, next_sensors, rise_variance
 from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study import next_round
@@ -52,7 +52,7 @@ def test_a_round_is_of_a_fixed_size_and_near_the_minimum(seed: int) -> None:
     """Each addition is two sensors, of a pitch within the interval or the next two beyond either end."""
     fit = fit_of(START, seed=seed)
     more = next_sensors(fit, START, 32)
-    assert sum(more.values()) - sum(START.values()) == ROUND * SENSORS_AN_ADDITION
+    assert sum(more.values()) - sum(START.values()) == ROUND * SENSORS_PER_ADDITION
     assert list(more) == sorted(more)
     assert START.keys() <= more.keys()
     low, high = fit.optimum.interval_um
@@ -259,7 +259,7 @@ def test_two_workers_take_the_same_rounds(done: tuple[StudyResult, Path], tmp_pa
 def test_a_study_that_is_interrupted_goes_on_in_its_round(
     count: int, done: tuple[StudyResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
 ) -> None:
-    counted = ImagingChain.view
+    counted = ImagingChain.score_frame
 
     def interrupted(self: ImagingChain, frame: Frame) -> Score:
         if len(evaluations) + 1 == count:
@@ -267,7 +267,7 @@ def test_a_study_that_is_interrupted_goes_on_in_its_round(
         return counted(self, frame)
 
     with monkeypatch.context() as patch:
-        patch.setattr(ImagingChain, "view", interrupted)
+        patch.setattr(ImagingChain, "score_frame", interrupted)
         with pytest.raises(KeyboardInterrupt):
             pixsim.study(tiny(), tmp_path, jobs=1)
     kept = keys(tmp_path)

@@ -291,8 +291,8 @@ def test_a_pixel_fewer_leaves_no_seam():
     ends, mean = [], []
     for pitch_um in (6.7840, 6.7847):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = chain_at_pitch(prepare_scene(light, camera, physics, Display(), border_um=15.0), physics, LONG)
-        map_ = bench.score("seam").delta_e
+        chain = chain_at_pitch(prepare_scene(light, camera, physics, Display(), border_um=15.0), physics, LONG)
+        map_ = chain.simulate("seam").delta_e
         assert map_.shape[1] == 506
         ends.append([map_[:, 0].mean(), map_[:, -1].mean()])
         mean.append(map_.mean())
@@ -373,9 +373,9 @@ def test_ever_smaller_perfect_pixels_show_the_ideal_image(csf, bits, most):
     display, found = Display(bits=bits), {}
     for pitch_um in (5.3, 2.65, 1.325, 0.53):
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        bench = chain_at_pitch(prepare_scene(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
-        found[pitch_um] = bench.view(
-            bench.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator))
+        chain = chain_at_pitch(prepare_scene(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
+        found[pitch_um] = chain.score_frame(
+            chain.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator))
         ).mean_delta_e
     assert 0 < found[0.53] <= most
     for pitch_um in (5.3, 2.65):

@@ -67,7 +67,7 @@ def test_a_running_integral_too_large_to_keep_changes_nothing(monkeypatch):
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
     kept = score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s
     assert light.running_integral is not None
-    monkeypatch.setattr(score, "MAX_KEPT_SAMPLES", 256**2 - 1)
+    monkeypatch.setattr(score, "MAX_STORED_SAMPLES", 256**2 - 1)
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
     assert light.running_integral is None
     np.testing.assert_allclose(score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s, kept, rtol=1e-13)
