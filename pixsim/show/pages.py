@@ -85,6 +85,11 @@ class Drawn:
     svg: str
     csv: str
 
+    def write(self, folder: Path) -> None:
+        """Write `name`.svg and `name`.csv to a folder."""
+        write_text(folder / f"{self.name}.svg", self.svg)
+        write_text(folder / f"{self.name}.csv", self.csv)
+
     @property
     def image(self) -> str:
         """The figure as a data URI."""
@@ -101,8 +106,7 @@ def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     for plate in drawn:
-        write_text(figures / f"{plate.name}.svg", plate.svg)
-        write_text(figures / f"{plate.name}.csv", plate.csv)
+        plate.write(figures)
     return drawn
 
 

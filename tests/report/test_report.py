@@ -15,7 +15,7 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.report.merit import blur_words
-from pixsim.report.settings import Light
+from pixsim.report.settings import LightLevel
 from pixsim.report.study import plates_of_curves, write_report
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import label_of
@@ -162,8 +162,8 @@ def test_the_page_tells_how_bright_the_scene_was(made: tuple[StudyResult, Path],
 
 def test_light_is_told_from_the_shortest_to_the_longest_frame(made: tuple[StudyResult, Path]) -> None:
     irradiance, display = made[0].irradiance, made[0].study.display
-    assert str(Light.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
-    assert str(Light.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
+    assert str(LightLevel.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
+    assert str(LightLevel.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
 
 
 @pytest.mark.parametrize(("fraction", "noisy"), [(0.19, False), (0.2, False), (0.31, True)])
