@@ -140,7 +140,7 @@ def by_frequency(delta_e: Array) -> Array:
 
 
 def chart_places(parts: int, border: float) -> Array:
-    """Return the centres of equal parts of a map along a side of the chart, (parts,), 0 to 1; the map omits `border` at each end."""
+    """Return the centres of equal parts of a map along a side of the chart, (parts,), 0 to 1, without `border` at each end."""
     return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
 
 

@@ -53,7 +53,7 @@ class Sensitivity(Record):
     ranges: dict[str, str] = Field(
         default_factory=dict,
         description=(
-            "name -> parameter of the technology files, set to both ends of its range, in all technologies together and in each alone"
+            "name -> technology parameter that is set to both ends of its range, in all technologies together and in each alone"
         ),
     )
     quick: dict[str, Any] = Field(default_factory=dict, description="values that --quick uses instead")
@@ -144,7 +144,7 @@ class SensitivityResult:
         return [case for case in self.cases if statement in case.differing(self.base_case)]
 
     def by_variation(self) -> dict[str, list[Case]]:
-        """Return the cases of each variation, without those of one technology alone, by falling range of the reference's optimum."""
+        """Return the cases of each variation but those of one technology alone, the widest range of the reference's optimum first."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             if not case.alone:
@@ -341,7 +341,7 @@ def tornado(result: SensitivityResult) -> Plate:
     left.invert_yaxis()
     caption = (
         f"Each assumption varied alone over its plausible range; vertical lines: the base ({base.pitch_um:.2f} µm, "
-        f"ΔE {base.mean_delta_e:.3f}). A wider bar means a stronger influence. Hollow point: the minimum is at an end of the pitches."
+        f"ΔE {base.mean_delta_e:.3f}). A wider bar means a stronger influence. Hollow point: minimum at an end of the pitches."
     )
     return Plate("tornado", caption, figure, case_table(result))
 

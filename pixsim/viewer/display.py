@@ -151,7 +151,7 @@ def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display
         if 2 * cut >= count:
             raise invalid(
                 "pixel.pitch_um",
-                f"{border_um:g} µm: a border of one pitch on each side leaves none of the {count} dots of {length_um / count:.3g} µm",
+                f"{border_um:g} µm: a border this wide on each side leaves none of the {count} dots of {length_um / count:.3g} µm",
                 f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die",
                 "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'.",
             )

@@ -64,10 +64,10 @@ def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]
         assert best["inside"]
         physics = physics_of(result.study, curve["technology"], best["pitch_um"])
         blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
-        assert f"What blurs with {best['pitch_um']:.2f} µm pixels, {label_of(curve['technology'])}. {blur}" in words
+        assert f"Blur of {best['pitch_um']:.2f} µm pixels, {label_of(curve['technology'])}. {blur}" in words
         (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
         assert f"{best['pitch_um']:.2f} µm, 95 % interval {low:.2f} to {high:.2f} µm." in words
-        assert f"within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
+        assert f"Sizes within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
         assert f"Mean ΔE there: {best['mean_delta_e']:.3f}" in words
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
             assert f"{pitch_um:.3f}" in words
@@ -173,7 +173,7 @@ def test_a_render_noisier_than_asked_is_told(
     result = made[0]
     monkeypatch.setitem(result.irradiance.header, "render_noise", {"fraction": fraction, "target": 0.2})
     write_report(result, tmp_path)
-    told = f"The light itself is noisy: the render ended with {fraction:.2g} of the sensor's noise, where 0.2 was asked for."
+    told = f"The render is noisier than requested: its noise is {fraction:.2g} of the sensor's, the target was 0.2."
     assert (told in words_of(tmp_path)) == noisy
 
 
@@ -202,8 +202,8 @@ def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> Non
     assert {"full_well_e", "bits", "white_cd_per_m2"} <= set(rows)
     assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"} & set(rows)
     assert "curve of 3 points, 400 to 700 nm" in words
-    assert "What the data sheet does not tell is taken as none." in words
-    assert "comes from the technology" not in words
+    assert "Noise and non-uniformities that the data sheet does not state are zero." in words
+    assert "come from the technology" not in words
     assert "ill factor" not in words
     assert "fill_factor_law" in text_of_a_process(tmp_path)
 
@@ -224,7 +224,7 @@ def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_tur
     assert "add --pixel.response scaled --out FOLDER to the command" in words
     table = text_of(tmp_path).partition('<h2 id="paper">')[2].partition("</table>")[0]
     found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
-    assert "what would turn it" in table
+    assert "settings that change the verdict" in table
     assert f'<td rowspan="{len(found)}"><code>pixsim study chen2000-sensitivity</code>' in table
     assert "peaks at" not in text_of_a_process(tmp_path)
 
@@ -245,5 +245,5 @@ def test_it_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     page = text_of(made[1])
     headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
     assert len(headings) > 8
-    told = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
+    told = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "Assumptions"]
     assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings, [each for each in headings if ": " in each])

@@ -109,7 +109,7 @@ def test_light_without_units_is_refused_with_the_way_to_state_them(tmp_path):
     assert_refused(*command(f"run {path} {OPTIONS} --out {out}"), ["bare.exr", "none in the file", "--units", "W.m^-2.nm^-1"])
     assert not out.exists()
     stated, err = scored(f"run {path} --units W.m^-2.nm^-1 {OPTIONS} --json --out {out}")
-    assert "the scene does not tell its white" in err
+    assert "the scene does not define its white" in err
     told, _ = scored(f"run {foreign_exr(path, 'W.m^-2.nm^-1')} {OPTIONS} --json --out {out}")
     assert told["mean_electrons_e"] == stated["mean_electrons_e"]
     micro, _ = scored(f"run {foreign_exr(path, None, 1.0)} --units uW/cm^2/nm {OPTIONS} --json --out {out}")
@@ -143,8 +143,8 @@ def test_the_white_of_a_picture_that_tells_none_is_measured(tmp_path):
     bands = 683.002 * 0.01 * float(pixsim.spectral.photopic_efficiency(fine_nm).sum())
     assert white == pytest.approx(bands, rel=0.06)
     assert err == (
-        f"warning: the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
-        f"set --display.white-cd-per-m2 {white:g} to keep it\n"
+        f"warning: the scene does not define its white: using {white:g} cd/m², the 99th percentile of its luminance; "
+        f"set --display.white-cd-per-m2 {white:g} to fix this value\n"
     )
     kept, err = scored(f"run {path} --display.white-cd-per-m2 {white:g} {OPTIONS} --json --out {tmp_path / 'out'}")
     assert err == ""
@@ -211,7 +211,7 @@ def test_it_tells_what_score_json_holds(ran: Path) -> None:
     assert "3.86 mm at f/4" in page
     assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
     assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
-    assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the lens leaves 0.9" in page  # tests/studies/test_paper.py
+    assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the MTF of the lens is 0.9" in page  # tests/studies/test_paper.py
 
 
 def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
@@ -237,15 +237,18 @@ def test_it_tells_where_the_largest_errors_are(tmp_path: Path) -> None:
     assert top < 40 < 100 < left
     x_mm, y_mm = ((3 + at + 56) / 256 * 1.28 for at in (left, top))
     page = text_of(tmp_path / "out")
-    assert f"its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
+    assert f"Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
 
 
 def test_it_tells_how_to_look_at_it(ran: Path) -> None:
     page = " ".join(text_of(ran).split())
     distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
-    assert f"look at 100 % zoom, from where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots" in page
+    assert (
+        f"view it at 100 % zoom, at a distance where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots"
+        in page
+    )
     # `assert_sliders_move` meets the pictures on those sides.
-    assert "Left of the border the ideal image, right of it the sensor's picture." in page
+    assert "Left: the ideal image. Right: the sensor's picture." in page
     assert 'alt="The sensor\'s picture (10.6 µm pixels)"' in page
 
 
@@ -272,8 +275,8 @@ def test_a_picture_from_elsewhere_and_a_sensor_of_a_data_sheet(tmp_path: Path) -
     assert "Irradiance: read from mine.npz." in page
     assert str(tmp_path) not in page
     assert "(data sheet)" in page
-    assert "What the data sheet does not tell is taken as none." in page
-    assert "comes from the technology" not in page
+    assert "Noise and non-uniformities that the data sheet does not state are zero." in page
+    assert "come from the technology" not in page
     rows = set(re.findall(r"<tr><td>([^<]+)</td>", page))
     assert {"full_well_e", "technology"} <= rows
     assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law", "photodiode area over pixel area"} & rows

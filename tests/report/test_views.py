@@ -17,7 +17,7 @@ from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError
 from pixsim.report import views
 from pixsim.report.pictures import crops
-from pixsim.report.views import best_place, called, detail_at, study_views
+from pixsim.report.views import best_place, detail_at, rank, study_views
 from pixsim.show import pictures as details
 from pixsim.show.pictures import (
     COLUMNS,
@@ -184,11 +184,11 @@ def test_the_best_is_the_least_mean_of_those_tried_not_the_nearest_to_the_fit(re
     optimum = replace(result.curves[0].optimum, inside=True, pitch_um=8.4)
     curve = replace(result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(result.curves[0].fit, optimum=optimum))
     assert best_place(curve) == 1
-    assert [called(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
+    assert [rank(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
     rising = replace(
         curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)}, fit=replace(curve.fit, optimum=replace(optimum, inside=False))
     )
-    assert [called(rising, place) for place in (0, 5)] == ["smallest", "largest"]
+    assert [rank(rising, place) for place in (0, 5)] == ["smallest", "largest"]
 
 
 def test_crops_are_the_same_part_of_ideal_output_and_map(result: StudyResult) -> None:

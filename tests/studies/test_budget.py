@@ -47,7 +47,6 @@ def calibration(**changes) -> Calibration:
         "per_e": Effect(0.5, 2.0), "films": (Effect(0.1, 0.5), Effect(0.02, 0.1), Effect(0.004, 0.02)), "order": 2.0,
         "sensor": Effect(0.003, 0.05), "raster": Effect(0.01, 0.02), "interpolation": Effect(0.03, 0.04),
         "work": 8.4e6, "planes": 1, "dots": 512,
-        "mean_delta_e": 0.5, "optimum_um": 5.5
     }  # fmt: skip
     return Calibration(**values | changes)
 
@@ -55,7 +54,7 @@ def calibration(**changes) -> Calibration:
 BLIND, NONE, UNKNOWN = Effect(0.02, NO_OPTIMUM), Effect(0.0, 0.0), Effect(math.nan, math.nan)
 CALIBRATIONS = {
     "usual": calibration(),
-    "no optimum": calibration(random=BLIND, sensor=BLIND, raster=UNKNOWN, interpolation=BLIND, optimum_um=NO_OPTIMUM),
+    "no optimum": calibration(random=BLIND, sensor=BLIND, raster=UNKNOWN, interpolation=BLIND),
     "no noise": calibration(noise=0.0, random=NONE, bias=NONE),
     "nothing errs": calibration(noise=0.0, random=NONE, bias=NONE, per_e=NONE, sensor=NONE, films=(NONE,)),
     "noisy": calibration(noise=4.0, random=Effect(0.1, 0.5), bias=Effect(1.0, 0.5)),
@@ -279,7 +278,7 @@ def test_the_lines_of_a_budget_stand_in_one_column():
     }
     told = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
     _, *lines = budget_lines({"error_budget": told | {"total": {"delta_e": 0.5, "optimum_um": None}}})
-    assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "all but the display"]
+    assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "total without display"]
     assert lines[-2][23:] == " 3.0e-02 ΔE"
     assert {line[23] for line in lines} == {" "}
 

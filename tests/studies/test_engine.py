@@ -75,7 +75,7 @@ def test_every_call_comes_once(jobs: int) -> None:
 
 
 def test_what_a_dead_worker_had_is_done_by_another(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="a worker died"):
+    with pytest.warns(UserWarning, match="a worker process died"):
         found = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
     assert found == list(range(12))
 
@@ -85,9 +85,9 @@ def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> No
     results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        with pytest.raises(pixsim.PixsimError, match=r"2 processes.*ended its process, even alone: 3\..*--jobs 1"):
+        with pytest.raises(pixsim.PixsimError, match=r"2 processes.*ended its process, even when run alone: 3\..*--jobs 1"):
             found.extend(results)
-    assert "a worker died; what is left" in str(told[0].message)
+    assert "a worker process died; retrying the remaining" in str(told[0].message)
     assert sorted(found) == [task for task in range(12) if task != 3]
 
 
@@ -166,7 +166,7 @@ def die_once_at_7_um(task: evaluations.Task, light: evaluations.Light, mark: Pat
 
 def test_a_study_goes_on_when_a_worker_is_killed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
-    with pytest.warns(UserWarning, match="a worker died"):
+    with pytest.warns(UserWarning, match="a worker process died"):
         pixsim.study(toml, tmp_path / "out", jobs=2)
     assert (tmp_path / "killed").exists()
     assert (tmp_path / "out/results.csv").read_bytes() == expected
@@ -204,7 +204,7 @@ def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(toml, ex
     ended = subprocess.run(command, **how, check=False)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert "Traceback" not in ended.stderr
-    assert "results.csv' cannot be written (No space left on device). What is finished is kept" in ended.stderr
+    assert "results.csv' cannot be written (No space left on device). Finished rows are kept" in ended.stderr
     finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
     assert 0 < len(finished) < ROWS
     assert set(finished) < set(expected.splitlines()), "half a row"
@@ -345,7 +345,7 @@ def test_workers_of_another_pixsim_are_refused(kind: str, told: str, tmp_path: P
 
 
 # Either Dask itself tries the lost task again, without a word, or pixsim does: who notices first.
-@pytest.mark.filterwarnings("ignore:a worker died")
+@pytest.mark.filterwarnings("ignore:a worker process died")
 def test_a_study_goes_on_when_a_worker_of_the_cluster_is_killed(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The last test of the cluster: one of its two workers is gone afterwards."""
     monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))

@@ -212,11 +212,11 @@ def test_the_words_for_the_blur_hold_the_numbers_of_the_terms() -> None:
     for each in terms.values():
         assert f"{float(each):.3f}" in words
     sensor, shown = 1 - float(terms["lens"] * terms["photodiode"]), 1 - float(terms["interpolation"] * terms["dot"])
-    assert re.findall(r"takes? (\d+) %", words) == [f"{100 * sensor:.0f}", f"{100 * shown:.0f}"]
+    assert re.findall(r"contrast by (?:another )?(\d+) %", words) == [f"{100 * sensor:.0f}", f"{100 * shown:.0f}"]
     light.header.update({"scene": "csf.xml"})
     assert blur_words(light, camera, derive(pixel), display).startswith("At 33.3 lp/mm, the highest frequency of the chart, ")
     pixels = blur_words(light, camera, derive(pixel), display.model_copy(update={"raster": "one_to_one"}))
-    assert pixels.endswith("takes nothing more.")
+    assert pixels.endswith("reduces it no further.")
 
 
 def test_a_dark_picture_has_the_terms_of_equal_light() -> None:

@@ -149,7 +149,7 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
         page, here = out.resolve() / "report.html", Path("browser").resolve()
         here.mkdir()
         assert_fits(page, here)
-        assert_prints(page, here, range(1, 4), ["one assumption moved", "f/2.8"], ["Every case"])
+        assert_prints(page, here, range(1, 4), ["one assumption varied", "f/2.8"], ["All cases"])
     assert {path.name for path in out.iterdir()} == {"cases", "figures", "summary.json", "provenance.json", "report.html"}
     assert {path.name for path in (out / "figures").iterdir()} == {"tornado.svg", "tornado.csv"}
     assert cases(out) == cases(folder), "the rows depend on the number of workers"
@@ -330,7 +330,7 @@ def test_the_page_and_the_summary_say_what_turns_each_verdict(ranged: tuple[Sens
         turning = [each for each in result.cases if each.agrees[row["statement"]] != row["agrees"]]
         assert row["turned_by"] == [{"variation": each.variation, "label": each.label} for each in turning]
         assert f"{len(turning)} of {len(result.cases)}" in page
-    assert "what would turn it" in page
+    assert "settings that change the verdict" in page
 
 
 def test_a_number_that_no_technology_has_is_refused(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -317,8 +317,8 @@ def test_the_command_says_which_limit_ended_it(done: tuple[StudyResult, Path], t
     half_um = done[0].curves[0].optimum.half_width_um
     where = f"± {half_um:.2g} µm" if half_um < np.inf else "open at an end"
     assert note in told
-    done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations in all (max_evaluations)"
-    assert note == f"note: 0.35um: the interval is {where} after {done_of}, not ± 0.01 µm (target_ci_um)"
+    done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations (max_evaluations)"
+    assert note == f"note: 0.35um: the interval is {where} after {done_of}; the target is ± 0.01 µm (target_ci_um)"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert note.removeprefix("note: ") in page
 
@@ -327,10 +327,10 @@ def test_notes_are_of_optima_that_miss_the_target(fit: FittedCurve) -> None:
     curves = [curve_with(fit, half_width_um=each) for each in (0.05, 0.25, np.inf)]
     result = SimpleNamespace(study=study_with(target_ci_um=0.1), curves=curves)
     wide, open_end = target_notes(result)
-    assert "the interval is ± 0.25 µm after 18 evaluations, with at most 32 at a size (max_repeats), not ± 0.1 µm" in wide
+    assert "the interval is ± 0.25 µm after 18 evaluations, at most 32 per pixel size (max_repeats); the target is ± 0.1 µm" in wide
     assert "the interval is open at an end after 18 evaluations" in open_end
     bounded = SimpleNamespace(study=study_with(target_ci_um=0.1, max_evaluations=60), curves=curves)
-    assert all("after 54 of at most 60 evaluations in all (max_evaluations)" in each for each in target_notes(bounded))
+    assert all("after 54 of at most 60 evaluations (max_evaluations)" in note for note in target_notes(bounded))
     assert target_notes(SimpleNamespace(study=study_with(target_ci_um=None), curves=curves)) == []
 
 

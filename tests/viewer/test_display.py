@@ -81,7 +81,7 @@ def test_the_displays_own_white_replaces_the_scenes():
 
 
 def test_an_unknown_white_is_refused():
-    with pytest.raises(PixsimError, match=r"white_cd_per_m2: got nothing.*--display\.white-cd-per-m2"):
+    with pytest.raises(PixsimError, match=r"white_cd_per_m2: got not set.*--display\.white-cd-per-m2"):
         displays.white_cd_per_m2(irradiance_of(np.ones((4, 4)), known=False), Display())
 
 
@@ -465,7 +465,7 @@ def even(nm, spectrum, **header):
 )
 def test_a_white_that_gives_no_electrons_is_refused(image, options):
     # Before: division by zero, and a map of NaN or a picture cast from it.
-    with pytest.raises(PixsimError, match=r"the scene's white: got .*both the sensor and the eye see"):
+    with pytest.raises(PixsimError, match=r"the scene's white: got .*both the sensor and the eye respond"):
         evaluate(image, Camera(die_mm=0.12), Pixel(pitch_um=10.0, **options))
 
 

@@ -73,7 +73,7 @@ def test_a_grey_image_is_an_image_of_greys(filters, shape, samples_per_deg, whit
 
 @pytest.mark.parametrize("luminance", [np.ones(3), np.ones((2, 2, 3)), np.ones((0, 4)), np.array([[1.0, np.nan]])])
 def test_what_is_no_grey_image_is_refused(luminance):
-    with pytest.raises(PixsimError, match=r"luminance: got shape .*; allowed: \(H, W\), finite, not empty"):
+    with pytest.raises(PixsimError, match=r"luminance: got shape .*; allowed: \(H, W\), not empty, all values finite"):
         scielab.filtered_grey_lab(luminance, white_xyz=D65, samples_per_deg=23)
 
 

@@ -118,7 +118,7 @@ def test_large_films_need_little_more_than_one_plane():
         "white": (lambda: displays.measured_white(silent, CAMERA), 2.0, 2.6),
         "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
     }
-    with pytest.warns(UserWarning, match="does not tell its white"):
+    with pytest.warns(UserWarning, match="does not define its white"):
         found = {name: peak_planes(work, n * n) for name, (work, _, _) in works.items()}
     wrong = {name: each for name, each in found.items() if not works[name][1] <= each <= works[name][2]}
     assert not wrong, found
