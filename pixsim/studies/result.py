@@ -83,7 +83,7 @@ class Curve:
         return self.statistics["mean_delta_e"]
 
     def mean(self, statistic: str = "mean_delta_e") -> Array:
-        """Return the mean of a statistic over the sensors of each pitch, (pitches,)."""
+        """Return the mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
         return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
 
     @property

@@ -144,7 +144,7 @@ class SensitivityResult:
         return [case for case in self.cases if statement in case.differing(self.base_case)]
 
     def by_variation(self) -> dict[str, list[Case]]:
-        """Return the cases of each variation but those of one technology alone, the widest range of the reference's optimum first."""
+        """Return the cases of each variation but those of one technology, the widest range of the reference's optimum first."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             if not case.alone:

@@ -232,7 +232,7 @@ def study(
     """
     if isinstance(plan, Study) and (config or parameters or pixel):
         hint = "Set these values in the Study instead."
-        raise invalid("config, parameters, pixel", "given with a Study", "the name or the file of a study", hint)
+        raise invalid("config, parameters, pixel", "with a Study", "the name or the file of a study", hint)
     chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
     if quick and not chosen.quick:
         warnings.warn(f"the study {chosen.name} has no [quick] table: running it in full", stacklevel=2)

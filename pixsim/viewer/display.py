@@ -48,7 +48,7 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     if not white:
         raise invalid(
             "display.white_cd_per_m2",
-            "not set, and the scene has no emissive chart that defines it",
+            "no value, and the scene has no emissive chart that defines it",
             "the scene luminance in cd/m² that the display shows as white",
             "Set --display.white-cd-per-m2.",
         )
@@ -68,7 +68,7 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
     if not white > 0:
         raise invalid(
             "display.white_cd_per_m2",
-            "not set, and the picture is too dark to estimate it",
+            "no value, and the picture is too dark to estimate it",
             "the scene luminance in cd/m² shown as white",
         )
     warnings.warn(
@@ -220,7 +220,7 @@ def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
 
 
 def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpolation: str) -> Array:
-    """Return the MTF of the interpolation between pixel centres, in the shape of the frequencies, 0 to 1.
+    """Return the MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
 
     With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline sinc⁴ x · 3/(2 + cos 2πx). In
     general it is the transform of the B-spline over that of its samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans.
@@ -292,7 +292,7 @@ def frame_luminance(
 
 
 def shown_luminance(relative_luminance: Array, display: Display) -> Array:
-    """Return `relative_luminance` as a display of finite bits and range shows it, in the same shape, 1 for white.
+    """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
 
     Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
 

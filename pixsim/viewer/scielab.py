@@ -145,7 +145,7 @@ def filter_transfer(view: ViewingConditions, height: int, width: int, grey: bool
 
 
 def _published_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
-    """Return (weight, transfer function (samples,)) of each Gaussian along an axis: exp(-x²/s²) becomes exp(-π²s²f²), f in cy/deg."""
+    """Return (weight, transfer function (samples,)) of each Gaussian along an axis: exp(-π²s²f²), f in cy/deg, for exp(-x²/s²)."""
     frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
     gaussians = PUBLISHED_GAUSSIANS[channel]
     gain = sum(weight for weight, _ in gaussians)

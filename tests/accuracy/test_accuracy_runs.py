@@ -129,9 +129,9 @@ def test_a_survey_of_a_chart_with_a_formula(tmp_path):
     found = surveyed("csf")
     summary = check(found, tmp_path / "out")
     if BROWSER:
-        page, headings = tmp_path / "out/report.html", ["What it costs to be less wrong", "Every rung"]
+        page, headings = tmp_path / "out/report.html", ["Error against time", "All settings tried"]
         assert_fits(page, tmp_path)
-        assert_prints(page, tmp_path, range(4, 10), ["As shipped", "formula of the csf chart"], headings)
+        assert_prints(page, tmp_path, range(4, 10), ["Default settings", "formula of the csf chart"], headings)
     for plate in plates_of(found):
         for legend in [axes.get_legend() for axes in plate.figure.axes if axes.get_legend()] + plate.figure.legends:
             looks = [grey_look(each) for each in legend.get_lines()]

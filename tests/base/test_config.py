@@ -278,7 +278,7 @@ def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
         ),
         ("black_level_dn = 50\noffset_fpn = 0.002", ""),
         # So do kTC and offsets of a process.
-        ('technology = "0.35um"', "pixel.black_level_dn = 15 keeps it"),
+        ('technology = "0.35um"', "set pixel.black_level_dn = 15 to avoid this"),
         ('technology = "0.35um"\nblack_level_dn = 15', ""),
         ("offset_fpn = 0.2", "avoiding this takes more bits (pixel.bits)"),
     ],
@@ -325,7 +325,7 @@ bits = 14
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"
             assert line.startswith(f"note: {curve['technology']}: the black level of 0 DN clips dark noise {where}: ")
             assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
-            assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
+            assert line.endswith(f"set pixel.black_level_dn = {max(dark['least_black_level_dn'])} to avoid this")
             assert f"<p>{line.removeprefix('note: ')}." in page
         assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())
 

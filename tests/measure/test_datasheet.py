@@ -391,7 +391,7 @@ def test_a_browser_shows_and_prints_it(sheet: DataSheet, tmp_path: Path) -> None
     page = write_datasheet(sheet, tmp_path / "out")
     assert_fits(page, tmp_path)
     told = ["Data sheet", sheet_name(sheet).split("-")[1], "μ_p.sat", "Data (CSV)"]
-    assert_prints(page, tmp_path, range(4, 9), told, ["Measured and true", "Figures", "How it was made"])
+    assert_prints(page, tmp_path, range(4, 9), told, ["Measured and true", "Figures", "Reproducibility"])
 
 
 def test_lines_of_its_figures_are_told_apart_in_grey(sheet: DataSheet) -> None:

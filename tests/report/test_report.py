@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
         yield result, folder / "out"
 
 
-def test_the_report_is_one_file_that_opens_offline(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_is_self_contained(made: tuple[StudyResult, Path]) -> None:
     page = text_of(made[1])
     elements = Elements(page)
     assert elements.links
@@ -49,14 +49,14 @@ def test_the_report_is_one_file_that_opens_offline(made: tuple[StudyResult, Path
     assert str(made[1].parent) not in page, "a path of the machine it was made on"
 
 
-def test_words_from_files_stay_words(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_escapes_markup(made: tuple[StudyResult, Path]) -> None:
     """The title and a technology's name hold markup; a reader sees them letter by letter."""
     words = "".join(Elements(text_of(made[1])).words)
     assert words.count(TITLE) == 2  # <title> and <h1>
     assert "<b>&process" in words
 
 
-def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_matches_summary(made: tuple[StudyResult, Path]) -> None:
     result = made[0]
     words = " ".join("".join(Elements(text_of(made[1])).words).split())
     for curve in json.loads((made[1] / "summary.json").read_text(encoding="utf-8"))["curves"]:
@@ -74,7 +74,7 @@ def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]
             assert f"{delta_e:.4f}" in words
 
 
-def test_a_minimum_at_the_end_is_not_sold_as_the_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_write_report_minimum_at_end_is_not_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     curve = result.curves[0]
     at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False, pitch_um=15.0)))
@@ -88,7 +88,7 @@ def figures(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in (folder / "figures").glob("*.svg")}
 
 
-def test_figures_are_the_same_bytes_each_time_and_undated(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_write_report_figures_are_reproducible(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result, folder = made
     write_report(result, tmp_path, {"render": 99.0})
     assert figures(folder) == figures(tmp_path)
@@ -97,15 +97,13 @@ def test_figures_are_the_same_bytes_each_time_and_undated(made: tuple[StudyResul
         assert not re.search(rb"\d{4}-\d\d-\d\dT\d\d", svg)
 
 
-def test_each_technology_has_its_own_pictures(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_has_pictures_per_technology(made: tuple[StudyResult, Path]) -> None:
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg", "pictures_<b>&process.svg"} <= figures(made[1]).keys()
     assert len(set(figures(made[1]).values())) == len(figures(made[1]))
     assert text_of(made[1]).count('src="data:image/svg+xml;') == len(figures(made[1]))
 
 
-def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
-    made: tuple[StudyResult, Path], tmp_path: Path
-) -> None:
+def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     paths = [tmp_path / folder / "mine.toml" for folder in ("first", "second")]
     for path in paths:
@@ -124,7 +122,7 @@ def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
     assert str(tmp_path) not in page
 
 
-def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, Path]) -> None:
+def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> None:
     curve = made[0].curves[0]
     best = curve.optimum
     low, high = best.interval_um
@@ -142,7 +140,7 @@ def words_of(folder: Path) -> str:
     return " ".join("".join(Elements(text_of(folder)).words).split())
 
 
-def test_the_page_tells_how_bright_the_scene_was(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in result.curves])
     assert (times_s == 0.1).all(), "so dim that all frames take the longest that is allowed"
@@ -160,14 +158,14 @@ def test_the_page_tells_how_bright_the_scene_was(made: tuple[StudyResult, Path],
     assert "display.white_cd_per_m2</td>" in text_of(tmp_path)
 
 
-def test_light_is_told_from_the_shortest_to_the_longest_frame(made: tuple[StudyResult, Path]) -> None:
+def test_light_level_exposure_range(made: tuple[StudyResult, Path]) -> None:
     irradiance, display = made[0].irradiance, made[0].study.display
     assert str(LightLevel.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
     assert str(LightLevel.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
 
 
 @pytest.mark.parametrize(("fraction", "noisy"), [(0.19, False), (0.2, False), (0.31, True)])
-def test_a_render_noisier_than_asked_is_told(
+def test_write_report_warns_of_noisy_render(
     made: tuple[StudyResult, Path], fraction: float, noisy: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = made[0]
@@ -177,7 +175,7 @@ def test_a_render_noisier_than_asked_is_told(
     assert (told in words_of(tmp_path)) == noisy
 
 
-def test_descriptions_are_written_for_readers(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_descriptions_are_formatted(made: tuple[StudyResult, Path]) -> None:
     page = re.sub(r'"data:[^"]*"', "", text_of(made[1]))
     assert "`" not in page
     assert "<code>dots</code>" in page
@@ -193,7 +191,7 @@ SHEET = {
 }
 
 
-def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> None:
+def test_write_report_data_sheet_omits_process(tmp_path: Path) -> None:
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
     result = pixsim.study(tiny(**more), tmp_path, jobs=1)
     write_report(result, tmp_path)
@@ -214,7 +212,7 @@ def text_of_a_process(folder: Path) -> str:
     return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
 
 
-def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_turn_it(tmp_path: Path) -> None:
+def test_write_report_paper_comparison(tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
     own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}
     result = pixsim.study(tiny(**own), tmp_path, jobs=1)
@@ -230,7 +228,7 @@ def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_tur
 
 
 @needs_browser
-def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_page_fits_screens(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     found = assert_fits(made[1] / "report.html", tmp_path)
     assert_sliders_move(found, pictures=3)
     for seen in found:
@@ -240,7 +238,7 @@ def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(made: tuple[StudyResult
 
 
 @needs_browser
-def test_it_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_page_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     best = made[0].curves[0].optimum
     page = text_of(made[1])
     headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]

@@ -36,7 +36,7 @@ def least_distance(lab: np.ndarray) -> float:
 
 @pytest.mark.filterwarnings("ignore:.*tritanomaly")  # its model is the least sure
 @pytest.mark.parametrize("eye", EYES)
-def test_lines_that_stand_together_differ_for_every_eye(eye: str | None) -> None:
+def test_colours_first_four_differ_for_every_eye(eye: str | None) -> None:
     """19 is ten times what two patches side by side need to be told apart; lines are thin."""
     assert least_distance(perceived_lab(COLOURS[:TOGETHER], eye)) > 19
     # The judge can tell: red and green of one lightness merge for a deuteranope.
@@ -48,14 +48,14 @@ def test_lines_that_stand_together_differ_for_every_eye(eye: str | None) -> None
         )
 
 
-def test_two_looks_are_never_alike_in_grey() -> None:
+def test_looks_in_grey_are_distinct() -> None:
     assert len({look.dashes for look in LOOKS}) == len(LOOKS)
     assert len({look.marker for look in LOOKS}) == len(LOOKS)
     lightness = np.sort(perceived_lab(COLOURS[:TOGETHER], None)[:, 0])
     assert np.diff(lightness).min() > 7
 
 
-def test_the_judge_of_grey_lines_sees_two_that_differ_in_colour_only(tmp_path: Path) -> None:
+def test_grey_look_ignores_colour(tmp_path: Path) -> None:
     axes = new_figure(2, 2).subplots()
     one, other, dashed = axes.plot([0, 1], color=COLOURS[0]) + axes.plot([1, 0], color=COLOURS[1]) + axes.plot([1, 1], "--")
     assert not same_color(one.get_color(), other.get_color())

@@ -88,7 +88,7 @@ def films_of(order: float) -> tuple[tuple[Effect, ...], float]:
 
 
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
-def test_richardson_finds_the_order_and_the_error_of_a_power_law(order):
+def test_film_errors_of_power_law(order):
     films, found = films_of(order)
     assert found == pytest.approx(order)
     for got, step in zip(films, (4, 2, 1), strict=True):
@@ -100,14 +100,14 @@ def test_richardson_finds_the_order_and_the_error_of_a_power_law(order):
 
 
 @pytest.mark.parametrize("order", [0.5, 3.0, 6.0])
-def test_an_order_that_cannot_be_believed_is_taken_safely(order):
+def test_film_errors_implausible_order_takes_safety_factor(order):
     films, found = films_of(order)
     assert MIN_ORDER <= found <= MAX_ORDER
     assert films[-1].delta_e >= 0.01
     assert films[0].delta_e > films[1].delta_e > films[2].delta_e
 
 
-def test_films_that_differ_by_nothing_or_change_sign():
+def test_film_errors_zero_or_changing_sign():
     same = made(1.0)
     films, order = film_errors(same, [same, same])
     assert [each.delta_e for each in films] == [0, 0, 0]
@@ -121,7 +121,7 @@ def test_films_that_differ_by_nothing_or_change_sign():
     assert (len(one), order) == (2, MIN_ORDER)
 
 
-def test_a_difference_counts_every_pitch():
+def test_difference_of_counts_every_pitch():
     one, other = made(1.0), made(1.0)
     other = replace(other, sweep_delta_e=other.sweep_delta_e + 0.1)
     assert difference_of(one, other).delta_e == pytest.approx(0.1 * math.sqrt(6 / 7))
@@ -139,7 +139,7 @@ def image(factored: bool, height: int = 16, width: int = 24) -> pixsim.SpectralI
 
 
 @pytest.mark.parametrize("factored", [True, False])
-def test_a_coarser_film_holds_the_same_light(factored):
+def test_coarser_conserves_light(factored):
     fine = image(factored)
     for factor in (1, 2, 4):
         got = coarser(fine, factor)
@@ -154,14 +154,14 @@ def test_a_coarser_film_holds_the_same_light(factored):
 
 
 @pytest.mark.parametrize("factored", [True, False])
-def test_a_brighter_picture_is_a_multiple(factored):
+def test_brighter_scales_light(factored):
     dim = image(factored)
     got = brighter(dim, 1.01)
     np.testing.assert_allclose(got.data, 1.01 * dim.data.astype(float), rtol=3e-7)
     assert got.header == dim.header
 
 
-def test_only_films_that_are_filled_are_merged():
+def test_merges_requires_whole_blocks():
     assert merges((16, 24), 4)
     assert not merges((16, 26), 4)  # a cut picture would be another one
     assert not merges((8, 24), 4)
@@ -172,7 +172,7 @@ def test_only_films_that_are_filled_are_merged():
 # --- Budgets and choices ---
 
 
-def test_a_budget_scales_as_its_sources_do():
+def test_effects_scale_with_settings():
     found = calibration()
     one = effects(found, 512, 0.1, 1e-3, 1)
     assert tuple(one) == SOURCES
@@ -189,7 +189,7 @@ def test_a_budget_scales_as_its_sources_do():
     assert total(one).delta_e == pytest.approx(sum(each.delta_e for each in of_computing))
 
 
-def test_the_interpolation_is_compared_with_the_next_finer_one():
+def test_interpolation_effect_uses_next_order():
     """A grating without noise: the changes of ΔE are in the ratio of the changes of its contrast."""
     x = (np.arange(256) + 0.5) / 256
     light = np.tile(1 + 0.5 * np.sin(2 * np.pi * 12 * x), (32, 1))
@@ -217,7 +217,7 @@ def test_the_interpolation_is_compared_with_the_next_finer_one():
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
 @pytest.mark.parametrize("free", [True, False])
-def test_a_choice_keeps_to_its_tolerance_or_says_that_it_does_not(name, free):
+def test_choose_meets_tolerance_or_reports_not_met(name, free):
     found = CALIBRATIONS[name]
     for tolerance in TOLERANCES:
         choice = choose(found, tolerance, film_is_free=free)
@@ -234,7 +234,7 @@ def test_a_choice_keeps_to_its_tolerance_or_says_that_it_does_not(name, free):
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
 @pytest.mark.parametrize("free", [True, False])
-def test_a_looser_tolerance_never_costs_more(name, free):
+def test_choose_looser_tolerance_is_not_more_work(name, free):
     found = CALIBRATIONS[name]
     tolerances = [t for t in np.geomspace(1e-4, 3, 24) if choose(found, t, film_is_free=free).met]
     work = [work_of(found, tolerance, free) for tolerance in tolerances]
@@ -242,7 +242,7 @@ def test_a_looser_tolerance_never_costs_more(name, free):
     assert [choose(found, t, film_is_free=free).met for t in (tolerances[0], 3.0)] == [True, True]
 
 
-def test_what_the_film_leaves_is_not_chased_with_noise_and_sensors():
+def test_choose_film_error_is_not_compensated():
     """The film errs by 0.004 and is fixed: the rest keeps to the tolerance of 0.002, and no more is spent."""
     found = calibration()
     stuck, open_ = (choose(found, 0.002, film_is_free=free) for free in (False, True))
@@ -255,24 +255,24 @@ def test_what_the_film_leaves_is_not_chased_with_noise_and_sensors():
     assert math.isnan(unknown.expected_delta_e)
 
 
-def test_sensors_without_end_are_not_promised():
+def test_choose_limits_sensors():
     choice = choose(calibration(sensor=Effect(1.0, 1.0)), 1e-3, film_is_free=True)
     assert (choice.sensors, choice.met) == (MAX_SENSORS, False)
 
 
-def test_films_stay_within_memory():
+def test_widths_of_stay_within_memory():
     assert max(widths_of(calibration())) == 4096
     assert max(widths_of(calibration(planes=40))) == 1024
     assert max(widths_of(calibration(planes=10_000))) == 512  # the scene's own is the user's
 
 
-def test_rounding_down():
+def test_rounded_down_to_three_digits():
     for value in np.geomspace(1e-5, 2, 300):
         assert 0 <= value - rounded_down(value) < 0.011 * value
         assert float(f"{rounded_down(value):.3g}") == rounded_down(value)
 
 
-def test_the_lines_of_a_budget_stand_in_one_column():
+def test_budget_lines_are_aligned():
     sources = {
         name: {"delta_e": each.delta_e, "optimum_um": None} for name, each in effects(calibration(), 512, 0.1, 1e-3, 1).items()
     }
@@ -284,7 +284,7 @@ def test_the_lines_of_a_budget_stand_in_one_column():
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
-def test_a_calibration_comes_back_from_json(name):
+def test_calibration_round_trips_json(name):
     found = CALIBRATIONS[name]
     back = Calibration.from_dict(json.loads(json.dumps(asdict(found))))
     assert repr(back) == repr(found)  # NaN is not equal to itself
@@ -292,7 +292,7 @@ def test_a_calibration_comes_back_from_json(name):
 
 
 @pytest.mark.parametrize("change", [{"width": None}, {"films": 3}, {"films": [1.0]}, {"random": {"delta_e": 1}}, {"noise": "low"}])
-def test_what_is_no_calibration_is_a_value_error(change):
+def test_calibration_from_invalid_dict_raises(change):
     values = json.loads(json.dumps(asdict(calibration()))) | change
     with pytest.raises(ValueError, match="validation error"):
         Calibration.from_dict(values)

@@ -57,7 +57,7 @@ def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_every_call_comes_once(jobs: int) -> None:
+def test_results_of_yields_every_call_once(jobs: int) -> None:
     made: list[str] = []
 
     def first() -> dict[str, np.ndarray]:
@@ -74,13 +74,13 @@ def test_every_call_comes_once(jobs: int) -> None:
     assert found == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
 
 
-def test_what_a_dead_worker_had_is_done_by_another(tmp_path: Path) -> None:
+def test_results_of_dead_worker_is_retried(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="a worker process died"):
         found = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
     assert found == list(range(12))
 
 
-def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
+def test_results_of_deadly_task_is_named() -> None:
     found: list[int] = []
     results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
     with warnings.catch_warnings(record=True) as told:
@@ -91,7 +91,7 @@ def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> No
     assert sorted(found) == [task for task in range(12) if task != 3]
 
 
-def test_what_workers_warn_of_is_told_once_and_here() -> None:
+def test_results_of_shows_worker_warnings_once() -> None:
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         assert sorted(results_of(warn, [(task, nothing) for task in range(6)], Workers(2))) == list(range(6))
@@ -99,7 +99,7 @@ def test_what_workers_warn_of_is_told_once_and_here() -> None:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_an_error_of_the_work_itself_is_not_retried(jobs: int) -> None:
+def test_results_of_task_error_is_not_retried(jobs: int) -> None:
     with pytest.raises(ZeroDivisionError):
         list(results_of(fail, [(task, nothing) for task in (2, 1, 0, 3)], Workers(jobs)))
 
@@ -118,7 +118,7 @@ def library_threads(_: int, __: object) -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
 @pytest.mark.filterwarnings("ignore:.*brighter than display white")
-def test_a_worker_takes_one_core() -> None:
+def test_results_of_worker_uses_one_core() -> None:
     """The libraries keep the threads that they start: without any, a worker runs in its own thread alone."""
     assert list(results_of(library_threads, [(task, nothing) for task in range(4)], Workers(2))) == [0] * 4
 
@@ -133,13 +133,15 @@ def test_a_worker_takes_one_core() -> None:
         (None, "nowhere at all", "--scheduler: got 'nowhere at all'"),
     ],
 )
-def test_workers_that_cannot_be_had(jobs: int | None, scheduler: str | None, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_for_invalid_input_raises(
+    jobs: int | None, scheduler: str | None, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(engine, "CONNECT_SECONDS", 1.0)
     with pytest.raises(pixsim.PixsimError, match=told), workers_for(jobs, scheduler):
         pass
 
 
-def test_without_dask_the_message_says_how_to_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_for_without_dask_names_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(pixsim.PixsimError, match=r"pip install 'pixsim\[cluster\]'"), workers_for(None, "tcp://127.0.0.1:1"):
         pass
@@ -149,7 +151,7 @@ def test_without_dask_the_message_says_how_to_have_it(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("keeping", [True, False])
-def test_two_workers_give_the_same_bytes(keeping: bool, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_two_workers_same_bytes(keeping: bool, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     if not keeping:
         monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     pixsim.study(toml, tmp_path, jobs=2)
@@ -164,7 +166,7 @@ def die_once_at_7_um(task: evaluations.Task, light: evaluations.Light, mark: Pat
     return evaluations.evaluate_task(task, light)
 
 
-def test_a_study_goes_on_when_a_worker_is_killed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_killed_worker_is_replaced(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
     with pytest.warns(UserWarning, match="a worker process died"):
         pixsim.study(toml, tmp_path / "out", jobs=2)
@@ -172,7 +174,7 @@ def test_a_study_goes_on_when_a_worker_is_killed(toml: Path, expected: bytes, tm
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """Killed with two pitches done, in the third's second sensor."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     command = [sys.executable, "-c", signalled(signal.SIGKILL, 10), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
@@ -189,7 +191,7 @@ def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tm
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(toml, expected, tmp_path: Path, monkeypatch) -> None:
+def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The limit of a file's size stands for the disk's: the write fails in the same place."""
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     room = len(expected) // 2
@@ -213,7 +215,7 @@ def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(toml, ex
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_two_studies_in_one_folder_are_one_too_many(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_locked_folder_raises(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """The second comes while the first evaluates."""
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
@@ -285,7 +287,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("by", ["address", "client"])
-def test_a_cluster_gives_the_same_bytes(by: str, cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+def test_study_on_cluster_same_bytes(by: str, cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
     from distributed import Client
 
     with Client(cluster) as client:
@@ -295,7 +297,7 @@ def test_a_cluster_gives_the_same_bytes(by: str, cluster: str, toml: Path, expec
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-def test_one_worker_of_one_thread_computes_what_it_is_asked(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_results_of_single_thread_cluster(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """joblib takes a cluster of one thread for none, and would compute here."""
     monkeypatch.setattr(ImagingChain, "score_frame", lambda *_: pytest.fail("computed here"))
     with running_cluster(tmp_path, 1) as address:
@@ -303,7 +305,7 @@ def test_one_worker_of_one_thread_computes_what_it_is_asked(toml: Path, expected
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_a_technology_is_sent_to_the_workers(cluster: str, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They need not have its file, and one that is edited counts at once."""
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     monkeypatch.chdir(tmp_path)
@@ -327,7 +329,7 @@ def test_a_technology_is_sent_to_the_workers(cluster: str, toml: Path, tmp_path:
         ("none", r"got a worker that cannot tell which pixsim"),
     ],
 )
-def test_workers_of_another_pixsim_are_refused(kind: str, told: str, tmp_path: Path) -> None:
+def test_workers_for_other_version_raises(kind: str, told: str, tmp_path: Path) -> None:
     other = tmp_path / "other/pixsim"
     if kind == "changed":
         shutil.copytree(Path(pixsim.__file__).parent, other, ignore=shutil.ignore_patterns("__pycache__"))
@@ -346,7 +348,7 @@ def test_workers_of_another_pixsim_are_refused(kind: str, told: str, tmp_path: P
 
 # Either Dask itself tries the lost task again, without a word, or pixsim does: who notices first.
 @pytest.mark.filterwarnings("ignore:a worker process died")
-def test_a_study_goes_on_when_a_worker_of_the_cluster_is_killed(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
+def test_study_killed_cluster_worker_is_replaced(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The last test of the cluster: one of its two workers is gone afterwards."""
     monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
     pixsim.study(toml, tmp_path / "out", scheduler=cluster)

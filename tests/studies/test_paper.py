@@ -82,12 +82,12 @@ def daylight(longest_nm: float = 800.0) -> Known:
 
 
 @pytest.mark.parametrize("exponent", [0.5, 1.2, -2.0])
-def test_the_exponent_of_a_power_law_is_found_exactly(exponent: float) -> None:
+def test_growth_exponent_of_power_law(exponent: float) -> None:
     pitch_um = np.geomspace(5.3, 15.0, 7)
     assert growth_exponent(pitch_um, 20 * np.log10(3.7 * pitch_um**exponent)) == pytest.approx(exponent, abs=1e-12)
 
 
-def test_figure_2a_lies_where_its_axis_says() -> None:
+def test_dr_and_snr_db_match_hand_calculation() -> None:
     """By hand, C = 2.6 + 0.22 A fF and 1 V: DR 58.4 to 69.5 dB and SNR 35.1 to 46.3 dB; half a unit of the last digit."""
     dr, snr = dr_and_snr_db(np.array([5.3, 15.0]), "paper")
     assert dr == pytest.approx([58.4, 69.5], abs=0.05)
@@ -99,14 +99,14 @@ def test_figure_2a_lies_where_its_axis_says() -> None:
 
 
 @pytest.mark.parametrize(("response", "all_of_it", "cut_at_720"), [("literal", 430, 380), ("scaled", 3846, 3499)])
-def test_electrons_for_a_lux_second_of_daylight(response: str, all_of_it: float, cut_at_720: float) -> None:
+def test_sensitivity_of_daylight(response: str, all_of_it: float, cut_at_720: float) -> None:
     """Worked out apart from pixsim, D65 times the response file; 2 % for its coarser bands."""
     for cut, expected in ((None, all_of_it), (720.0, cut_at_720)):
         physics = derive(Pixel(response=response, infrared_cut_nm=cut))
         assert sensitivity_e_per_lx_s_um2(daylight(), physics) == pytest.approx(expected, rel=0.02)
 
 
-def test_sensitivity_is_that_of_the_light_not_of_its_amount_or_form() -> None:
+def test_sensitivity_is_independent_of_amount_and_form() -> None:
     result, physics = daylight(), derive(Pixel())
     spectra, pictures = result.irradiance.factors
     expected = sensitivity_e_per_lx_s_um2(result, physics)
@@ -120,14 +120,14 @@ def test_sensitivity_is_that_of_the_light_not_of_its_amount_or_form() -> None:
 
 @pytest.mark.parametrize("pitch_um", [5.3, 8.0, 15.0])
 @pytest.mark.parametrize("integration_s", [0.03, 0.1])
-def test_the_exposure_for_30_db_gives_30_db(pitch_um: float, integration_s: float) -> None:
+def test_mpe30_gives_30_db(pitch_um: float, integration_s: float) -> None:
     result, physics = daylight(), derive(Pixel(pitch_um=pitch_um, read_noise_e=12.0))
     exposure_lx_s = mpe30_lx_s(result, physics, integration_s)
     signal_e = exposure_lx_s * sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2
     assert physics.snr_db(signal_e, integration_s) == pytest.approx(30.0, abs=1e-9)
 
 
-def test_without_other_noise_30_db_take_a_thousand_electrons() -> None:
+def test_mpe30_shot_noise_only_is_1000_electrons() -> None:
     result = daylight()
     physics = derive(Pixel(reset_noise_factor=0.0, read_noise_e=0.0, dark_current_e_per_s=0.0))
     per_lx_s = sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2
@@ -142,7 +142,7 @@ X_RAYS = np.array([0.01])  # nm: no lens in air is fast enough to make diffracti
 
 
 @pytest.mark.parametrize("pitch_um", [6.0, 12.0])
-def test_behind_a_lens_without_diffraction_the_photodiode_decides(pitch_um: float) -> None:
+def test_mtf50_without_diffraction_is_photodiodes(pitch_um: float) -> None:
     """sinc(x) = ½ at x = 0.603355."""
     physics = derive(Pixel(pitch_um=pitch_um, quantum_efficiency=0.5))
     side_mm = 1e-3 * physics.photodiode_side_um
@@ -153,7 +153,7 @@ def test_behind_a_lens_without_diffraction_the_photodiode_decides(pitch_um: floa
     assert mtf == pytest.approx([1.0, 2**1.5 / np.pi, 2 / np.pi], rel=1e-4)
 
 
-def test_behind_a_slow_lens_a_small_photodiode_does_not_matter() -> None:
+def test_mtf50_of_small_photodiode_is_lens() -> None:
     """(2/π)(acos x - x√(1-x²)) = ½ at x = 0.403973."""
     speck = derive(Pixel(fill_factor=1e-4))  # 65 nm wide: 2e-4 at that frequency
     found = mtf50_cy_per_mm(lit(ONE_LINE, 10.0, np.ones(1), SLOW), speck)
@@ -161,7 +161,7 @@ def test_behind_a_slow_lens_a_small_photodiode_does_not_matter() -> None:
     assert found / cutoff_cy_per_mm == pytest.approx(0.403973, rel=1e-3)
 
 
-def test_wavelengths_count_by_the_electrons_that_they_free() -> None:
+def test_system_mtf_weighs_wavelengths_by_electrons() -> None:
     """Equal power and QE: photons, so electrons, are as λ."""
     nm = np.array([450.0, 650.0])
     result, speck = lit(nm, 10.0, np.ones(2), SLOW), derive(Pixel(fill_factor=1e-8, quantum_efficiency=0.3))
@@ -171,7 +171,7 @@ def test_wavelengths_count_by_the_electrons_that_they_free() -> None:
 
 
 @pytest.mark.parametrize("pitch_um", [6.0, 8.0, 10.0, 12.0])
-def test_a_flat_field_is_passed_whole_and_detail_never_gains(pitch_um: float) -> None:
+def test_system_mtf_starts_at_one_and_falls(pitch_um: float) -> None:
     mtf = system_mtf(daylight(), derive(Pixel(pitch_um=pitch_um)), np.linspace(0.0, 1e3 / 12, 101))
     assert mtf[0] == pytest.approx(1.0, abs=1e-12)
     assert (np.diff(mtf) < 0).all()
@@ -188,7 +188,7 @@ def chen2000(spectrum: Array | None = None, **display: object) -> tuple[Known, P
     return Known(shown, (), light, Camera()), pixel_of(study, "0.35um", 6.5)
 
 
-def test_the_terms_of_the_blur_at_33_lp_per_mm() -> None:
+def test_study_mtf_terms_at_33_lp_per_mm() -> None:
     """By hand: f/4 at 555 nm; sinc of a side of √0.3106 · 6.5 µm; sinc² of 6.5 µm; sinc of a dot of 5.3 µm."""
     result, pixel = chen2000(np.where(np.arange(65) == 31, 1.0, 0.0))
     at = np.array(33.0)
@@ -202,7 +202,7 @@ def test_the_terms_of_the_blur_at_33_lp_per_mm() -> None:
     assert 0.895 < float(study_mtf_terms(chen2000()[0], derive(pixel), at)["lens"]) < 0.905
 
 
-def test_the_words_for_the_blur_hold_the_numbers_of_the_terms() -> None:
+def test_blur_words_hold_the_terms() -> None:
     result, pixel = chen2000()
     light, camera, display = result.irradiance, result.camera, result.study.display
     words = blur_words(light, camera, derive(pixel), display)
@@ -219,7 +219,7 @@ def test_the_words_for_the_blur_hold_the_numbers_of_the_terms() -> None:
     assert pixels.endswith("reduces it no further.")
 
 
-def test_a_dark_picture_has_the_terms_of_equal_light() -> None:
+def test_mtf_terms_dark_picture_uses_equal_light() -> None:
     result, pixel = chen2000()
     nm = result.irradiance.wavelength_nm
     dark, even = (
@@ -232,7 +232,7 @@ def test_a_dark_picture_has_the_terms_of_equal_light() -> None:
 # --- maps -------------------------------------------------------------------------------------------------------------
 
 
-def test_bins_of_a_map_are_named_by_their_middle() -> None:
+def test_frequency_contrast_table_bin_centres() -> None:
     """The mean of log frequency (contrast) over a bin is the log of its middle, as bins are of equal ratio."""
     over_frequency = np.repeat(LOG_FREQUENCY, ROWS, axis=0)
     np.testing.assert_allclose(np.exp(by_frequency(over_frequency)[0]), frequency_bins_lp_per_mm(), rtol=1e-9)
@@ -245,7 +245,7 @@ def test_bins_of_a_map_are_named_by_their_middle() -> None:
     assert contrast[[0, -1]] == pytest.approx([975 / 1025 * 0.01 ** (15 / 16), 975 / 1025 * 0.01 ** (1 / 16)])
 
 
-def test_a_width_that_six_does_not_divide_is_all_used() -> None:
+def test_by_frequency_uses_every_column() -> None:
     x = (np.arange(512) + 0.5) / 512
     found = by_frequency(np.tile(x, (8, 1)))[0]
     # Bins of 85 and 86 dots: 2/6 of a dot too wide at most at either end.
@@ -258,7 +258,7 @@ def map_of(thresholds: list[float]) -> Array:
     return ISO * CONTRAST / np.repeat(thresholds, COLUMNS // 6)[None, :]
 
 
-def test_the_contrast_of_a_level_is_found_to_a_row() -> None:
+def test_threshold_contrast_to_one_row() -> None:
     expected = np.array([0.03, 0.1, 0.3, 0.5, 0.7, 0.9])
     found = threshold_contrast(map_of(expected.tolist()), ISO)
     # The first row above the level, so up to one row late; smoothing an exponential over 4 rows raises it by 0.3 %, and
@@ -268,19 +268,19 @@ def test_the_contrast_of_a_level_is_found_to_a_row() -> None:
     assert found[-1] <= ROW_RATIO**2 * expected[-1]
 
 
-def test_a_level_that_is_never_reached_is_at_infinity() -> None:
+def test_threshold_contrast_unreached_is_inf() -> None:
     found = threshold_contrast(map_of([0.5, 2.0, 0.5, 2.0, 0.5, 2.0]), ISO)
     assert np.isinf(found).tolist() == [False, True] * 3
 
 
-def test_the_first_crossing_from_low_contrast_counts() -> None:
+def test_threshold_contrast_takes_first_crossing() -> None:
     bump = np.exp(-((np.log(CONTRAST / 0.1) / 0.5) ** 2))  # passes ½ at 0.1 e^±0.416
     found = threshold_contrast(np.repeat(bump, COLUMNS, axis=1), 0.5)
     # A Gaussian of σ² = ½ 0.5² in log contrast smoothed by 4 rows is wider and lower: it passes ½ 0.5 % nearer.
     assert found == pytest.approx(np.full(6, 0.1 * np.exp(-0.5 * np.sqrt(np.log(2)))), rel=ROW_RATIO - 1 + 0.005)
 
 
-def test_modes_are_counted() -> None:
+def test_modes_of_known_distributions() -> None:
     rng = np.random.default_rng(1)
     one = rng.normal(1.0, 0.3, (256, 256))
     assert modes(one) == 1
@@ -355,7 +355,7 @@ def table(given: Evidence) -> dict[str, Finding]:
     return {row.statement: row for row in findings(given)}
 
 
-def test_every_statement_has_its_row_and_good_evidence_agrees() -> None:
+def test_findings_good_evidence_agrees() -> None:
     rows = findings(evidence())
     assert {row.statement for row in rows} == STATEMENTS
     assert len(rows) == len(STATEMENTS)
@@ -391,25 +391,25 @@ FLIPS = {
 
 
 @pytest.mark.parametrize("flip", FLIPS)
-def test_evidence_against_a_statement_is_told_and_against_no_other(flip: str) -> None:
+def test_findings_contrary_evidence_flips_one_row(flip: str) -> None:
     change, against = FLIPS[flip]
     rows = table(evidence(**change))
     assert rows.keys() == STATEMENTS, "a row that does not agree stays in"
     assert {name for name, row in rows.items() if not row.agrees} == GROWTH | against
 
 
-def test_a_minimum_at_the_end_of_the_pitches_is_not_the_optimum_of_the_paper() -> None:
+def test_findings_minimum_at_end_disagrees() -> None:
     row = table(moved(evidence(), "0.35um", inside=False))[OPTIMUM]
     assert not row.agrees
     assert row.why
 
 
 @pytest.mark.parametrize(("um", "agrees"), [(6.05, False), (6.15, True), (6.85, True), (6.95, False)])
-def test_approximately_is_within_0_4_um(um: float, agrees: bool) -> None:
+def test_findings_optimum_tolerance(um: float, agrees: bool) -> None:
     assert table(evidence(OPTIMA_UM | {"0.35um": um}))[OPTIMUM].agrees is agrees
 
 
-def test_the_numbers_found_are_those_of_the_evidence() -> None:
+def test_findings_numbers_are_the_evidence() -> None:
     rows = table(evidence())
     assert rows[OPTIMUM].found.startswith("6.50 µm (95 %: 6.50 to 6.50 µm)")
     assert rows[ITS_FILL_FACTOR].found == "31%"  # the law's 31.0 %
@@ -422,7 +422,7 @@ def test_the_numbers_found_are_those_of_the_evidence() -> None:
     assert rows[SIX].found.startswith("better at 2.4, 4.3, 7.7, 14, 25 lp/mm, worse at no frequency")
 
 
-def test_a_single_step_back_is_no_trend() -> None:
+def test_findings_single_step_back_is_no_trend() -> None:
     """17.2, 18.6, 17.2, 21.7 features and 0.45, 0.5, 0.48, 0.6: both rise on the whole, and fall at one step."""
     rows = table(evidence(OPTIMA_UM | {"0.25um": 4.3}, BEST | {"0.25um": 0.48}))
     for statement in (SLOWER, WORSE):
@@ -431,7 +431,7 @@ def test_a_single_step_back_is_no_trend() -> None:
     assert rows[SHRINKS].agrees
 
 
-def test_a_minimum_at_the_end_of_the_pitches_makes_no_trend() -> None:
+def test_findings_minimum_at_end_is_no_trend() -> None:
     given = evidence()
     for technology in given.curves:
         rows = table(moved(given, technology, inside=False))
@@ -463,13 +463,13 @@ A, B, C = (0.7, 1.3), (1.0, 1.2), (1.2, 2.0)
         ((1.0, 1.7, 1.6), (A, B, (None, 2.0)), False, "it falls from 0.35 to 0.18 µm"),
     ],
 )
-def test_what_rises(values: tuple[float, ...], intervals: tuple[Interval, ...], agrees: bool, why: str) -> None:
+def test_rise_verdicts(values: tuple[float, ...], intervals: tuple[Interval, ...], agrees: bool, why: str) -> None:
     found, words = rise(values, intervals, ("0.5", "0.35", "0.18"))
     assert found is agrees
     assert words.startswith(why)
 
 
-def test_a_trend_is_asked_of_the_right_ends() -> None:
+def test_findings_trend_uses_right_interval_ends() -> None:
     """Optima that shrink: the largest process's may be as small as its interval allows, the smallest's as large."""
     given = evidence()
 
@@ -483,7 +483,7 @@ def test_a_trend_is_asked_of_the_right_ends() -> None:
     assert not verdict("0.18um", (3.8, None))
 
 
-def test_every_row_follows_the_study_s_process() -> None:
+def test_findings_follow_study_process() -> None:
     """Half of the fill factor, another law, another dark current: the rows are those of the study."""
     given = evidence()
 
@@ -517,13 +517,13 @@ def test_every_row_follows_the_study_s_process() -> None:
         ({"quantum_efficiency": 0.2}, ("peaks at 0.2.", "0.37 (A: measured peak", "contradict")),
     ],
 )
-def test_what_the_response_says_against_the_measured_peak(pixel: dict[str, object], told: tuple[str, ...]) -> None:
+def test_response_note_compares_peaks(pixel: dict[str, object], told: tuple[str, ...]) -> None:
     note = response_note(Study.model_validate({"name": "known", "pixel": pixel}))
     assert all(words in note for words in told), note
     assert ("contradict" in note) != ("agree" in note)
 
 
-def test_rows_need_their_data() -> None:
+def test_findings_omit_rows_without_data() -> None:
     """One technology says nothing about scaling; without 0.35 µm there is no optimum to compare."""
     assert table(evidence({"0.35um": 6.5})).keys() == STATEMENTS - {SHRINKS, SLOWER, WORSE}
     others = table(evidence({"0.25um": 5.0, "0.18um": 3.9})).keys()
@@ -531,7 +531,7 @@ def test_rows_need_their_data() -> None:
     assert {SHRINKS, SLOWER, WORSE} <= others
 
 
-def test_only_eight_sensors_are_looked_at_and_their_mean_is_taken() -> None:
+def test_evidence_maps_are_mean_of_eight_sensors() -> None:
     maps = [np.full((ROWS, COLUMNS), float(n)) for n in range(10)]
     result = lit(ONE_LINE, 10.0, np.ones(1), given=dict.fromkeys(THRESHOLDS, maps))
     assert all((each == 3.5).all() for each in Evidence(result, {}).maps.values())

@@ -44,7 +44,7 @@ def chart(n: int, header: bool = True) -> SpectralImage:
         np.array([1e308, 3.0, 1e307]),
     ],
 )
-def test_percentiles_are_numpys(values):
+def test_percentiles_match_numpy(values):
     percent = (0, 1.7, 50, 90, 99, 100)
     np.testing.assert_allclose(score.percentiles(values, percent), np.percentile(values, percent), rtol=1e-14)
 
@@ -52,7 +52,7 @@ def test_percentiles_are_numpys(values):
 # --- One way and another ---
 
 
-def test_a_score_is_the_difference_of_the_two_shown_pictures():
+def test_evaluate_matches_filtered_colour_images():
     """Through XYZ in three channels with two whole CIELAB pictures, as a stranger would."""
     display = Display(dots=128)
     found = score.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
@@ -62,7 +62,7 @@ def test_a_score_is_the_difference_of_the_two_shown_pictures():
     np.testing.assert_allclose(found.delta_e, delta_e(ideal, image), rtol=0, atol=1e-10)
 
 
-def test_a_running_integral_too_large_to_keep_changes_nothing(monkeypatch):
+def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
     physics, display = derive(Pixel(pitch_um=15.0)), Display(dots=128)
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
     kept = score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s
@@ -74,7 +74,7 @@ def test_a_running_integral_too_large_to_keep_changes_nothing(monkeypatch):
 
 
 @pytest.mark.parametrize("bands", [0, 5])
-def test_the_light_is_weighed_in_strips_as_in_one_piece(monkeypatch, bands):
+def test_weighted_strips_match_whole(monkeypatch, bands):
     image = chart(40)
     if bands:
         image = SpectralImage(NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands)))
@@ -100,7 +100,7 @@ def peak_planes(work, samples: int) -> float:
         tracemalloc.stop()
 
 
-def test_large_films_need_little_more_than_one_plane():
+def test_memory_of_large_film_is_bounded():
     """2048² and more must not need 2.5 planes beside the float32 picture; what is returned is one of them, or less."""
     n, physics, display = 1536, derive(Pixel(pitch_um=5.3)), Display(dots=256)
     image, silent = chart(n), chart(n, header=False)
@@ -124,7 +124,7 @@ def test_large_films_need_little_more_than_one_plane():
     assert not wrong, found
 
 
-def test_many_bands_need_two_planes_beside_them():
+def test_memory_of_many_bands_is_two_planes():
     n = 512
     data = np.ones((n, n, 7), np.float32)
     image = SpectralImage(NM[:7], 10.0, 2.65, data=data)
