@@ -608,7 +608,7 @@ def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float)
     if not choice.met:
         hint = "" if free else "; the scene's resolution is fixed: leave it unset"
         warnings.warn(
-            f"no settings meet --tolerance-delta-e {tolerance_delta_e:g}: the smallest error is {choice.expected_delta_e:.2g}{hint}",
+            f"no settings meet --tolerance-delta-e {tolerance_delta_e:g}: smallest error {choice.expected_delta_e:.2g}{hint}",
             stacklevel=3,
         )
     chosen = scene.with_parameters(resolution=choice.width) if free else scene
