@@ -17,13 +17,13 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, versions, write_json
-from pixsim.base.parameters import Camera, Display, Exposure, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
-from pixsim.report.settings import FILLED, LightLevel, only_data_sheets, record_rows, scene_rows
+from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
 from pixsim.report.wording import budget_lines, dark_note, score_line
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
@@ -74,7 +74,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     camera = Camera.model_validate(summary["camera"])
     display = Display.model_validate(summary["display"])
     light = LightLevel.of(irradiance, display, [summary["integration_s"]])
-    sheet = only_data_sheets([physics.technology.name])
+    sheet = physics.technology.name == NO_TECHNOLOGY
     statistics = score.statistics()
     if sheet and statistics["fill_factor"] > FILLED:
         del statistics["fill_factor"]  # the data sheet states none

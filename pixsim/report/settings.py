@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pixsim.base.parameters import NO_TECHNOLOGY, Display, PixelOptions, Record
+from pixsim.base.parameters import Display, PixelOptions, Record
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.pages import shown_value
 
@@ -82,8 +82,3 @@ def record_rows(name: str, record: Record, from_data_sheet: bool, sources: Mappi
         source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
         rows.append((key, shown_value(value), meaning, source))
     return rows
-
-
-def only_data_sheets(technologies: Iterable[str]) -> bool:
-    """Return whether all sensors are given by their data sheets."""
-    return all(name == NO_TECHNOLOGY for name in technologies)

@@ -15,7 +15,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import is_csf
-from pixsim.report.settings import FILLED, LightLevel, Row, only_data_sheets, record_rows, scene_rows
+from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
 from pixsim.report.wording import study_dark_notes, target_notes
 from pixsim.sensor.pixel import physics_of
@@ -194,10 +194,7 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
 
 
 def write_report(
-    result: StudyResult,
-    folder: str | os.PathLike[str],
-    seconds: dict[str, float] | None = None,
-    workers: Workers | None = None,
+    result: StudyResult, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None, workers: Workers | None = None
 ) -> Path:
     """Write report.html, figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
 
@@ -274,7 +271,7 @@ def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row
     records: dict[str, Record] = {"camera": result.camera} | {
         name: getattr(study, name) for name in ("pixel", "exposure", "display")
     }
-    sheets = only_data_sheets(study.technologies)
+    sheets = all(name == NO_TECHNOLOGY for name in study.technologies)
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 

@@ -75,13 +75,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     from matplotlib.figure import Figure
 
     matplotlib.rcParams.update(
-        {
-            "svg.hashsalt": "pixsim",
-            "svg.fonttype": "path",
-            "font.size": 9.0,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-        }
+        {"svg.hashsalt": "pixsim", "svg.fonttype": "path", "font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False}
     )
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)

@@ -19,14 +19,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
-from pixsim.sensor.integration import (
-    M2_PER_UM2,
-    MAX_PIXELS,
-    electrons_per_joule,
-    ideal_rate,
-    integrate_axis,
-    pixels_along,
-)
+from pixsim.sensor.integration import M2_PER_UM2, MAX_PIXELS, electrons_per_joule, ideal_rate, integrate_axis, pixels_along
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame
 

@@ -227,12 +227,7 @@ def delta_e_map(
 
 
 def filtered_lab(
-    xyz: npt.ArrayLike,
-    *,
-    white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
-    filters: Filters = "published",
-    workers: int = 1,
+    xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
 ) -> Floats:
     """Return the CIELAB of an image blurred by the eye's filters, (H, W, 3), for comparison with many others. [ZW]
 
@@ -260,12 +255,7 @@ def filtered_lab(
 
 
 def filtered_grey_lab(
-    luminance: npt.ArrayLike,
-    *,
-    white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
-    filters: Filters = "published",
-    workers: int = 1,
+    luminance: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
 ) -> Floats:
     """Return `filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white: (H, W, 3). [ZW]
 

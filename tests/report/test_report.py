@@ -1,4 +1,4 @@
-"""The report of a study: one file that opens offline, tells the optimum, and fits a telephone."""
+"""The report of a study: self-contained, consistent with summary.json, and readable on a phone."""
 
 import html
 import json
@@ -147,11 +147,11 @@ def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_pat
     assert "Light: display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(made[1])
     table = text_of(made[1]).partition("<caption>scene</caption>")[2].partition("</table>")[0]
     cells = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
-    told = {cell[0]: cell[1:] for cell in cells}
-    assert told["file"][0] == "csf.xml"
-    assert told["resolution"][0] == "96"
-    assert told["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
-    assert told["integration_s"][0] == "100 ms"
+    message = {cell[0]: cell[1:] for cell in cells}
+    assert message["file"][0] == "csf.xml"
+    assert message["resolution"][0] == "96"
+    assert message["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
+    assert message["integration_s"][0] == "100 ms"
     brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
     write_report(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
     assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)
@@ -171,8 +171,8 @@ def test_write_report_warns_of_noisy_render(
     result = made[0]
     monkeypatch.setitem(result.irradiance.header, "render_noise", {"fraction": fraction, "target": 0.2})
     write_report(result, tmp_path)
-    told = f"The render is noisier than requested: its noise is {fraction:.2g} of the sensor's, the target was 0.2."
-    assert (told in words_of(tmp_path)) == noisy
+    message = f"The render is noisier than requested: its noise is {fraction:.2g} of the sensor's, the target was 0.2."
+    assert (message in words_of(tmp_path)) == noisy
 
 
 def test_write_report_descriptions_are_formatted(made: tuple[StudyResult, Path]) -> None:
@@ -221,17 +221,17 @@ def test_write_report_paper_comparison(tmp_path: Path) -> None:
     assert "read literally, as a quantum efficiency: it peaks at 0.0415. The process 0.35um states 0.37 (A: measured" in words
     assert "add --pixel.response scaled --out FOLDER to the command" in words
     table = text_of(tmp_path).partition('<h2 id="paper">')[2].partition("</table>")[0]
-    found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
+    actual = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
     assert "settings that change the verdict" in table
-    assert f'<td rowspan="{len(found)}"><code>pixsim study chen2000-sensitivity</code>' in table
+    assert f'<td rowspan="{len(actual)}"><code>pixsim study chen2000-sensitivity</code>' in table
     assert "peaks at" not in text_of_a_process(tmp_path)
 
 
 @needs_browser
 def test_study_page_fits_screens(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    found = assert_fits(made[1] / "report.html", tmp_path)
-    assert_sliders_move(found, pictures=3)
-    for seen in found:
+    actual = assert_fits(made[1] / "report.html", tmp_path)
+    assert_sliders_move(actual, pictures=3)
+    for seen in actual:
         assert len(seen.tiles) == sum(1 + curve.pitch_um.size + 9 for curve in made[0].curves)
         assert {tuple(tile) for tile in seen.tiles} == {(94, 94, 94, 94)}
         assert seen.headings[0][1] == TITLE
@@ -241,7 +241,7 @@ def test_study_page_fits_screens(made: tuple[StudyResult, Path], tmp_path: Path)
 def test_study_page_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     best = made[0].curves[0].optimum
     page = text_of(made[1])
-    headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
+    headings = [html.unescape(item) for item in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
     assert len(headings) > 8
-    told = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "Assumptions"]
-    assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings, [each for each in headings if ": " in each])
+    message = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "Assumptions"]
+    assert_prints(made[1] / "report.html", tmp_path, range(8, 16), message, headings, [item for item in headings if ": " in item])

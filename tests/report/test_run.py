@@ -1,4 +1,4 @@
-"""`pixsim run` through the command: pictures made before or elsewhere; and the page of one picture, which opens alone."""
+"""`pixsim run` by the command line: saved and foreign pictures, and the self-contained page of one picture."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_run_npz_same_score(rendered, tmp_path):
     assert after["irradiance"]["luminance_cd_per_m2"] == pytest.approx(1000, rel=1e-5)  # d65 at the digits of emitter_scale
     electrons = after["mean_electrons_e"] / after["integration_s"]
     assert electrons == pytest.approx(before["mean_electrons_e"] / before["integration_s"], rel=1e-2)
-    # Other noise, and D65 as white where the file tells no lamp.
+    # Other noise, and D65 as white, since the file states no lamp.
     assert after["mean_delta_e"] == pytest.approx(before["mean_delta_e"], rel=0.02)
 
 
@@ -110,8 +110,8 @@ def test_run_missing_units_raises(tmp_path):
     assert not out.exists()
     stated, err = scored(f"run {path} --units W.m^-2.nm^-1 {OPTIONS} --json --out {out}")
     assert "the scene does not define its white" in err
-    told, _ = scored(f"run {foreign_exr(path, 'W.m^-2.nm^-1')} {OPTIONS} --json --out {out}")
-    assert told["mean_electrons_e"] == stated["mean_electrons_e"]
+    message, _ = scored(f"run {foreign_exr(path, 'W.m^-2.nm^-1')} {OPTIONS} --json --out {out}")
+    assert message["mean_electrons_e"] == stated["mean_electrons_e"]
     micro, _ = scored(f"run {foreign_exr(path, None, 1.0)} --units uW/cm^2/nm {OPTIONS} --json --out {out}")
     assert micro["mean_electrons_e"] == pytest.approx(stated["mean_electrons_e"], rel=1e-6)  # 1 µW/cm² is 0.01 W/m²
 
@@ -131,13 +131,13 @@ def test_run_radiance_passes_lens(tmp_path):
 
 def test_run_unknown_white_is_measured(tmp_path):
     path = foreign_exr(tmp_path / "ramp.exr", "W.m^-2.sr^-1.nm^-1")
-    told, err = scored(f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}")
+    message, err = scored(f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}")
     image, camera = read_with_camera(path, CameraOptions())
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
     luminance = image.illuminance_lx() / pixsim.optics.field_factor(image.shape, image.pitch_um, *lens)
     white = float(f"{np.percentile(luminance, 99):.2g}")
-    assert told["irradiance"]["luminance_cd_per_m2"] == white
-    assert told["irradiance"]["white_from"] == "99th percentile"
+    assert message["irradiance"]["luminance_cd_per_m2"] == white
+    assert message["irradiance"]["white_from"] == "99th percentile"
     # 683.002 ∫ ȳ L of the ramp's light end, even over bands of 100 nm, within the two digits.
     fine_nm = NM[:, None] + np.linspace(-49.5, 49.5, 100)
     bands = 683.002 * 0.01 * float(pixsim.spectral.photopic_efficiency(fine_nm).sum())
@@ -148,7 +148,7 @@ def test_run_unknown_white_is_measured(tmp_path):
     )
     kept, err = scored(f"run {path} --display.white-cd-per-m2 {white:g} {OPTIONS} --json --out {tmp_path / 'out'}")
     assert err == ""
-    assert kept["mean_delta_e"] == told["mean_delta_e"]
+    assert kept["mean_delta_e"] == message["mean_delta_e"]
     assert "white_from" not in kept["irradiance"]
 
 
@@ -173,7 +173,7 @@ def test_run_conflicting_options_raise(rendered, line, wanted, tmp_path, monkeyp
 
 
 def test_run_removes_files_of_earlier_run(rendered, tmp_path):
-    """What an earlier run wrote and this one leaves out is not of these pictures; the light that they are of stays."""
+    """Files of an earlier run are removed, except the irradiance that was read."""
     folder, _ = rendered
     light = tmp_path / "irradiance.exr"
     light.write_bytes((folder / "irradiance.exr").read_bytes())
@@ -195,9 +195,9 @@ LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 -
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("ran") / "out"
-    code, told, err = command(f"{LINE} {out}")
+    code, message, err = command(f"{LINE} {out}")
     assert code == 0, err
-    assert told.splitlines()[0].endswith(f"report: {out / 'report.html'}")
+    assert message.splitlines()[0].endswith(f"report: {out / 'report.html'}")
     return out
 
 
@@ -223,7 +223,7 @@ def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
 
 
 def test_run_page_locates_largest_errors(tmp_path: Path) -> None:
-    """The detail of 112 dots a side with the largest mean, on the map beside the page; fine stripes are up on the right."""
+    """The detail of 112 dots a side with the largest mean, on the ΔE map; fine stripes are up on the right."""
     y, x = np.indices((128, 128))
     light = light_file(tmp_path / "stripes.npz", 1 + ((x // 2) % 2) * (x > 80) * (y < 40), 10.0)
     camera = "--camera.die-mm 1.28 --display.dots 256 --pixel.pitch-um 15"
@@ -255,8 +255,8 @@ def test_run_page_states_viewing_distance(ran: Path) -> None:
 def test_run_page_states_light_level(ran: Path) -> None:
     page = " ".join(text_of(ran).split())
     assert "display white is 1000 cd/m² in the scene; exposed for" in page
-    told = "<td>white_cd_per_m2</td><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>"
-    assert told in page
+    message = "<td>white_cd_per_m2</td><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>"
+    assert message in page
     assert "<td>resolution</td><td>128</td>" in page
 
 
@@ -264,7 +264,7 @@ SHEET = "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-
 
 
 def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
-    """The page names the file, and lists no setting of a process, nor a fill factor that nobody told."""
+    """The page names the file, and lists no setting of a process, nor a fill factor, which was not given."""
     y, x = np.indices((6, 3000))
     light_file(tmp_path / "mine.npz", 1 + (x // 50 + y) % 2, 1.5)
     sensor = f"--pixel.technology none {SHEET} --pixel.pitch-um 1.5 --display.dots 4096"
@@ -292,7 +292,7 @@ def test_run_page_enlarges_small_picture(tmp_path: Path) -> None:
 
 
 def test_run_page_embeds_written_pictures(ran: Path) -> None:
-    embedded = {base64.b64decode(each) for each in re.findall(r'src="data:image/png;base64,([^"]+)"', text_of(ran))}
+    embedded = {base64.b64decode(item) for item in re.findall(r'src="data:image/png;base64,([^"]+)"', text_of(ran))}
     for name in ("ideal.png", "image.png", "delta_e.png"):
         assert (ran / name).read_bytes() in embedded
 
@@ -302,7 +302,7 @@ def test_run_page_links_every_file(ran: Path) -> None:
     links = set(re.findall(r'href="([^"]+)"', page))
     assert links == {path.name for path in ran.iterdir()} - {"report.html"}
     assert links == {*FILES, "raw.png"}
-    assert all(each.startswith("data:") for each in re.findall(r'src="([^"]+)"', page))
+    assert all(item.startswith("data:") for item in re.findall(r'src="([^"]+)"', page))
     assert "<script" not in page
     assert str(ran.parent) not in page
 
@@ -342,9 +342,9 @@ def test_shown_picture_large_is_reduced(shape: tuple[int, int], factor: int, tmp
 
 @needs_browser
 def test_run_page_fits_screens(ran: Path, tmp_path: Path) -> None:
-    found = assert_fits(ran / "report.html", tmp_path)
-    assert_sliders_move(found, pictures=1)
-    for seen in found:
+    actual = assert_fits(ran / "report.html", tmp_path)
+    assert_sliders_move(actual, pictures=1)
+    for seen in actual:
         assert len(seen.tiles) == 3
         assert {tuple(tile) for tile in seen.tiles} == {(112,) * 4}
 
@@ -354,5 +354,5 @@ def test_run_page_prints(ran: Path, tmp_path: Path) -> None:
     headings = re.findall(r"<h2>(.*?)</h2>", text_of(ran))
     assert len(headings) == 6
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
-    told = [f"Mean ΔE {score['mean_delta_e']:.3f}", "score.json", "10.6 µm pixels"]
-    assert_prints(ran / "report.html", tmp_path, range(3, 6), told, headings, headings[:3])
+    message = [f"Mean ΔE {score['mean_delta_e']:.3f}", "score.json", "10.6 µm pixels"]
+    assert_prints(ran / "report.html", tmp_path, range(3, 6), message, headings, headings[:3])

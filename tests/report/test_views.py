@@ -1,4 +1,4 @@
-"""What people see: details at 1:1, chosen where the errors are, of the same pictures that were scored."""
+"""Pictures of a study: details at 1:1 of the scored pictures, where the errors are large."""
 
 from __future__ import annotations
 
@@ -38,11 +38,6 @@ from pixsim.show.pictures import SHEET_MARGIN as MARGIN
 from pixsim.studies.result import StudyResult
 
 WHOLE = Window(0.0, 0.0, 1.0, 1.0)
-
-
-@pytest.fixture(scope="module")
-def result(tiny_result: StudyResult) -> StudyResult:
-    return tiny_result
 
 
 def decoded(png: bytes) -> np.ndarray:
@@ -112,18 +107,18 @@ def test_worst_window_is_bad_in_all_maps() -> None:
 
 
 @pytest.mark.parametrize("how", ["kept", "not kept", "of another shape"])
-def test_detail_at_equals_scored_picture(result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_detail_at_equals_scored_picture(tiny_result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, with the frame from the cache and without it."""
-    curve = result.curves[0]
+    curve = tiny_result.curves[0]
     if how == "not kept":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
     elif how == "of another shape":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
     else:
-        monkeypatch.setattr(views, "chain_at", None)  # the dear way is not taken
+        monkeypatch.setattr(views, "chain_at", None)  # the expensive way is not used
     for place in (0, 3):
-        picture = detail_at(result, curve, place, WHOLE)
-        expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
+        picture = detail_at(tiny_result, curve, place, WHOLE)
+        expected = tiny_result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
         np.testing.assert_array_equal(picture, expected)
 
 
@@ -135,19 +130,19 @@ def test_study_views_one_to_one_large_pixels(tmp_path: Path) -> None:
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)
     assert len(views.tiles) == 6
-    assert all(min(each.width, each.height) >= 1 for each in views.tiles)
+    assert all(min(item.width, item.height) >= 1 for item in views.tiles)
 
 
-def test_study_views_reduce_whole_pictures_only(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(details, "MAX_PICTURE_DOTS", 60)
-    curve = result.curves[0]
-    (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
-    views = study_views(result, curve, best)
+    curve = tiny_result.curves[0]
+    (best,) = tiny_result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
+    views = study_views(tiny_result, curve, best)
     assert views.factor == 2
     means = best.ideal.reshape(59, 2, 59, 2).mean(axis=(1, 3))
     np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(means))
-    assert {(each.width, each.height) for each in views.outputs} == {(59, 59)}
-    assert {(each.width, each.height) for each in views.tiles} == {(112, 112)}
+    assert {(item.width, item.height) for item in views.outputs} == {(59, 59)}
+    assert {(item.width, item.height) for item in views.tiles} == {(112, 112)}
 
 
 @pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
@@ -158,7 +153,7 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     at = best_place(curve)
     scores = [result.scores(curve.technology, pitch_um, 1)[0] for pitch_um in curve.pitch_um.tolist()]
     views = study_views(result, curve, scores[at])
-    finest = max((score.ideal for score in scores), key=lambda each: each.size)
+    finest = max((score.ideal for score in scores), key=lambda item: item.size)
     window = window_at((0.9, 0.9), finest.shape)
     assert views.place == window.centre
     pictures = [finest, *(score.image for score in scores)]
@@ -172,17 +167,19 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     assert [tile.best for tile in views.tiles] == [index == at + 1 and (curve.optimum.inside or 0 < at < 5) for index in range(7)]
     np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(finest))
     for output, row, place in zip(views.outputs, views.crops, sorted({0, at, 5}), strict=True):
-        told = {0: "smallest", 5: "largest"}.get(place, "best of these")
-        told += ", best of these" if place == at and place in (0, 5) and curve.optimum.inside else ""
-        assert output.name == f"{told}, {curve.pitch_um[place]:.2f} µm"
-        assert (row[1].name, row[1].note) == (f"{curve.pitch_um[place]:.2f} µm", told)
+        message = {0: "smallest", 5: "largest"}.get(place, "best of these")
+        message += ", best of these" if place == at and place in (0, 5) and curve.optimum.inside else ""
+        assert output.name == f"{message}, {curve.pitch_um[place]:.2f} µm"
+        assert (row[1].name, row[1].note) == (f"{curve.pitch_um[place]:.2f} µm", message)
         np.testing.assert_array_equal(decoded(output.png), grey_codes(scores[place].image))
 
 
-def test_best_place_is_smallest_mean(result: StudyResult) -> None:
+def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
     delta_e = np.array([[3.0, 3.0], [1.0, 1.0], [1.2, 1.2], [1.1, 1.1], [2.0, 2.0], [3.0, 3.0]])
-    optimum = replace(result.curves[0].optimum, inside=True, pitch_um=8.4)
-    curve = replace(result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(result.curves[0].fit, optimum=optimum))
+    optimum = replace(tiny_result.curves[0].optimum, inside=True, pitch_um=8.4)
+    curve = replace(
+        tiny_result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(tiny_result.curves[0].fit, optimum=optimum)
+    )
     assert best_place(curve) == 1
     assert [rank(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
     rising = replace(
@@ -191,8 +188,8 @@ def test_best_place_is_smallest_mean(result: StudyResult) -> None:
     assert [rank(rising, place) for place in (0, 5)] == ["smallest", "largest"]
 
 
-def test_crops_show_the_same_part(result: StudyResult) -> None:
-    (score,) = result.scores("0.35um", 8.5, 1)
+def test_crops_show_the_same_part(tiny_result: StudyResult) -> None:
+    (score,) = tiny_result.scores("0.35um", 8.5, 1)
     window = window_at((0.3, 0.8), score.ideal.shape)
     ideal, output, map_ = crops(score, window, "sensor")
     np.testing.assert_array_equal(decoded(ideal.png), grey_codes(window.of(score.ideal)))
@@ -231,17 +228,17 @@ def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
     assert sheet.shape[1] < 2500
 
 
-# --- the study's own place --------------------------------------------------------------------------------------------
+# --- the detail of the study --------------------------------------------------------------------------------------------
 
 
-def test_study_detail_does_not_change_rows(result: StudyResult, tmp_path: Path) -> None:
+def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: Path) -> None:
     study = tiny(paper=True, display={"dots": 120}, detail=[0.1, 0.2])
     again = pixsim.study(study, tmp_path, jobs=1)
-    np.testing.assert_array_equal(again.curves[0].delta_e, result.curves[0].delta_e)
-    assert replace(again, study=result.study).as_dict() == result.as_dict()
+    np.testing.assert_array_equal(again.curves[0].delta_e, tiny_result.curves[0].delta_e)
+    assert replace(again, study=tiny_result.study).as_dict() == tiny_result.as_dict()
     text = (tmp_path / "results.csv").read_text(encoding="utf-8")
     (tmp_path / "results.csv").unlink()
-    pixsim.study(result.study, tmp_path, jobs=1)
+    pixsim.study(tiny_result.study, tmp_path, jobs=1)
     assert (tmp_path / "results.csv").read_text(encoding="utf-8") == text
 
 

@@ -1,4 +1,4 @@
-"""How lines are told apart: by colour for every kind of eye, and by dashes and markers where there is no colour."""
+"""Line styles are distinct: by colour for every kind of colour vision, and by dashes and markers in grey."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.colors import same_color, to_rgb
 
 from pixsim.show.figures import COLOURS, LOOKS, new_figure
 
-TOGETHER = 4  # most lines that only colour and dashes tell apart
+TOGETHER = 4  # most lines that differ by colour and dashes only
 EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
 
 
@@ -21,7 +21,7 @@ def perceived_lab(colours: tuple[str, ...], eye: str | None) -> np.ndarray:
     import colour
     from colour.blindness import matrix_cvd_Machado2009
 
-    light = colour.cctf_decoding(np.array([to_rgb(each) for each in colours]), function="sRGB")
+    light = colour.cctf_decoding(np.array([to_rgb(item) for item in colours]), function="sRGB")
     if eye is not None:
         light = light @ matrix_cvd_Machado2009(eye, 1.0).T
     xyz = colour.RGB_to_XYZ(np.clip(light, 0, 1), "sRGB", apply_cctf_decoding=False)
@@ -34,12 +34,12 @@ def least_distance(lab: np.ndarray) -> float:
     return min(float(colour.delta_E(one, other, "CIE 2000")) for one, other in combinations(lab, 2))
 
 
-@pytest.mark.filterwarnings("ignore:.*tritanomaly")  # its model is the least sure
+@pytest.mark.filterwarnings("ignore:.*tritanomaly")  # its model is the least certain
 @pytest.mark.parametrize("eye", EYES)
 def test_colours_first_four_differ_for_every_eye(eye: str | None) -> None:
-    """19 is ten times what two patches side by side need to be told apart; lines are thin."""
+    """19 is ten times the noticeable difference of two adjacent patches, since lines are thin."""
     assert least_distance(perceived_lab(COLOURS[:TOGETHER], eye)) > 19
-    # The judge can tell: red and green of one lightness merge for a deuteranope.
+    # The measure can fail: red and green of one lightness merge for a deuteranope.
     if eye == "Deuteranomaly":
         assert (
             least_distance(perceived_lab(("#B05A00", "#6C7A00"), eye))

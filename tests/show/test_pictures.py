@@ -1,4 +1,4 @@
-"""PNGs as others read them: codes of a display, the ΔE map in the colours of its scale, marks where they belong."""
+"""PNG files as Pillow reads them: display codes, ΔE maps in the colours of the scale, and the position of axes."""
 
 from __future__ import annotations
 

@@ -65,11 +65,11 @@ CALIBRATIONS = {
 TOLERANCES = (1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 1.0, 10.0)
 
 
-def work_of(found: Calibration, tolerance: float, free: bool = True) -> float:
-    """Of the choice, found again among the options."""
-    choice = choose(found, tolerance, film_is_free=free)
-    options = [e for w in widths_of(found) for e in options_of(found, w, tolerance - found.film(w).delta_e)]
-    return min(each.work for each in options if replace(each, met=True) == choice)
+def work_of(actual: Calibration, tolerance: float, free: bool = True) -> float:
+    """Return the work of the choice among the options."""
+    choice = choose(actual, tolerance, film_is_free=free)
+    options = [e for w in widths_of(actual) for e in options_of(actual, w, tolerance - actual.film(w).delta_e)]
+    return min(item.work for item in options if replace(item, met=True) == choice)
 
 
 # --- Films ---
@@ -89,11 +89,11 @@ def films_of(order: float) -> tuple[tuple[Effect, ...], float]:
 
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
 def test_film_errors_of_power_law(order):
-    films, found = films_of(order)
-    assert found == pytest.approx(order)
+    films, actual = films_of(order)
+    assert actual == pytest.approx(order)
     for got, step in zip(films, (4, 2, 1), strict=True):
         true = 0.01 * step**order
-        # Safe, and by a quarter of the film's own error; at the bounds of the order rounding may make it unsure: 3 times.
+        # An upper limit, by a quarter of the film's error; at the bounds of the order rounding may make the factor 3.
         assert true <= got.delta_e <= true + 2.01 * 0.01
     if order == 1.5:
         assert films[-1].delta_e == pytest.approx(1.25 * 0.01)
@@ -101,8 +101,8 @@ def test_film_errors_of_power_law(order):
 
 @pytest.mark.parametrize("order", [0.5, 3.0, 6.0])
 def test_film_errors_implausible_order_takes_safety_factor(order):
-    films, found = films_of(order)
-    assert MIN_ORDER <= found <= MAX_ORDER
+    films, actual = films_of(order)
+    assert MIN_ORDER <= actual <= MAX_ORDER
     assert films[-1].delta_e >= 0.01
     assert films[0].delta_e > films[1].delta_e > films[2].delta_e
 
@@ -110,7 +110,7 @@ def test_film_errors_implausible_order_takes_safety_factor(order):
 def test_film_errors_zero_or_changing_sign():
     same = made(1.0)
     films, order = film_errors(same, [same, same])
-    assert [each.delta_e for each in films] == [0, 0, 0]
+    assert [item.delta_e for item in films] == [0, 0, 0]
     assert math.isfinite(order)
     back, order = film_errors(made(1.0), [made(1.1), made(1.1)])  # the coarsest film is as good: nothing is known
     assert back[-1].delta_e == pytest.approx(0.3)
@@ -173,20 +173,20 @@ def test_merges_requires_whole_blocks():
 
 
 def test_effects_scale_with_settings():
-    found = calibration()
-    one = effects(found, 512, 0.1, 1e-3, 1)
+    actual = calibration()
+    one = effects(actual, 512, 0.1, 1e-3, 1)
     assert tuple(one) == SOURCES
-    other = effects(found, 256, 0.2, 2e-3, 4)
+    other = effects(actual, 256, 0.2, 2e-3, 4)
     assert one["render noise"].delta_e == pytest.approx(1.96 * 2e-4 + 1e-4)
     assert other["render noise"].delta_e == pytest.approx(2 * 1.96 * 2e-4 + 4 * 1e-4)
     assert other["spectral quadrature"].delta_e == pytest.approx(2 * one["spectral quadrature"].delta_e)
     assert other["seeds"].optimum_um == pytest.approx(one["seeds"].optimum_um / 2)
     assert other["oversampling"].delta_e == 0.02
-    assert effects(found, 2048, 0.1, 1e-3, 1)["oversampling"].delta_e == pytest.approx(0.004 / 16)
-    assert (one["display raster"], one["display interpolation"]) == (found.raster, found.interpolation)
-    of_computing = [each for name, each in one.items() if not name.startswith("display")]
+    assert effects(actual, 2048, 0.1, 1e-3, 1)["oversampling"].delta_e == pytest.approx(0.004 / 16)
+    assert (one["display raster"], one["display interpolation"]) == (actual.raster, actual.interpolation)
+    of_computing = [item for name, item in one.items() if not name.startswith("display")]
     assert len(of_computing) == 4
-    assert total(one).delta_e == pytest.approx(sum(each.delta_e for each in of_computing))
+    assert total(one).delta_e == pytest.approx(sum(item.delta_e for item in of_computing))
 
 
 def test_interpolation_effect_uses_next_order():
@@ -205,8 +205,8 @@ def test_interpolation_effect_uses_next_order():
         setup = Setup(camera, pixel, pixsim.Exposure(), shown)
         return interpolation_effect(grating, setup, probe(grating, setup))
 
-    nearest, linear, cubic = (changed_by(interpolation=each).delta_e for each in ("nearest", "linear", "cubic"))
-    left = {each: float(interpolation_mtf(12.0, 20.0, each)) for each in ("linear", "cubic", "quintic")}
+    nearest, linear, cubic = (changed_by(interpolation=item).delta_e for item in ("nearest", "linear", "cubic"))
+    left = {item: float(interpolation_mtf(12.0, 20.0, item)) for item in ("linear", "cubic", "quintic")}
     gained = (left["cubic"] - left["linear"]) / (left["quintic"] - left["cubic"])
     # So small a ΔE goes with the contrast that is lost, but for the images (0.5 %) and the eye's cube root.
     assert linear / cubic == pytest.approx(gained, rel=0.15)  # 15.2
@@ -218,34 +218,34 @@ def test_interpolation_effect_uses_next_order():
 @pytest.mark.parametrize("name", CALIBRATIONS)
 @pytest.mark.parametrize("free", [True, False])
 def test_choose_meets_tolerance_or_reports_not_met(name, free):
-    found = CALIBRATIONS[name]
+    actual = CALIBRATIONS[name]
     for tolerance in TOLERANCES:
-        choice = choose(found, tolerance, film_is_free=free)
-        assert choice == choose(found, tolerance, film_is_free=free)
-        told = total(effects(found, choice.width, choice.render_noise, choice.tolerance_e, choice.sensors)).delta_e
-        assert choice.expected_delta_e == told
-        assert choice.met == (told <= tolerance)
-        assert choice.width in widths_of(found)
-        assert free or choice.width == found.width
+        choice = choose(actual, tolerance, film_is_free=free)
+        assert choice == choose(actual, tolerance, film_is_free=free)
+        message = total(effects(actual, choice.width, choice.render_noise, choice.tolerance_e, choice.sensors)).delta_e
+        assert choice.expected_delta_e == message
+        assert choice.met == (message <= tolerance)
+        assert choice.width in widths_of(actual)
+        assert free or choice.width == actual.width
         assert FINEST_NOISE <= choice.render_noise <= 1
         assert 1 <= choice.sensors <= MAX_SENSORS
-    assert choose(found, 10.0, film_is_free=free).met
+    assert choose(actual, 10.0, film_is_free=free).met
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
 @pytest.mark.parametrize("free", [True, False])
 def test_choose_looser_tolerance_is_not_more_work(name, free):
-    found = CALIBRATIONS[name]
-    tolerances = [t for t in np.geomspace(1e-4, 3, 24) if choose(found, t, film_is_free=free).met]
-    work = [work_of(found, tolerance, free) for tolerance in tolerances]
+    actual = CALIBRATIONS[name]
+    tolerances = [t for t in np.geomspace(1e-4, 3, 24) if choose(actual, t, film_is_free=free).met]
+    work = [work_of(actual, tolerance, free) for tolerance in tolerances]
     assert all(later <= earlier * (1 + 1e-12) for earlier, later in pairwise(work))
-    assert [choose(found, t, film_is_free=free).met for t in (tolerances[0], 3.0)] == [True, True]
+    assert [choose(actual, t, film_is_free=free).met for t in (tolerances[0], 3.0)] == [True, True]
 
 
 def test_choose_film_error_is_not_compensated():
     """The film errs by 0.004 and is fixed: the rest keeps to the tolerance of 0.002, and no more is spent."""
-    found = calibration()
-    stuck, open_ = (choose(found, 0.002, film_is_free=free) for free in (False, True))
+    actual = calibration()
+    stuck, open_ = (choose(actual, 0.002, film_is_free=free) for free in (False, True))
     assert not stuck.met
     assert open_.met
     assert stuck.expected_delta_e <= 0.004 + 0.002
@@ -263,7 +263,7 @@ def test_choose_limits_sensors():
 def test_widths_of_stay_within_memory():
     assert max(widths_of(calibration())) == 4096
     assert max(widths_of(calibration(planes=40))) == 1024
-    assert max(widths_of(calibration(planes=10_000))) == 512  # the scene's own is the user's
+    assert max(widths_of(calibration(planes=10_000))) == 512  # the scene's own width is always allowed
 
 
 def test_rounded_down_to_three_digits():
@@ -274,10 +274,10 @@ def test_rounded_down_to_three_digits():
 
 def test_budget_lines_are_aligned():
     sources = {
-        name: {"delta_e": each.delta_e, "optimum_um": None} for name, each in effects(calibration(), 512, 0.1, 1e-3, 1).items()
+        name: {"delta_e": item.delta_e, "optimum_um": None} for name, item in effects(calibration(), 512, 0.1, 1e-3, 1).items()
     }
-    told = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
-    _, *lines = budget_lines({"error_budget": told | {"total": {"delta_e": 0.5, "optimum_um": None}}})
+    message = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
+    _, *lines = budget_lines({"error_budget": message | {"total": {"delta_e": 0.5, "optimum_um": None}}})
     assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "total without display"]
     assert lines[-2][23:] == " 3.0e-02 ΔE"
     assert {line[23] for line in lines} == {" "}
@@ -285,9 +285,9 @@ def test_budget_lines_are_aligned():
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
 def test_calibration_round_trips_json(name):
-    found = CALIBRATIONS[name]
-    back = Calibration.from_dict(json.loads(json.dumps(asdict(found))))
-    assert repr(back) == repr(found)  # NaN is not equal to itself
+    actual = CALIBRATIONS[name]
+    back = Calibration.from_dict(json.loads(json.dumps(asdict(actual))))
+    assert repr(back) == repr(actual)  # NaN is not equal to itself
     assert isinstance(back.films, tuple)
 
 

@@ -1,4 +1,4 @@
-"""Workers come and go: what comes out does not depend on them, and nothing that is finished is lost or done twice."""
+"""Workers: results do not depend on them, and no finished row is lost or computed twice."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """results.csv of one process, nothing kept."""
+    """results.csv of one process without a cache."""
     out = tmp_path_factory.mktemp("one")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(cache.LIMIT_VARIABLE, "0")
@@ -69,33 +69,33 @@ def test_results_of_yields_every_call_once(jobs: int) -> None:
         return {"values": np.full(3, 2.0)}
 
     calls = [(task, first if task % 2 else second) for task in range(20)]
-    found = sorted(results_of(double, calls, Workers(jobs)))
+    actual = sorted(results_of(double, calls, Workers(jobs)))
     assert jobs == 1 or sorted(made) == ["first", "second"], "what is shared is made once"
-    assert found == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
+    assert actual == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
 
 
 def test_results_of_dead_worker_is_retried(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="a worker process died"):
-        found = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
-    assert found == list(range(12))
+        actual = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
+    assert actual == list(range(12))
 
 
 def test_results_of_deadly_task_is_named() -> None:
-    found: list[int] = []
+    actual: list[int] = []
     results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         with pytest.raises(pixsim.PixsimError, match=r"2 processes.*ended its process, even when run alone: 3\..*--jobs 1"):
-            found.extend(results)
-    assert "a worker process died; retrying the remaining" in str(told[0].message)
-    assert sorted(found) == [task for task in range(12) if task != 3]
+            actual.extend(results)
+    assert "a worker process died; retrying the remaining" in str(caught[0].message)
+    assert sorted(actual) == [task for task in range(12) if task != 3]
 
 
 def test_results_of_shows_worker_warnings_once() -> None:
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         assert sorted(results_of(warn, [(task, nothing) for task in range(6)], Workers(2))) == list(range(6))
-    assert [str(note.message) for note in told] == ["the moon is out"]
+    assert [str(note.message) for note in caught] == ["the moon is out"]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -124,7 +124,7 @@ def test_results_of_worker_uses_one_core() -> None:
 
 
 @pytest.mark.parametrize(
-    ("jobs", "scheduler", "told"),
+    ("jobs", "scheduler", "pattern"),
     [
         (0, None, "--jobs: got 0; allowed: 1 or more"),
         (-1, None, "--jobs: got -1"),
@@ -134,10 +134,10 @@ def test_results_of_worker_uses_one_core() -> None:
     ],
 )
 def test_workers_for_invalid_input_raises(
-    jobs: int | None, scheduler: str | None, told: str, monkeypatch: pytest.MonkeyPatch
+    jobs: int | None, scheduler: str | None, pattern: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engine, "CONNECT_SECONDS", 1.0)
-    with pytest.raises(pixsim.PixsimError, match=told), workers_for(jobs, scheduler):
+    with pytest.raises(pixsim.PixsimError, match=pattern), workers_for(jobs, scheduler):
         pass
 
 
@@ -158,7 +158,7 @@ def test_study_two_workers_same_bytes(keeping: bool, toml: Path, expected: bytes
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-def die_once_at_7_um(task: evaluations.Task, light: evaluations.Light, mark: Path) -> list[evaluations.Row]:
+def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mark: Path) -> list[evaluations.Row]:
     """A task of a study, in the middle of which the first process that gets it is killed."""
     if task.pitch_um == 7.0 and not mark.exists():
         mark.touch()
@@ -230,7 +230,7 @@ def test_study_locked_folder_raises(toml: Path, expected: bytes, tmp_path: Path,
     monkeypatch.setattr(ImagingChain, "score_frame", view_after_the_second)
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert second[0].returncode == 2
-    assert re.search(r"another process is at work.*one at a time.*--out", second[0].stderr)
+    assert re.search(r"in use by another process.*a folder that is not in use.*--out", second[0].stderr)
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
@@ -310,7 +310,7 @@ def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: P
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     monkeypatch.chdir(tmp_path)
     study = load_study(toml).model_copy(update={"technologies": ("mine.toml",)})
-    found = []
+    actual = []
     for noise in ("3.5", "35.5"):
         text = process.read_text(encoding="utf-8")
         Path("mine.toml").write_text(re.sub(r"(\[read_noise_e\]\nvalue = )[\d.]+", rf"\g<1>{noise}", text), encoding="utf-8")
@@ -318,18 +318,18 @@ def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: P
         pixsim.study(study, tmp_path / f"here{noise}", jobs=1)
         there, here = ((tmp_path / f"{where}{noise}/results.csv").read_bytes() for where in ("cluster", "here"))
         assert there == here
-        found.append(here)
-    assert found[0] != found[1]
+        actual.append(here)
+    assert actual[0] != actual[1]
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("kind", "pattern"),
     [
-        ("changed", r"got pixsim .* at tcp.*as here, so that all rows are alike"),
-        ("none", r"got a worker that cannot tell which pixsim"),
+        ("changed", r"got pixsim .* at tcp.*as here, so that all rows are comparable"),
+        ("none", r"got a worker that does not report its pixsim version"),
     ],
 )
-def test_workers_for_other_version_raises(kind: str, told: str, tmp_path: Path) -> None:
+def test_workers_for_other_version_raises(kind: str, pattern: str, tmp_path: Path) -> None:
     other = tmp_path / "other/pixsim"
     if kind == "changed":
         shutil.copytree(Path(pixsim.__file__).parent, other, ignore=shutil.ignore_patterns("__pycache__"))
@@ -340,7 +340,7 @@ def test_workers_for_other_version_raises(kind: str, told: str, tmp_path: Path) 
         (other / "__init__.py").touch()
     with (
         running_cluster(tmp_path, 1, other.parent) as address,
-        pytest.raises(pixsim.PixsimError, match="--scheduler: " + told),
+        pytest.raises(pixsim.PixsimError, match="--scheduler: " + pattern),
         workers_for(None, address),
     ):
         pass

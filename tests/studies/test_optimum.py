@@ -1,4 +1,4 @@
-"""The minimum of a curve whose minimum is known, and whether its interval holds it as often as it says."""
+"""The fitted minimum of known curves, and the coverage of its interval."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     pitch = np.geomspace(5.3, 15, pitches)
     optimum = fitted(parabola(pitch, bend), pitch_um=pitch).optimum
     assert optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
-    # Half a step of the fine grid (0.065 %) beside the minimum, ΔE is higher by 3 · 0.00065² of 0.5 at most.
+    # Half a step of the fine grid (0.065 %) from the minimum, ΔE is higher by 3 · 0.00065² of 0.5 at most.
     assert optimum.mean_delta_e == pytest.approx(MIN_VERSIONS, rel=3e-6)
     assert optimum.inside
     low, high = optimum.interval_um
@@ -236,7 +236,7 @@ def test_posterior_mean_limits() -> None:
 
 
 def test_posterior_weighs_pitch_by_sensors() -> None:
-    """What it has of its own mean, h, against what the others have, 1 - h, is as the number of its sensors."""
+    """The weight of a pitch's own mean, h, over the weight of the others, 1 - h, is proportional to its sensors."""
 
     def own_share(count: int) -> float:
         sensors = DESIGN.sensors.copy()

@@ -1,4 +1,4 @@
-"""Results that show themselves in a notebook: what a cell shows, a figure, and a table that comes back."""
+"""Results in a notebook: cells, figures, and tables that round-trip."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ def result(tiny_result: StudyResult) -> StudyResult:
 
 
 def image_of(cell: str) -> str:
-    (found,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', cell)
-    return base64.b64decode(found).decode()
+    (actual,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', cell)
+    return base64.b64decode(actual).decode()
 
 
 def test_score_repr_html_shows_statistics(score: Score) -> None:
     cell = score._repr_html_()
     words = Elements(cell)
-    told = " ".join(words.words)
-    assert f"mean ΔE {score.mean_delta_e:.3f}" in told
+    message = " ".join(words.words)
+    assert f"mean ΔE {score.mean_delta_e:.3f}" in message
     for name, value in score.statistics().items():
-        assert f"{name} {value:.6g}" in told
+        assert f"{name} {value:.6g}" in message
     assert words.tags.count("tr") == len(score.statistics())
     assert image_of(cell).count("<image") == 4, "ideal, sensor, map, scale"
     assert repr(score).startswith("<Score mean ΔE")
@@ -65,13 +65,13 @@ def test_score_plot_has_fixed_scale(score: Score) -> None:
 def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
     cell = result._repr_html_()
     words = Elements(cell)
-    told = " ".join(words.words)
-    assert MARKUP in told
+    message = " ".join(words.words)
+    assert MARKUP in message
     assert set(words.tags) == {"div", "strong", "table", "tr", "th", "td", "img"}
     for curve in result.curves:
         best = curve.optimum
-        assert curve.technology in told
-        assert (f"{best.pitch_um:.2f}" in told) if best.inside else ("none between 5.3 and 15" in told)
+        assert curve.technology in message
+        assert (f"{best.pitch_um:.2f}" in message) if best.inside else ("none between 5.3 and 15" in message)
     assert image_of(cell).startswith("<?xml")
 
 

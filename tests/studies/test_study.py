@@ -1,4 +1,4 @@
-"""Studies: what is computed, what is kept, and that neither depends on workers, threads, order or interruptions."""
+"""Studies: rows computed and stored, independent of workers, threads, order and interruptions."""
 
 import json
 import shlex
@@ -65,9 +65,9 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("command")
     toml = folder / "tiny.toml"
     toml.write_text(TINY_TOML, encoding="utf-8")
-    code, told, _ = command(f"study {toml} --out {folder / 'out'} --jobs 1")
+    code, message, _ = command(f"study {toml} --out {folder / 'out'} --jobs 1")
     assert code == 0
-    (folder / "stdout").write_text(told, encoding="utf-8")
+    (folder / "stdout").write_text(message, encoding="utf-8")
     return folder
 
 
@@ -79,10 +79,10 @@ def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: t
     assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
     best = done[0].curves[0].optimum
-    told = (by_command / "stdout").read_text(encoding="utf-8")
+    message = (by_command / "stdout").read_text(encoding="utf-8")
     low, high = best.interval_um
-    assert f"{best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in told
-    assert told.rstrip().endswith("report.html")
+    assert f"{best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in message
+    assert message.rstrip().endswith("report.html")
 
 
 ONE_CORE = """
@@ -140,11 +140,11 @@ def test_study_other_content_has_other_keys(done: tuple[StudyResult, Path], tmp_
         "camera": tiny(**few, camera={"f_number": 5.6}),
         "scene": tiny(**merge(few, {"scene": {"parameters": {"luminance_cd_per_m2": 99.0}}})),
     }
-    found = {name: set() for name in others}
+    actual = {name: set() for name in others}
     for name, study in others.items():
         pixsim.study(study, tmp_path / name, jobs=1)
-        found[name] = set(keys(tmp_path / name))
-    everything = [own, *found.values()]
+        actual[name] = set(keys(tmp_path / name))
+    everything = [own, *actual.values()]
     assert len(set.union(*everything)) == sum(map(len, everything)), "two contents share a key"
     pixsim.study(tiny(**few, title="another", iso_delta_e=2.0), tmp_path / "words", jobs=1)
     assert set(keys(tmp_path / "words")) < own
@@ -234,8 +234,8 @@ def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
 def test_study_pixel_options_equal_file(tmp_path: Path) -> None:
     (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
     (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
-    told = "--pixel.response scaled --pixel.prnu 0.01"
-    for words, out in ((f"plain.toml {told}", "option"), ("scaled.toml", "file"), ("plain.toml", "plain")):
+    message = "--pixel.response scaled --pixel.prnu 0.01"
+    for words, out in ((f"plain.toml {message}", "option"), ("scaled.toml", "file"), ("plain.toml", "plain")):
         assert command(f"study {tmp_path}/{words} --out {tmp_path / out} --jobs 1")[0] == 0
     pixsim.study(tmp_path / "plain.toml", tmp_path / "python", pixel={"response": "scaled", "prnu": 0.01}, jobs=1)
     results = {name: (tmp_path / name / "results.csv").read_bytes() for name in ("option", "file", "plain", "python")}
@@ -265,7 +265,7 @@ def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pixel", "told"),
+    ("pixel", "message"),
     [
         ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: .*pitch\.values_um"),
         ({"technology": "0.25um"}, r"pixel\.technology: got '0\.25um' for a study; allowed: .* technologies"),
@@ -273,8 +273,8 @@ def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
         ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
     ],
 )
-def test_load_study_invalid_pixel_option_raises(pixel: dict[str, object], told: str) -> None:
-    with pytest.raises(pixsim.PixsimError, match=told):
+def test_load_study_invalid_pixel_option_raises(pixel: dict[str, object], message: str) -> None:
+    with pytest.raises(pixsim.PixsimError, match=message):
         load_study("chen2000", pixel=pixel)
     with pytest.raises(pixsim.PixsimError, match="config, parameters, pixel: got with a Study"):
         pixsim.study(tiny(), "out", pixel=pixel)
@@ -302,7 +302,7 @@ def test_study_extension_computes_difference_only(done: tuple[StudyResult, Path]
 
 
 def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Overexposed, so that a part of the pixels is saturated: their fraction is kept with the frame, whose DN do not show it."""
+    """Overexposed, so that some pixels are saturated: their fraction is stored with the frame, since its DN do not show it."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     taken: list[int] = []
     capture = ImagingChain.capture
@@ -320,9 +320,9 @@ def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.Monk
     assert captures == 10
     assert all(0.5 < float(row["saturated_fraction"]) < 0.97 for row in rows(results.parent))
     assert evaluated() == (cold, 0)
-    for path in (tmp_path / "cache/frames").iterdir():  # without the fractions, as if they had never been kept
+    for path in (tmp_path / "cache/frames").iterdir():  # remove the fractions
         kept = cache.arrays("frames", path.stem)
-        cache.store_arrays("frames", path.stem, {name: each for name, each in kept.items() if each.ndim == 2})
+        cache.store_arrays("frames", path.stem, {name: item for name, item in kept.items() if item.ndim == 2})
     assert evaluated() == (cold, 10)
 
 
@@ -360,7 +360,7 @@ def test_study_quick_rows_are_study_rows(done: tuple[StudyResult, Path], tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("over", "told"),
+    ("over", "message"),
     [
         ({"pitch": {"values_um": [5.0, 6, 7, 8, 9]}}, r"5\b.*5\.135 µm"),
         ({"pitch": {"values_um": [6, 7, 8, 9, 2714]}}, r"2714.*2713\.6 µm"),
@@ -375,10 +375,10 @@ def test_study_quick_rows_are_study_rows(done: tuple[StudyResult, Path], tmp_pat
     ],
 )
 def test_study_invalid_input_raises_before_render(
-    over: dict[str, object], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    over: dict[str, object], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         pixsim.study(tiny(**over), tmp_path / "out", jobs=1)
     assert not (tmp_path / "out").exists()
 

@@ -1,4 +1,4 @@
-"""What a clip at 0 DN does to the dark: its closed form against frames, limits, and what a display shows of it."""
+"""Clipping of dark pixels at 0 DN: closed form against frames, limits, and the effect on a display."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ SHEET: dict[str, Any] = {
 }
 
 
-def in_standard_errors(found: np.ndarray, expected: float) -> float:
+def in_standard_errors(actual: np.ndarray, expected: float) -> float:
     """Of the mean over columns, which are independent."""
-    columns = found.mean(axis=0)
+    columns = actual.mean(axis=0)
     return float((columns.mean() - expected) / (columns.std(ddof=1) / math.sqrt(columns.size)))
 
 
@@ -102,7 +102,7 @@ def test_dark_clip_least_black_level_avoids_clipping(options: dict[str, Any]) ->
 
 
 def test_dark_clip_matches_shown_black_area() -> None:
-    """Dots of 25 × 25 pixels, so that the display's own clip at 0 finds nothing: luminance, and ΔE from black."""
+    """Dots of 25 × 25 pixels, so that the display's clip at 0 has no effect: luminance, and ΔE from black."""
     camera, display = Camera(die_mm=0.64), Display(dots=16, bits=16, white_cd_per_m2=1000.0)
     exposure = Exposure(integration_s=5e-4)
     dark = SpectralImage([550.0], 10.0, 40.0, data=np.zeros((16, 16, 1)), header={"diffraction": False})

@@ -64,11 +64,11 @@ def test_filtered_grey_lab_matches_filtered_lab(filters, shape, samples_per_deg,
     grey = np.random.default_rng(2).uniform(-0.02, 1.3, shape)
     grey.flat[0] = 0.0
     view = {"white_xyz": white, "samples_per_deg": samples_per_deg, "filters": filters}
-    found = scielab.filtered_grey_lab(grey, **view)
+    actual = scielab.filtered_grey_lab(grey, **view)
     whole = scielab.filtered_lab(grey[..., None] * white, **view)
-    assert found.shape == (*shape, 3)
+    assert actual.shape == (*shape, 3)
     # The same transform, once instead of three times: roundings of Lab's 100, amplified by the slope at black (903).
-    np.testing.assert_allclose(found, whole, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(actual, whole, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("luminance", [np.ones(3), np.ones((2, 2, 3)), np.ones((0, 4)), np.array([[1.0, np.nan]])])
@@ -98,31 +98,20 @@ def test_filtered_lab_published_conserves_mean(samples_per_deg):
 def test_delta_e_map_rotates_with_images(filters):
     reference, test = random_image((20, 33), 1), random_image((20, 33), 2)
     view = {"white_xyz": D65, "samples_per_deg": 23, "filters": filters}
-    found = scielab.delta_e_map(reference, test, **view)
+    actual = scielab.delta_e_map(reference, test, **view)
     turned = scielab.delta_e_map(np.rot90(reference), np.rot90(test), **view)
-    np.testing.assert_allclose(turned, np.rot90(found), rtol=0, atol=1e-10)
-
-
-def test_delta_e_map_equals_separate_filtering():
-    reference, test = random_image((24, 40), 1), random_image((24, 40), 2)
-    view = {"white_xyz": D65, "samples_per_deg": 23}
-    seen_reference, seen_test = (scielab.filtered_lab(image, **view) for image in (reference, test))
-    assert np.array_equal(scielab.delta_e(seen_reference, seen_test), scielab.delta_e_map(reference, test, **view))
+    np.testing.assert_allclose(turned, np.rot90(actual), rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("workers", [2, 3])
 def test_filtered_lab_is_independent_of_threads(workers):
     image = random_image((127, 65))
     view = {"white_xyz": D65, "samples_per_deg": 23}
-    found = scielab.filtered_lab(image, **view, workers=workers)
-    assert np.array_equal(found, scielab.filtered_lab(image, **view, workers=1))
+    actual = scielab.filtered_lab(image, **view, workers=workers)
+    assert np.array_equal(actual, scielab.filtered_lab(image, **view, workers=1))
 
 
 # --- Differences ---
-
-
-def test_delta_e_1976_is_distance():
-    assert scielab.delta_e([[50, 2, -3]], [[52, 5, 3]])[0] == 7  # √(2² + 3² + 6²)
 
 
 def test_delta_e_1994_closed_form():
@@ -160,12 +149,7 @@ def test_delta_e_map_keeps_inputs():
     assert np.array_equal(test, kept[1])
 
 
-GOOD = {
-    "reference_xyz": np.ones((4, 5, 3)),
-    "test_xyz": np.ones((4, 5, 3)),
-    "white_xyz": D65,
-    "samples_per_deg": 23.0,
-}
+GOOD = {"reference_xyz": np.ones((4, 5, 3)), "test_xyz": np.ones((4, 5, 3)), "white_xyz": D65, "samples_per_deg": 23.0}
 SPOILT = np.ones((4, 5, 3))
 SPOILT[2, 3, 1] = np.nan
 
@@ -216,22 +200,18 @@ def test_grey_delta_e_map_strips_match_whole(monkeypatch, filters):
     expected = np.sqrt(((reference - seen) ** 2).sum(axis=-1))
     monkeypatch.setattr("pixsim.base.arrays.STRIP_SAMPLES", 13)
     np.testing.assert_array_equal(scielab.filtered_lab(first[..., None] * D65, **view), reference)
-    found = scielab.grey_delta_e_map(reference, second, **view)
+    actual = scielab.grey_delta_e_map(reference, second, **view)
     assert (seen[..., 0] < 8).any()  # on CIELAB's straight line
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-10)
     np.testing.assert_allclose(scielab.delta_e(reference, seen), expected, rtol=0, atol=1e-12)
 
 
-def test_grey_delta_e_map_other_shape_raises():
-    with pytest.raises(PixsimError, match=r"reference_lab, shape: got \(2, 3, 3\); allowed: \(3, 2, 3\)"):
-        scielab.grey_delta_e_map(np.zeros((2, 3, 3)), np.zeros((3, 2)), white_xyz=D65, samples_per_deg=23.0)
-
-
-def test_grey_delta_e_map_nan_reference_raises():
+def test_grey_delta_e_map_invalid_reference_raises():
     reference = np.zeros((2, 3, 3))
     reference[1, 2, 0] = np.nan
-    with pytest.raises(PixsimError, match=r"reference_lab: got nan at \[1, 2, 0\]"):
-        scielab.grey_delta_e_map(reference, np.zeros((2, 3)), white_xyz=D65, samples_per_deg=23.0)
+    for shape, message in (((3, 2), r", shape: got \(2, 3, 3\); allowed: \(3, 2, 3\)"), ((2, 3), r": got nan at \[1, 2, 0\]")):
+        with pytest.raises(PixsimError, match="reference_lab" + message):
+            scielab.grey_delta_e_map(reference, np.zeros(shape), white_xyz=D65, samples_per_deg=23.0)
 
 
 # --- Extremes beyond the stability table, and that its gates can fail ---
@@ -253,25 +233,24 @@ def test_delta_e_map_any_density_is_finite_in_little_memory(samples_per_deg, fil
     tracemalloc.start()
     view = {"white_xyz": D65, "samples_per_deg": samples_per_deg, "filters": filters, "formula": formula}
     try:
-        found = scielab.delta_e_map(bright_image(shape, 1), bright_image(shape, 2), **view)
+        actual = scielab.delta_e_map(bright_image(shape, 1), bright_image(shape, 2), **view)
         assert tracemalloc.get_traced_memory()[1] < 64e6
     finally:
         tracemalloc.stop()
-    assert found.shape == shape
-    assert np.all(np.isfinite(found))
+    assert actual.shape == shape
+    assert np.all(np.isfinite(actual))
 
 
 @pytest.mark.parametrize("samples_per_deg", [1e-320, 1e150, 1e160, 1e308])
 def test_filtered_lab_published_extreme_densities(samples_per_deg):
     picture = bright_image((6, 4))
-    found = scielab.filtered_lab(picture, white_xyz=D65, samples_per_deg=samples_per_deg)
+    actual = scielab.filtered_lab(picture, white_xyz=D65, samples_per_deg=samples_per_deg)
     seen = picture if samples_per_deg < 1 else np.broadcast_to(picture.mean(axis=(0, 1)), picture.shape)
-    np.testing.assert_allclose(found, scielab.xyz_to_lab(seen, D65), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(actual, scielab.xyz_to_lab(seen, D65), rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("samples_per_deg", [1e-320, 1e-300, 1e9, 1e300])
 def test_filtered_lab_zhang1996_extreme_density_raises(samples_per_deg):
-    # 1e-320 was an OverflowError, 1e9 asked for 16 GB.
     with pytest.raises(PixsimError, match=r"samples_per_deg: got .*allowed: 1e-06 to 1e\+06 for 'zhang1996'"):
         scielab.filtered_lab(bright_image((6, 4)), white_xyz=D65, samples_per_deg=samples_per_deg, filters="zhang1996")
 
@@ -285,17 +264,17 @@ def test_delta_e_map_is_independent_of_unit(unit, filters, formula):
     first, second = (np.rint(bright_image((5, 7), seed)) for seed in (1, 2))
     white = np.array([95.0, 100.0, 109.0])
     view = {"samples_per_deg": 23.0, "filters": filters, "formula": formula}
-    found = scielab.delta_e_map(first * unit, second * unit, white_xyz=white * unit, **view)
-    assert np.array_equal(found, scielab.delta_e_map(first, second, white_xyz=white, **view))
+    actual = scielab.delta_e_map(first * unit, second * unit, white_xyz=white * unit, **view)
+    assert np.array_equal(actual, scielab.delta_e_map(first, second, white_xyz=white, **view))
 
 
 @pytest.mark.parametrize("unit", [1e-310, 1e-12, 1e12, 1e305])
 def test_filtered_grey_lab_is_independent_of_unit(unit):
     grey = np.random.default_rng(0).uniform(0, 1.2, (8, 9))
-    found = scielab.filtered_grey_lab(grey, white_xyz=D65 * unit, samples_per_deg=23.0)
+    actual = scielab.filtered_grey_lab(grey, white_xyz=D65 * unit, samples_per_deg=23.0)
     expected = scielab.filtered_grey_lab(grey, white_xyz=D65, samples_per_deg=23.0)
     # At 1e-310 the white itself has 14 digits left only.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("filters", FILTERS)
@@ -303,25 +282,25 @@ def test_filtered_grey_lab_is_independent_of_unit(unit):
 @pytest.mark.parametrize("amount", [0.0, -1e-3, -1.0, 1e-12, 1e12])
 def test_delta_e_map_of_equal_images_is_zero(filters, formula, amount):
     picture = bright_image((6, 9)) * amount
-    found = scielab.delta_e_map(picture, picture, white_xyz=D65, samples_per_deg=23.0, filters=filters, formula=formula)
-    assert np.array_equal(found, np.zeros((6, 9)))
+    actual = scielab.delta_e_map(picture, picture, white_xyz=D65, samples_per_deg=23.0, filters=filters, formula=formula)
+    assert np.array_equal(actual, np.zeros((6, 9)))
 
 
 @pytest.mark.parametrize("formula", FORMULAS)
 @pytest.mark.parametrize("amount", [0.0, 1e-12, 1e12])
 def test_delta_e_map_negative_light_is_finite(formula, amount):
     noise = np.random.default_rng(0).normal(0, 1e-3, (16, 16, 3)) * D65
-    found = scielab.delta_e_map(noise, noise + amount * D65, white_xyz=D65, samples_per_deg=23.0, formula=formula)
-    assert np.all(np.isfinite(found))
+    actual = scielab.delta_e_map(noise, noise + amount * D65, white_xyz=D65, samples_per_deg=23.0, formula=formula)
+    assert np.all(np.isfinite(actual))
 
 
 def test_filtered_lab_noise_around_black_has_zero_mean():
     # The policy: nothing is clipped, so what is averaged by eye or by arithmetic is the same, and zero.
     noise = np.random.default_rng(0).normal(0, 1e-3, (64, 64, 3)) * D65
     noise -= noise.mean(axis=(0, 1))
-    found = scielab.filtered_lab(noise, white_xyz=D65, samples_per_deg=23.0)
-    assert found[..., 0].min() < -0.1
-    assert abs(found[..., 0].mean()) < 1e-12
+    actual = scielab.filtered_lab(noise, white_xyz=D65, samples_per_deg=23.0)
+    assert actual[..., 0].min() < -0.1
+    assert abs(actual[..., 0].mean()) < 1e-12
     clipped = scielab.filtered_lab(np.maximum(noise, 0), white_xyz=D65, samples_per_deg=23.0)
     assert clipped[..., 0].mean() > 0.3  # 903.3 · 1e-3/√2π
 
@@ -374,11 +353,7 @@ def test_delta_e_near_grey_is_small(formula, chroma):
     [
         ("clipping below zero", "filtered_lab", lambda xyz, **view: scielab.filtered_lab(np.maximum(xyz, 0), **view)),
         ("single precision", "filtered_lab", lambda xyz, **view: scielab.filtered_lab(np.float32(xyz), **view)),
-        (
-            "the other filters",
-            "filtered_lab",
-            lambda xyz, **view: scielab.filtered_lab(xyz, **{**view, "filters": "zhang1996"}),
-        ),
+        ("the other filters", "filtered_lab", lambda xyz, **view: scielab.filtered_lab(xyz, **{**view, "filters": "zhang1996"})),
         ("a floor below ΔE", "delta_e_map", lambda a, b, **view: scielab.delta_e_map(a, b, **view) + 1e-300),
         ("rounded constants", "xyz_to_lab", lambda xyz, white: _lab_of_1996(xyz, white)),
     ],
