@@ -38,6 +38,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
         yield result, folder / "out"
 
 
+def words_of(folder: Path) -> str:
+    return " ".join("".join(Elements(text_of(folder)).words).split())
+
+
 def test_write_report_is_self_contained(made: tuple[StudyResult, Path]) -> None:
     page = text_of(made[1])
     elements = Elements(page)
@@ -51,14 +55,13 @@ def test_write_report_is_self_contained(made: tuple[StudyResult, Path]) -> None:
 
 def test_write_report_escapes_markup(made: tuple[StudyResult, Path]) -> None:
     """The title and a technology's name hold markup; a reader sees them letter by letter."""
-    words = "".join(Elements(text_of(made[1])).words)
-    assert words.count(TITLE) == 2  # <title> and <h1>
-    assert "<b>&process" in words
+    assert words_of(made[1]).count(TITLE) == 2  # <title> and <h1>
+    assert "<b>&process" in words_of(made[1])
 
 
 def test_write_report_matches_summary(made: tuple[StudyResult, Path]) -> None:
     result = made[0]
-    words = " ".join("".join(Elements(text_of(made[1])).words).split())
+    words = words_of(made[1])
     for curve in json.loads((made[1] / "summary.json").read_text(encoding="utf-8"))["curves"]:
         best = curve["optimum"]
         assert best["inside"]
@@ -79,7 +82,7 @@ def test_write_report_minimum_at_end_is_not_best(made: tuple[StudyResult, Path],
     curve = result.curves[0]
     at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False, pitch_um=15.0)))
     write_report(replace(result, curves=(at_the_end,)), tmp_path, {})
-    words = " ".join("".join(Elements(text_of(tmp_path)).words).split())
+    words = words_of(tmp_path)
     assert "No best pixel size, 0.35um, between 5.30 and 15.00 µm" in words
     assert "Best pixel size" not in words
 
@@ -134,10 +137,6 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
     assert made[0].as_dict()["curves"][0]["optimum_features"] == pytest.approx(best.pitch_um / 0.35)
     names = [plate.name for plate in plates_of_curves(replace(made[0], curves=(curve, sheet)), curve)]
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
-
-
-def words_of(folder: Path) -> str:
-    return " ".join("".join(Elements(text_of(folder)).words).split())
 
 
 def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
