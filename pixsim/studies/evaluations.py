@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -281,16 +280,15 @@ class Fingerprints:
 
     def scene(self, technology: str) -> str:
         """Return the hash of the light that all pitches of a technology share."""
-        return content_hash([self.imaging, self.display, self.process(technology), self.study.pixel.model_dump()])
-
-    def process(self, technology: str) -> dict[str, Any]:
-        return technology_of(self.study, technology).content
+        return content_hash(
+            [self.imaging, self.display, technology_of(self.study, technology).content, self.study.pixel.model_dump()]
+        )
 
     def pixel(self, technology: str, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
         if (technology, pitch_um) not in self._pixels:
             pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # a path is no content
-            self._pixels[technology, pitch_um] = content_hash([self.imaging, self.process(technology), pixel])
+            self._pixels[technology, pitch_um] = content_hash([self.imaging, technology_of(self.study, technology).content, pixel])
         return self._pixels[technology, pitch_um]
 
     def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:

@@ -251,11 +251,11 @@ def measured(u: Array, delta_e: Array) -> tuple[Array, float, Design, int]:
 
     The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over pitches.
     """
-    there = np.isfinite(delta_e)
-    sensors = there.sum(axis=1)
+    valid = np.isfinite(delta_e)
+    sensors = valid.sum(axis=1)
     mean = np.nanmean(delta_e, axis=1)
     scale = float(mean.min()) or float(mean.max()) or 1.0
-    off = np.where(there, delta_e - mean[:, None], 0.0)
+    off = np.where(valid, delta_e - mean[:, None], 0.0)
     expected = float(((sensors - 1) * mean**2).sum())
     relative = float((off**2).sum()) / expected if expected else 0.0
     return mean, scale, Design(u, relative * (mean / scale) ** 2, sensors), int((sensors - 1).sum())

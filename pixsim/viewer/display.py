@@ -48,11 +48,14 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     return float(white)
 
 
-def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
-    """Return a white for a scene of unknown white: the 99th percentile of its luminance, to two digits. Warns that it did so.
+def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
+    """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
 
+    The white is the 99th percentile of the scene's luminance, to two digits, with a warning.
     Raises PixsimError if the picture is black up to that percentile.
     """
+    if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
+        return {}
     factor = field_factor(irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
     luminance = irradiance.illuminance_lx()
     luminance /= factor
@@ -70,16 +73,6 @@ def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
         stacklevel=2,
     )
     return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
-
-
-def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
-    """Return the header entries of `measured_white`, or none if the display or the scene defines the white.
-
-    Raises PixsimError as `measured_white` does.
-    """
-    if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
-        return {}
-    return measured_white(irradiance, camera)
 
 
 def white_spectrum(irradiance: SpectralImage) -> Array | None:
