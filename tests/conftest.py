@@ -31,6 +31,6 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Grows by one with every picture that is taken in this process."""
     taken: list[Frame] = []
-    view = ImagingChain.view
-    monkeypatch.setattr(ImagingChain, "view", lambda self, frame: taken.append(frame) or view(self, frame))
+    view = ImagingChain.score_frame
+    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: taken.append(frame) or view(self, frame))
     return taken

@@ -460,9 +460,9 @@ def test_rows_that_were_changed_by_hand_are_made_again(tmp_path, content):
         return row["key"] == "key1" and float(row["pitch_um"]) == float(row["repeat"]) == 1.5
 
     with in_time():
-        assert ResultsFile(tmp_path / "results.csv").begin(wanted) == {}
+        assert ResultsFile(tmp_path / "results.csv").resume(wanted) == {}
     rows(tmp_path / "results.csv")
-    assert list(ResultsFile(tmp_path / "results.csv").begin(wanted)) == ["key1"]
+    assert list(ResultsFile(tmp_path / "results.csv").resume(wanted)) == ["key1"]
 
 
 def test_rows_without_end(tmp_path):

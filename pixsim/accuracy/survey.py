@@ -40,7 +40,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
-from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe, unheard
+from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe, without_warnings
 from pixsim.viewer import display as displays
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
@@ -76,7 +76,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     physics, ends = derive(setup.pixel), [time.perf_counter()]
-    with unheard(), tempfile.TemporaryDirectory() as folder:
+    with without_warnings(), tempfile.TemporaryDirectory() as folder:
         diffracted_rate(image, setup.camera, physics)
         ends.append(time.perf_counter())
         light = prepare_scene(without_diffraction, setup.camera, physics, setup.display)
@@ -84,7 +84,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
         chain = chain_at_pitch(light, physics, setup.exposure)
         frame = chain.capture("stages")
         ends.append(time.perf_counter())
-        score = chain.view(frame)
+        score = chain.score_frame(frame)
         ends.append(time.perf_counter())
         summary = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed)
         write_all(Path(folder), image, score, summary)

@@ -1,6 +1,6 @@
-"""A score or a `StudyResult` to a folder: JSON, CSV, figures and report.html.
+"""Write a score or a `StudyResult` to a folder: JSON, CSV, figures and report.html.
 
-`run` makes a picture and its folder, `study` a study's; `views` are the pictures in it, `paper` the figures of the paper,
-`wording` results as sentences.
+`run` simulates and writes a single picture, `study` writes a study's report. `views` holds its pictures, `paper` the figures
+of Chen et al. (2000), `wording` the results as sentences.
 May import: base, light, optics, sensor, scene, show, viewer, studies.
 """

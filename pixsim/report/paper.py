@@ -1,4 +1,4 @@
-"""Figures 2 to 6 of Chen, Catrysse, El Gamal and Wandell (2000) from pixsim's own numbers."""
+"""Figures 2 to 6 of Chen, Catrysse, El Gamal and Wandell (2000), computed by pixsim."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 
 def scene_plates(result: StudyResult) -> list[Plate]:
-    """The paper's Figures 2 and 4: pixels and scene."""
+    """Return the paper's Figures 2 and 4: pixels and scene."""
     return [figure_2a(result), figure_2b(result), figure_4(result)]
 
 
 def map_plates(evidence: Evidence) -> list[Plate]:
-    """The paper's Figures 5 and 6, and where the errors are: from mean ΔE maps of many sensors."""
+    """Return the paper's Figures 5 and 6, and mean ΔE by frequency and contrast."""
     return [figure_5(evidence), figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
 
 
 def figure_2a(result: StudyResult) -> Plate:
-    """DR, and SNR at 20 % well, against pitch, at 30 ms, for both capacitances."""
+    """Plot DR and SNR at 20 % of the well against pitch, at 30 ms, for both capacitances."""
     pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
     figure = new_figure(6.0, 3.8)
     axes = figure.subplots()
@@ -61,7 +61,7 @@ def figure_2a(result: StudyResult) -> Plate:
 
 
 def figure_2b(result: StudyResult) -> Plate:
-    """System MTF of four pixels against frequency over the Nyquist frequency of 6 µm ones; all terms for the paper's optimum."""
+    """Plot the system MTF of four pixels, and all blur terms at the paper's optimum."""
     relative = np.linspace(0.0, 1.0, 101)
     frequency = relative * SIX_UM_NYQUIST_CY_PER_MM
     figure = new_figure(9.0, 3.9)
@@ -89,7 +89,7 @@ def figure_2b(result: StudyResult) -> Plate:
     terms_axes.set(xlabel="frequency on the sensor (lp/mm)", xlim=(0, SIX_UM_NYQUIST_CY_PER_MM))
     caption = (
         "Figure 2b. Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
-        "frequency of each pixel. The photodiode is smaller than the pixel (its fill factor), so it blurs less than the pitch "
+        "frequency of each pixel. The photodiode is smaller than the pixel (fill factor), so it blurs less than the pitch "
         f"suggests. Right: every term from the scene to the viewer's display, for {OPTIMUM_UM:g} µm pixels, and their product. "
         "The interpolation between pixels and the mean over a dot belong to the display."
     )
@@ -97,7 +97,7 @@ def figure_2b(result: StudyResult) -> Plate:
 
 
 def figure_4(result: StudyResult) -> Plate:
-    """The CSF scene as rendered: illuminance on the sensor."""
+    """Show the CSF scene as rendered: illuminance on the sensor."""
     lux = result.irradiance.illuminance_lx()
     figure = new_figure(4.6, 4.4)
     axes = figure.subplots()
@@ -108,7 +108,7 @@ def figure_4(result: StudyResult) -> Plate:
 
 
 def figure_5(evidence: Evidence) -> Plate:
-    """Ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
+    """Show the ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
     result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
     (score,) = result.scores(curve.technology, FIGURE_5_PITCH_UM, 1)
     plate = study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], "figure_5_pictures_8um")
@@ -116,7 +116,7 @@ def figure_5(evidence: Evidence) -> Plate:
 
 
 def figure_6(evidence: Evidence) -> Plate:
-    """Curves of ΔE = 3 for four pixel sizes."""
+    """Plot curves of equal ΔE for four pixel sizes."""
     level = evidence.result.study.iso_delta_e
     _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
     figure = new_figure(5.4, 5.0)
@@ -147,7 +147,7 @@ def figure_6(evidence: Evidence) -> Plate:
 
 
 def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
-    """Mean ΔE in cells of frequency and contrast, at 8 µm."""
+    """Show the mean ΔE in cells of frequency and contrast, at 8 µm."""
     frequency, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
@@ -156,10 +156,10 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
         axes.text(
             column, row, f"{value:.1f}", ha="center", va="center", fontsize=8, color="w" if value < DELTA_E_SHOWN / 2 else "k"
         )
-    axes.set_xticks(range(frequency.size), [f"{each:.2g}" for each in frequency])
-    axes.set_yticks(range(contrast.size), [f"{each:.2g}" for each in contrast])
+    axes.set_xticks(range(frequency.size), [f"{value:.2g}" for value in frequency])
+    axes.set_yticks(range(contrast.size), [f"{value:.2g}" for value in contrast])
     axes.set(xlabel="spatial frequency on the sensor (lp/mm)", ylabel=CONTRAST_LABEL)
     figure.colorbar(image, ax=axes, label="mean ΔE", extend="max")
     table: dict[str, Column] = {"contrast": contrast.tolist()}
-    table |= {f"delta_e_at_{each:.3g}_lp_per_mm": values[:, index].tolist() for index, each in enumerate(frequency)}
+    table |= {f"delta_e_at_{value:.3g}_lp_per_mm": values[:, index].tolist() for index, value in enumerate(frequency)}
     return Plate("delta_e_by_frequency_and_contrast", "Mean ΔE by spatial frequency and contrast, 8 µm pixels.", figure, table)

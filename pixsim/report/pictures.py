@@ -1,4 +1,4 @@
-"""The pictures of a result: their axes on the sensor, and details of them."""
+"""Pictures of a result: their axes on the sensor, and details."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pixsim.viewer.score import Score
 
 MAX_TICKS = 7
 CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
-Border = tuple[float, float]  # µm above and below, and left and right, that a picture leaves out of what was rendered
+Border = tuple[float, float]  # µm omitted above and below, and left and right, of the rendered picture
 NO_BORDER: Border = (0.0, 0.0)
 
 
 def extent(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float, float, float]:
-    """Left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on top."""
+    """Return left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on top."""
     height_um, width_um = picture_size_um(irradiance)
     down_um, across_um = border_um
     return 1e-3 * across_um, 1e-3 * (width_um - across_um), 1e-3 * (height_um - down_um), 1e-3 * down_um
@@ -32,7 +32,7 @@ def is_csf(irradiance: SpectralImage) -> bool:
 
 
 def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float]:
-    """Lowest and highest frequency of the CSF chart within a border: it fills the die, so another die than its own scales them."""
+    """Return the lowest and highest frequency of the CSF chart within a border. It fills the die, so they scale with its size."""
     left, right, _, _ = extent(irradiance, border_um)
     width_mm = extent(irradiance)[1]
     lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(at / width_mm)) for at in (left, right))
@@ -40,7 +40,7 @@ def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER
 
 
 def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> PictureAxes:
-    """Frequency and contrast for the CSF chart, else the position on the sensor; marks within the border."""
+    """Return axes of frequency and contrast for the CSF chart, else of position on the sensor."""
     extent_mm = left, right, bottom, top = extent(irradiance, border_um)
     if not is_csf(irradiance):
         across, down = _even_ticks(left, right), _even_ticks(top, bottom)
@@ -53,7 +53,7 @@ def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> Pi
 
 
 def _ratio_ticks(ends_mm: tuple[float, float], ends: tuple[float, float], inner: Iterable[float]) -> tuple[tuple[float, str], ...]:
-    """Marks at both ends of an axis of equal ratios, and at those values between them that leave room for their texts."""
+    """Return ticks of a logarithmic axis: at both ends, and at inner values that leave space for their labels."""
     (first_mm, last_mm), (low, high) = ends_mm, ends
     steps = np.array(list(inner))
     values = np.array([low, *steps[(steps > 1.4 * low) & (steps < 0.75 * high)], high])
@@ -62,16 +62,16 @@ def _ratio_ticks(ends_mm: tuple[float, float], ends: tuple[float, float], inner:
 
 
 def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...]:
-    """In steps of 1, 2 or 5 times a power of ten."""
+    """Return ticks in steps of 1, 2 or 5 times a power of ten."""
     rough = (last_mm - first_mm) / (MAX_TICKS - 1)
     unit = 10.0 ** math.floor(math.log10(rough))
-    step = unit * min(each for each in (1, 2, 5, 10) if each * unit >= rough * (1 - 1e-9))
+    step = unit * min(factor for factor in (1, 2, 5, 10) if factor * unit >= rough * (1 - 1e-9))
     steps = range(math.ceil(first_mm / step * (1 - 1e-9)), math.floor(last_mm / step * (1 + 1e-9)) + 1)
     return tuple((step * n, f"{step * n:.3g}") for n in steps)
 
 
 def crops(score: Score, window: Window, name: str) -> tuple[Picture, ...]:
-    """A detail of the ideal image, of the output and of its ΔE map, with what it has of ΔE."""
+    """Return a detail of the ideal image, of the output and of its ΔE map, with its mean and largest ΔE."""
     inside = window.of(score.delta_e)
     return (
         Picture(grey_codes(window.of(score.ideal)), "ideal image"),

@@ -1,4 +1,4 @@
-"""One run from scene to score, the files it leaves (all of them, or none), and its page."""
+"""One run from scene to score, its output files (all of them, or none), and its report page."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, versions, write_json
-from pixsim.base.parameters import Camera, Display, Exposure, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
-from pixsim.report.settings import FILLED, Light, only_sheets, record_rows, scene_rows
+from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
 from pixsim.report.wording import budget_lines, dark_note, score_line
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
@@ -37,16 +37,16 @@ if TYPE_CHECKING:
     from pixsim.studies.budget import Settled
 
 
-# What lies beside the page.
+# Files next to the page, with their descriptions.
 FILES = {
     "score.json": "all numbers and settings, for programs",
     "irradiance.exr": "light on the sensor, before diffraction",
     "raw.exr": "digital numbers of the sensor",
-    "ideal.png": "what an ideal camera would have shown",
-    "image.png": "what the viewer is shown",
-    "delta_e.exr": "S-CIELAB map, for programs",
-    "delta_e.png": "S-CIELAB map, with axes",
-    "provenance.json": "versions and times",
+    "ideal.png": "image of an ideal camera, as shown",
+    "image.png": "image of the sensor, as shown",
+    "delta_e.exr": "S-CIELAB ΔE map, for programs",
+    "delta_e.png": "S-CIELAB ΔE map, with axes",
+    "provenance.json": "versions and wall times",
 }
 AFTERWARDS = ("score.json", "provenance.json")
 MEANINGS = {
@@ -54,37 +54,37 @@ MEANINGS = {
     "fill_factor": "photodiode area over pixel area",
     "full_well_e": "full well (electrons)",
     "integration_s": "exposure time (s)",
-    "saturated_fraction": "saturated pixels, of all: their charge reached the well, or their DN the top code",
-    "mean_electrons_e": "mean photo-electrons of all pixels",
+    "saturated_fraction": "fraction of saturated pixels: at full well, or at the ADC's top code",
+    "mean_electrons_e": "mean photo-electrons per pixel",
     "mean_delta_e": "mean ΔE",
     "median_delta_e": "median ΔE",
-    "p90_delta_e": "ΔE that 90 % of the dots are below",
-    "p99_delta_e": "ΔE that 99 % of the dots are below",
+    "p90_delta_e": "90th percentile of ΔE over dots",
+    "p99_delta_e": "99th percentile of ΔE over dots",
     "max_delta_e": "largest ΔE",
 }
 
 
 def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summary: dict[str, Any]) -> None:
-    """Write report.html beside the run's other files, which it names, and whose pictures it holds."""
+    """Write report.html next to the run's other files; it links to them and contains their pictures."""
     window = worst_window([score.delta_e])
     width_mm, height_mm = extent(irradiance)[1:3]
     left_mm, right_mm, bottom_mm, top_mm = extent(irradiance, score.border_um)
     physics, header = score.physics, irradiance.header
-    parameters = header.get("parameters")  # in a file from elsewhere it may be anything
+    parameters = header.get("parameters")  # may be anything in a file of another program
     camera = Camera.model_validate(summary["camera"])
     display = Display.model_validate(summary["display"])
-    light = Light.of(irradiance, display, [summary["integration_s"]])
-    sheet = only_sheets([physics.technology.name])
-    told = score.statistics()
-    if sheet and told["fill_factor"] > FILLED:
-        del told["fill_factor"]  # none was told
+    light = LightLevel.of(irradiance, display, [summary["integration_s"]])
+    sheet = physics.technology.name == NO_TECHNOLOGY
+    statistics = score.statistics()
+    if sheet and statistics["fill_factor"] > FILLED:
+        del statistics["fill_factor"]  # the data sheet states none
     exposure = Exposure.model_validate(summary["exposure"])
     others = {
-        path.name: "the same as raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
+        path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
     records = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "display": display}
     page = {
-        "scene": Path(str(header.get("scene", header.get("source", "a picture made elsewhere")))).stem,
+        "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
         "line": score_line(summary),
         "summary": summary,
         "label": label_of(physics.technology.name),
@@ -98,7 +98,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
         "scale_bar": scale(),
         "map": (folder / "delta_e.png").read_bytes(),
-        "statistics": [(MEANINGS[key], value) for key, value in told.items()],
+        "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
         "notes": dark_note(summary),
         "blur": blur_words(irradiance, camera, physics, display),
         "budget": budget_lines(summary),
@@ -115,13 +115,13 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
 
 
 def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
-    """A whole picture: its file, or, where it is large, the `reduced` one."""
+    """Return a whole picture from its file, or the `reduced` one if it is large."""
     if factor_for(luminance) == 1:
         return Picture(grey_codes(luminance), name, png=path.read_bytes())
     return Picture(grey_codes(reduced(luminance)), name)
 
 
-OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # files that a run may write or not
+OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # output files that not every run writes
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
 
@@ -138,20 +138,24 @@ def run_and_write(
     irradiance_too: bool = True,
     progress: Stage,
 ) -> dict[str, Any]:
-    """Render a scene (or read a spectral picture), sense, score and write; returns what stands in score.json.
+    """Render a scene or read a spectral picture, simulate and score a frame, write all files, and return score.json.
 
-    raw_suffixes : of formats in which the frame is written beside raw.exr
+    raw_suffixes : further formats of the frame besides raw.exr
     irradiance_too : whether irradiance.exr, the largest file, is written
 
-    Raises PixsimError for unusable input; the folder then holds what it held before.
+    Raises PixsimError for invalid input; the folder is then unchanged.
     """
     from pixsim.sensor.pixel import derive
 
     derive(settings.pixel)
     if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
-        raise invalid("--raw", f"tiff or png for an ADC of {settings.pixel.bits} bits", f"{BITS_OF_PICTURES} bits; npz for more")
+        raise invalid(
+            "--raw", f"tiff or png for an ADC of {settings.pixel.bits} bits", f"at most {BITS_OF_PICTURES} bits; use npz for more"
+        )
     if settings.tolerance_delta_e and full:
-        raise invalid("--tolerance-delta-e", "with --full", "one of them: the first leaves out what it can, the second nothing")
+        raise invalid(
+            "--tolerance-delta-e", "with --full", "one of the two: a tolerance selects cheaper settings, --full uses none"
+        )
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -162,28 +166,28 @@ def run_and_write(
     if Path(source).suffix.lower() in PICTURE_SUFFIXES:
         if settings.scene or sensor or variant or settings.tolerance_delta_e:
             options = "-D, --sensor, --variant, --tolerance-delta-e"
-            raise invalid(options, f"'{source}', a picture", "a Mitsuba scene for these options")
+            raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
         prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]] = partial(_read, source, settings, units)
     else:
         if units:
-            raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr): a render's units are known")
+            raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
         prepared = _prepare(source, settings, full, sensor, variant, progress)
     with output_folder(out) as folder:
         irradiance, camera, more = prepared()
         lap("read" if not more else "render")
         progress("sense and score")
         irradiance.header |= white_header(irradiance, camera, settings.display)
-        bench = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
-        score = bench.score("evaluate", settings.seed)
-        if "error_budget" in more:  # over as many sensors as it asks for, the pictured one among them
+        chain = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
+        score = chain.simulate("evaluate", settings.seed)
+        if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
             sensors = more["error_budget"]["settings"]["sensors"]
-            others = [bench.score("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
+            others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
             more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
         lap("sense and score")
         progress("write")
         summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
         written = write_all(folder, irradiance, score, summary, raw_suffixes, irradiance_too)
-        # Of an earlier run, whose pictures are gone.
+        # Files of an earlier run that this one has not replaced.
         for stale in (folder / name for name in OPTIONAL if name not in written):
             if stale.is_file() and not (Path(source).exists() and stale.samefile(source)):
                 stale.unlink()
@@ -195,10 +199,9 @@ def run_and_write(
 def summary_of(
     score: Score, irradiance: SpectralImage, camera: Camera, exposure: Exposure, display: Display, seed: int
 ) -> dict[str, Any]:
-    """score.json: numbers, then what made them.
+    """Return score.json: the results, then the settings.
 
-    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the edge of the picture that is not
-    scored.
+    `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
     """
     physics, time_s = score.physics, score.frame.integration_s
     white_e = white_rate(irradiance, camera, physics, display) * physics.photodiode_area_um2 * time_s
@@ -221,7 +224,7 @@ def summary_of(
 def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
 ) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
-    """Everything that can be refused before a render, and the render."""
+    """Check everything that can be checked before a render, and return the function that renders."""
     from pixsim.scene.convergence import render_until
     from pixsim.scene.plan import make_plan
     from pixsim.scene.scene import load_scene
@@ -265,7 +268,7 @@ def _prepare(
 
 
 def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage, Camera, dict[str, Any]]:
-    """A picture made elsewhere, and the camera that it is taken with."""
+    """Return a picture of another program, and the camera."""
     from pixsim.optics.exchange import read_with_camera
 
     image, camera = read_with_camera(source, settings.camera, units)
@@ -281,7 +284,7 @@ def write_all(
     raw_suffixes: Sequence[str] = (),
     irradiance_too: bool = True,
 ) -> set[str]:
-    """Write into a folder beside the target's files, then move them over: an interruption leaves no half file. Returns names."""
+    """Write all files to a temporary folder, move them to the target, and return their names."""
     partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
     try:
         if irradiance_too:

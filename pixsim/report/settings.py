@@ -1,4 +1,4 @@
-"""What a result was found with, as the tables of its page: scene, camera, pixel, exposure, display."""
+"""The settings behind a result as tables for its page: scene, camera, pixel, exposure, display."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pixsim.base.parameters import NO_TECHNOLOGY, Display, PixelOptions, Record
+from pixsim.base.parameters import Display, PixelOptions, Record
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.pages import shown_value
 
-FILLED = 0.9995  # fill factors above it read as 100 %: those of sensors whose data sheets tell the whole pixel's numbers
+FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
 
-
-# Of a pixel, choices between models of a process: a sensor that is known by its data sheet uses none of them.
+# Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
+Row = tuple[str, Any, str, str]  # setting, value, meaning, source
 
 
-Row = tuple[str, Any, str, str]  # a setting, its value, its meaning, and where it comes from
-
-
-class Light(NamedTuple):
-    """What is shown as display white, and for how long pixels see it."""
+class LightLevel(NamedTuple):
+    """Luminance that is shown as display white, its source, and the shortest and longest exposure time."""
 
     white_cd_per_m2: float
     white_from: str
@@ -32,20 +29,20 @@ class Light(NamedTuple):
     longest_s: float
 
     @classmethod
-    def of(cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]) -> Light:
-        """Of a scored picture, whose white is known: the display's own number goes before the scene's."""
+    def of(cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]) -> LightLevel:
+        """Return the light level of a scored picture; the display's white takes precedence over the scene's."""
         header, times_s = irradiance.header, np.array(list(integration_s), float)
         if display.white_cd_per_m2:
-            white, told = display.white_cd_per_m2, "display.white_cd_per_m2"
+            white, source = display.white_cd_per_m2, "display.white_cd_per_m2"
         else:
             white = header["luminance_cd_per_m2"]
-            told = f"{header['white_from']} of the scene's luminance" if "white_from" in header else "the scene"
-        return cls(float(white), told, float(times_s.min()), float(times_s.max()))
+            source = f"{header['white_from']} of the scene's luminance" if "white_from" in header else "the scene"
+        return cls(float(white), source, float(times_s.min()), float(times_s.max()))
 
     @property
     def exposure(self) -> str:
-        """The time, or the shortest and the longest, in ms."""
-        ends = [f"{1e3 * each:.3g}" for each in (self.shortest_s, self.longest_s)]
+        """Exposure time in ms, or its range."""
+        ends = [f"{1e3 * time_s:.3g}" for time_s in (self.shortest_s, self.longest_s)]
         return " to ".join(dict.fromkeys(ends)) + " ms"
 
     def __str__(self) -> str:
@@ -53,40 +50,35 @@ class Light(NamedTuple):
 
 
 def scene_rows(
-    irradiance: SpectralImage, parameters: Mapping[str, object], light: Light, sources: Mapping[str, str] | None = None
+    irradiance: SpectralImage, parameters: Mapping[str, object], light: LightLevel, sources: Mapping[str, str] | None = None
 ) -> list[Row]:
-    """What was looked at, how bright it was, and how long it was exposed.
+    """Return the rows of the scene: its file, parameters, luminance and exposure.
 
-    parameters : of the scene, that were set
-    sources : dotted name -> where its value comes from
+    parameters : of the scene, as set by the user
+    sources : dotted name -> source of its value
     """
     header = irradiance.header
-    named = sources or {}
-    together = named.get("scene.parameters", "set")
+    sources = sources or {}
+    default = sources.get("scene.parameters", "set")
     file = header.get("scene", header.get("source"))
-    rows = [("file", file, "what is looked at", named.get("scene.file", ""))] if file else []
+    rows = [("file", file, "scene or picture", sources.get("scene.file", ""))] if file else []
     for name, value in parameters.items():
         shown = Path(value).name if isinstance(value, str) else value
-        rows.append((name, shown, "parameter of the scene", named.get(f"scene.parameters.{name}", together)))
-    own = header.get("luminance_cd_per_m2")
-    if isinstance(own, int | float) and own != light.white_cd_per_m2:
-        rows.append(("luminance_cd_per_m2", f"{own:.4g}", "white of the scene, which the display does not show as its own", ""))
+        rows.append((name, shown, "parameter of the scene", sources.get(f"scene.parameters.{name}", default)))
+    scene_white = header.get("luminance_cd_per_m2")
+    if isinstance(scene_white, int | float) and scene_white != light.white_cd_per_m2:
+        rows.append(("luminance_cd_per_m2", f"{scene_white:.4g}", "white of the scene, which is not shown as display white", ""))
     rows.append(("white_cd_per_m2", f"{light.white_cd_per_m2:.4g}", "scene luminance shown as display white", light.white_from))
-    rows.append(("integration_s", light.exposure, "exposure time, from the shortest to the longest frame", ""))
+    rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
     return rows
 
 
-def record_rows(name: str, record: Record, from_a_sheet: bool, sources: Mapping[str, str] | None = None) -> list[Row]:
-    """The fields of a record that were used, with where each comes from: told by the user, set, or the default."""
-    left_out = OF_A_PROCESS if from_a_sheet and isinstance(record, PixelOptions) else frozenset()
+def record_rows(name: str, record: Record, from_data_sheet: bool, sources: Mapping[str, str] | None = None) -> list[Row]:
+    """Return the used fields of a record with their sources: as given in `sources`, 'set', or 'default'."""
+    left_out = OF_A_PROCESS if from_data_sheet and isinstance(record, PixelOptions) else frozenset()
     fields, rows = type(record).model_fields, []
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
         source = (sources or {}).get(f"{name}.{key}", "default" if value == fields[key].default else "set")
         rows.append((key, shown_value(value), meaning, source))
     return rows
-
-
-def only_sheets(technologies: Iterable[str]) -> bool:
-    """Whether all sensors are known by their data sheets."""
-    return all(each == NO_TECHNOLOGY for each in technologies)

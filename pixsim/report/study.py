@@ -1,4 +1,4 @@
-"""The report of a study: figures with their data, summary.json, and one HTML file that opens offline."""
+"""The report of a study: figures with their data, summary.json, and one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pixsim.base.parameters import NO_TECHNOLOGY, Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import is_csf
-from pixsim.report.settings import FILLED, Light, Row, only_sheets, record_rows, scene_rows
+from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
 from pixsim.report.wording import study_dark_notes, target_notes
 from pixsim.sensor.pixel import physics_of
@@ -37,34 +37,34 @@ from pixsim.studies.result import (
     within_words,
 )
 
-ROOM_FOR_LEGEND = 1.35  # over the highest point, for a legend of three lines
+LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
 def other_statistics(result: StudyResult, curve: Curve) -> Plate:
-    """Percentiles and maximum of ΔE beside the mean, each over its smallest value."""
+    """Plot the mean, percentiles and maximum of ΔE against pitch, each over its minimum."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
     for name, look in zip(DELTA_E_STATISTICS, LOOKS, strict=False):
         values = curve.mean(name)
-        label = f"{name.removesuffix('_delta_e')}: least, {values.min():.2f}, at {curve.pitch_um[values.argmin()]:.2f} µm"
+        label = f"{name.removesuffix('_delta_e')}: minimum {values.min():.2f} at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
-    axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its least value of all pixel sizes", ylim=(0.9, 3.0))
+    axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     caption = (
-        f"The same pictures judged by other statistics of ΔE ({curve.label}), each divided by its smallest value. The "
-        "pitch in the legend is the best of those tried."
+        f"Other statistics of ΔE for the same pictures ({curve.label}), each divided by its minimum. The legend gives the "
+        "best of the pixel sizes tried."
     )
     if is_csf(result.irradiance):
         caption += (
-            " The maximum belongs to single dots of the darkest bars, where S-CIELAB, which blurs colour more widely than "
-            "luminance, is at its most sensitive."
+            " The maximum belongs to single dots in the darkest bars, where S-CIELAB, which blurs colour more widely than "
+            "luminance, is most sensitive."
         )
     return Plate("other_statistics", caption, figure, curve_table([curve]))
 
 
 def optimum_against_technology(result: StudyResult) -> Plate:
-    """Optima with their intervals, next to what 'proportional to technology' would give."""
+    """Plot the optima with their intervals, and the line of an optimum proportional to the feature size."""
     curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
     feature_um = np.array([curve.feature_size_um for curve in curves])
     size_um = np.array([curve.optimum.pitch_um for curve in curves])
@@ -74,7 +74,7 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
     axes.errorbar(feature_um, size_um, bars, fmt="o", color=COLOURS[0], lw=2, capsize=4, label="optimum, 95 % interval")
     proportional = size_um[-1] / feature_um[-1] * feature_um
-    axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to technology")
+    axes.plot(feature_um, proportional, "--", color="0.4", label="proportional to feature size")
     axes.set(xlabel="feature size (µm)", ylabel="optimal pixel size (µm)", xlim=(0, None), ylim=(0, None))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
@@ -87,59 +87,60 @@ def optimum_against_technology(result: StudyResult) -> Plate:
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
         "proportional_um": proportional.tolist(),
     }
-    caption = "Optimal pixel size against technology, and the line that the largest process scaled in proportion would follow."
+    caption = (
+        "Optimal pixel size against feature size, and the line through the largest process if the optimum were proportional to it."
+    )
     return Plate("optimum_against_technology", caption, figure, table)
 
 
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
-    """MTF50 and MPE30 of each pitch, the two sides of the trade-off; and what each term of the blur leaves of fine detail."""
+    """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur term at fine detail."""
     pixels = [physics_of(result.study, curve.technology, pitch) for pitch in curve.pitch_um.tolist()]
     mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
     shown50 = [mtf50_cy_per_mm(result, physics, shown_mtf) for physics in pixels]
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
     figure = new_figure(6.4, 6.8)
     axes, lower = figure.subplots(2, 1, sharex=True)
-    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor, left")
-    detail += axes.plot(curve.pitch_um, shown50, "^:", ms=4, color=COLOURS[0], label="MTF50 on the display, left")
+    detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor (left axis)")
+    detail += axes.plot(curve.pitch_um, shown50, "^:", ms=4, color=COLOURS[0], label="MTF50 on the display (left axis)")
     axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
-    axes.set_ylim(0, ROOM_FOR_LEGEND * max(mtf50))
+    axes.set_ylim(0, LEGEND_HEADROOM * max(mtf50))
     other = axes.twinx()
-    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure, right")
+    light = other.semilogy(curve.pitch_um, mpe30, "s--", ms=4, color=COLOURS[1], label="exposure (right axis)")
     other.set_ylabel("exposure for 30 dB (lx·s): light", color=COLOURS[1])
     other.spines["right"].set_visible(True)
     axes.legend(handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE)
 
     frequency, name = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
     of_pixels = [study_mtf_terms(result, physics, np.array(frequency)) for physics in pixels]
-    terms = {term: np.array([float(each[term]) for each in of_pixels]) for term in of_pixels[0]}
+    terms = {term: np.array([float(values[term]) for values in of_pixels]) for term in of_pixels[0]}
     shown = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
     table: dict[str, Column] = {
         "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
     }  # fmt: skip
     table |= {f"{term}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist() for term, mtf in (terms | {"shown": shown}).items()}
-    lower.set(xlabel="pixel size (µm)", ylabel=f"contrast left at {frequency:.3g} lp/mm", ylim=(0, 1.02))
+    lower.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
     caption = (
-        f"Both sides of the trade-off ({curve.label}). Above: the frequency at which the MTF is one half, from the scene to the "
-        "sensor and to the viewer's display, and the least exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms). High "
-        f"detail and little light are good. Below: what each term leaves of the scene's contrast at {frequency:.3g} lp/mm, {name}, "
-        "and their product."
+        f"Both sides of the trade-off ({curve.label}). Above: MTF50, the frequency at which the MTF is one half, on the sensor and "
+        "on the display (higher is better), and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower "
+        f"is better). Below: MTF of each term at {frequency:.3g} lp/mm, {name}, and their product."
     )
     return Plate("light_against_detail", caption, figure, table)
 
 
-# Of the paper, for the curves that any study has.
+# In the paper, of curves that any study has.
 FIGURE_NUMBERS = {
     "delta_e_against_pitch": "Figure 7. ",
     "delta_e_against_pitch_all": "Figure 8. ",
     "optimum_against_technology": "Figure 9. ",
 }
-# Of the page, and the sections whose figures stand under them.
+# Headings of the page, and the kinds of sections under them.
 HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
 
 class Section(NamedTuple):
-    """Figures that are drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
+    """Figures drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
 
     number: int
     kind: str
@@ -149,8 +150,8 @@ class Section(NamedTuple):
         return f"figures of {self.technology or self.kind}"
 
 
-class Made(NamedTuple):
-    """What a section came to: its figures, the pictures that people see, and what it found."""
+class DrawnSection(NamedTuple):
+    """A drawn section: its figures, its pictures, and its statements of the paper."""
 
     section: Section
     drawn: list[Drawn]
@@ -158,7 +159,7 @@ class Made(NamedTuple):
     rows: list[Finding]
 
 
-def draw_section(section: Section, result: StudyResult) -> Made:
+def draw_section(section: Section, result: StudyResult) -> DrawnSection:
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
     rows: list[Finding] = []
@@ -168,7 +169,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     elif section.kind == "pictures":
         curve = by_name[section.technology]
         scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
-        plates = [study_pictures(result, curve, scores[0], [each.delta_e for each in scores], f"pictures_{curve.file_label}")]
+        plates = [study_pictures(result, curve, scores[0], [score.delta_e for score in scores], f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
         plates = [other_statistics(result, first), light_against_detail(result, first)]
@@ -177,7 +178,7 @@ def draw_section(section: Section, result: StudyResult) -> Made:
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return Made(section, [plate.drawn() for plate in plates], views, rows)
+    return DrawnSection(section, [plate.drawn() for plate in plates], views, rows)
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -193,25 +194,22 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
 
 
 def write_report(
-    result: StudyResult,
-    folder: str | os.PathLike[str],
-    seconds: dict[str, float] | None = None,
-    workers: Workers | None = None,
+    result: StudyResult, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None, workers: Workers | None = None
 ) -> Path:
-    """Write report.html and what it shows: figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
+    """Write report.html, figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
 
-    Wall times stand in the report and in provenance.json only: everything else is the same bytes each time, and does not
-    depend on the workers that draw the figures.
+    Only the wall times in the report and in provenance.json vary: everything else is reproducible byte for byte, and does not
+    depend on the workers.
 
     result : of `study`
-    folder : made if need be
-    seconds : stage -> s that it took, to be told
-    workers : processes that draw; None draws here
+    folder : created if missing
+    seconds : stage -> wall time in s, for the report
+    workers : processes that draw the figures; None means this process
 
-    Returns the path of report.html. Raises PixsimError for a folder that cannot be written to.
+    Returns the path of report.html. Raises PixsimError if the folder cannot be written.
     """
-    with output_folder(folder) as made:
-        return _write(result, made, seconds or {}, workers or Workers())
+    with output_folder(folder) as path:
+        return _write(result, path, seconds or {}, workers or Workers())
 
 
 def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
@@ -220,26 +218,25 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
     longest_first = reversed([Section(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
-    def itself() -> StudyResult:
+    def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
 
-    calls = [(section, itself) for section in longest_first]
-    made = sorted(results_of(draw_section, calls, workers))  # numbers differ
-    rows = [row for each in made for row in each.rows]
-    views = [each.views for each in made if each.views]
+    drawn_sections = sorted(results_of(draw_section, [(section, shared) for section in longest_first], workers))
+    rows = [row for drawn in drawn_sections for row in drawn.rows]
+    views = [drawn.views for drawn in drawn_sections if drawn.views]
     shown = {
-        heading: write_figures(folder, [drawn for each in made if each.section.kind in kinds for drawn in each.drawn])
+        heading: write_figures(folder, [plate for drawn in drawn_sections if drawn.section.kind in kinds for plate in drawn.drawn])
         for heading, kinds in HEADINGS.items()
     }
-    for each in views:
-        with replacing(folder / "figures" / f"contact_sheet_{each.file_label}.png") as partial:
-            partial.write_bytes(each.sheet)
+    for view in views:
+        with replacing(folder / "figures" / f"contact_sheet_{view.file_label}.png") as partial:
+            partial.write_bytes(view.sheet)
     write_json(folder / "summary.json", result.as_dict() | ({"paper": [row.as_dict() for row in rows]} if rows else {}))
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
 
-    def light_of(curves: Sequence[Curve]) -> Light:
-        return Light.of(result.irradiance, study.display, np.concatenate([curve.mean("integration_s") for curve in curves]))
+    def light_of(curves: Sequence[Curve]) -> LightLevel:
+        return LightLevel.of(result.irradiance, study.display, np.concatenate([curve.mean("integration_s") for curve in curves]))
 
     def blur_of(curve: Curve) -> str:
         physics = physics_of(study, curve.technology, curve.optimum.pitch_um)
@@ -255,7 +252,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "views": views,
         "scale_bar": scale(),
         "findings": rows,
-        "notes": [each.removeprefix("note: ") for each in (*target_notes(result), *study_dark_notes(result))],
+        "notes": [note.removeprefix("note: ") for note in (*target_notes(result), *study_dark_notes(result))],
         "response_note": response_note(study) if study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,
@@ -268,19 +265,19 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     return write_page(folder / "report.html", "report.html.j2", page)
 
 
-def settings(result: StudyResult, light: Light) -> list[tuple[str, list[Row]]]:
-    """The parameters with their meaning and source, as the report's tables show them; unset ones come from the technology."""
+def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row]]]:
+    """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
     study = result.study
     records: dict[str, Record] = {"camera": result.camera} | {
         name: getattr(study, name) for name in ("pixel", "exposure", "display")
     }
-    sheets = only_sheets(study.technologies)
+    sheets = all(name == NO_TECHNOLOGY for name in study.technologies)
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 
 
 def technology_rows(study: Study, technology: str) -> tuple[str, list[tuple[str, float | str, str, str]]]:
-    """A process's name; and name, value, plausible range and source of each of its numbers, for the report's table."""
+    """Return a process's name, and the name, value, plausible range and source of each of its numbers."""
     process = technology_of(study, technology)
     values = process.content | process.numbers
     ranges = {name: f"{low:g} to {high:g}" for name, (low, high) in process.ranges.items()}

@@ -1,4 +1,4 @@
-"""What people see of a study: axes of a picture on the sensor, details from every pixel size, and whole pictures."""
+"""Pictures of a study: details from every pixel size, whole pictures, ΔE maps and curves of equal ΔE."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Of four pictures and a bar of colours with room for its numbers.
+# Layout of four pictures and a colour bar with its labels.
 MARGINS = {"left": 0.075, "right": 0.985, "bottom": 0.06, "top": 0.965, "wspace": 0.05, "hspace": 0.22}
 WIDTHS = (1, 0.05, 0.28, 1)
 SENSORS_SHOWN = 8  # in mean maps
 
 
 def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequence[Array], name: str) -> Plate:
-    """Ideal image, one output image, its ΔE map, and curves of equal ΔE of the mean of several sensors' maps."""
+    """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors."""
     mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
     smooth = gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
     figure = new_figure(8.6, 7.6)
-    figure.set_layout_engine(None)  # the labels' sizes are known, and finding room for them takes a fifth of the drawing
+    figure.set_layout_engine(None)  # fixed margins: the automatic layout takes a fifth of the drawing time
     grid = figure.add_gridspec(2, len(WIDTHS), width_ratios=WIDTHS, **MARGINS)
     ideal, image, map_, iso = (figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (0, 3))
     where = picture_axes(result.irradiance, score.border_um)
@@ -63,10 +63,10 @@ def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequen
     iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
-    draw_iso(iso, where, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {each:g}" for each in levels])
+    draw_iso(iso, where, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {value:g}" for value in levels])
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.label}): the ideal image, the picture of one sensor, its ΔE map "
-        f"(colours end at 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
+        f"(colour scale 0 to 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
     )
     return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
 
@@ -80,23 +80,23 @@ def draw_iso(
     widths: Sequence[float],
     labels: Sequence[str],
 ) -> list[tuple[float, float]]:
-    """Curves of equal ΔE in the axes of the picture; returns their points, (x, y) in mm."""
+    """Draw curves of equal ΔE in the axes of the picture, and return their points, (x, y) in mm."""
     points: list[tuple[float, float]] = []
     left, right, bottom, top = where.extent_mm
     x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
     y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
-    there = [i for i, level in enumerate(levels) if smooth.min() < level < smooth.max()]
-    if there:
+    drawn = [i for i, level in enumerate(levels) if smooth.min() < level < smooth.max()]
+    if drawn:
         lines = axes.contour(
             x,
             y,
             smooth,
-            levels=[levels[i] for i in there],
-            colors=[looks[i].colour for i in there],
-            linestyles=[looks[i].dashes for i in there],
-            linewidths=[widths[i] for i in there],
+            levels=[levels[i] for i in drawn],
+            colors=[looks[i].colour for i in drawn],
+            linestyles=[looks[i].dashes for i in drawn],
+            linewidths=[widths[i] for i in drawn],
         )
-        handles = [axes.plot([], [], lw=widths[i], label=labels[i], **looks[i].stroke)[0] for i in there]
+        handles = [axes.plot([], [], lw=widths[i], label=labels[i], **looks[i].stroke)[0] for i in drawn]
         axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
         points = [(float(px), float(py)) for segments in lines.allsegs for segment in segments for px, py in segment]
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
@@ -110,10 +110,11 @@ def draw_iso(
 class Views:
     """Pictures of one technology.
 
-    tiles : the ideal image's detail, then that of every pitch
-    crops : for some pitches, the detail of the ideal image, of the output, and of its ΔE map
+    place : centre of the detail, (across, down), as fractions of the picture
+    tiles : the detail of the ideal image, then of every pitch
+    crops : for some pitches, the detail of the ideal image, of the output and of its ΔE map
     ideal, outputs : whole pictures
-    factor : how many dots of the ideal image a side are one of the whole picture
+    factor : dots per side of the ideal image averaged into one of the whole picture
     sheet : the tiles as one labelled PNG
     """
 
@@ -129,76 +130,76 @@ class Views:
 
 
 def best_place(curve: Curve) -> int:
-    """Index of the evaluated pitch with the least mean ΔE."""
+    """Return the index of the evaluated pitch with the smallest mean ΔE."""
     return int(np.argmin(curve.mean()))
 
 
 def is_best(curve: Curve, place: int) -> bool:
-    """Whether a pitch is shown as the best of those evaluated; one at an end of the range is not, without an optimum inside."""
+    """Return whether a pitch is labelled as the best; a pitch at an end of the range is not, unless the optimum lies inside."""
     return place == best_place(curve) and (curve.optimum.inside or 0 < place < curve.pitch_um.size - 1)
 
 
 def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
-    """The smallest, the best and the largest pixels against the ideal image, and a detail from every pitch.
+    """Return whole pictures of the smallest, best and largest pixels, and a detail from every pitch.
 
-    best : the first sensor's score at `best_place`
+    best : score of the first sensor at `best_place`
     """
     at, last = best_place(curve), curve.pitch_um.size - 1
     ends = sorted({0, at, last})
     scores = {place: best if place == at else result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in ends}
-    ideal = max((score.ideal for score in scores.values()), key=lambda each: each.size)
+    ideal = max((score.ideal for score in scores.values()), key=lambda picture: picture.size)
     shape = ideal.shape[0], ideal.shape[1]
-    where = result.study.detail
-    window = window_at(where, shape) if where else worst_window([scores[0].delta_e, scores[last].delta_e])
+    centre = result.study.detail
+    window = window_at(centre, shape) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
     tiles = [Picture(grey_codes(window.of(ideal)), "ideal image")]
     for place in range(last + 1):
         part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
-        tiles.append(Picture(grey_codes(part), *words(curve, place), is_best(curve, place)))
+        tiles.append(Picture(grey_codes(part), *labels(curve, place), is_best(curve, place)))
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         place=window.centre,
         tiles=tuple(tiles),
-        crops=tuple(crops(scores[place], window, called(curve, place)) for place in ends),
+        crops=tuple(crops(scores[place], window, rank(curve, place)) for place in ends),
         ideal=Picture(grey_codes(reduced(ideal)), "ideal image"),
         factor=factor_for(ideal),
         outputs=tuple(
-            Picture(grey_codes(reduced(scores[place].image)), f"{called(curve, place)}, {size}", mean)
-            for place, (size, mean) in ((each, words(curve, each)) for each in ends)
+            Picture(grey_codes(reduced(scores[place].image)), f"{rank(curve, place)}, {size}", mean)
+            for place, (size, mean) in ((place, labels(curve, place)) for place in ends)
         ),
-        sheet=contact_sheet_png(f"{curve.label}: the same detail from every pixel size, 1:1; framed: the best of these", tiles),
+        sheet=contact_sheet_png(f"{curve.label}: the same detail for every pixel size, 1:1; framed: the best of these", tiles),
     )
 
 
-def words(curve: Curve, place: int) -> tuple[str, str]:
-    """Pixel size, and mean ΔE over the whole picture and the sensors."""
+def labels(curve: Curve, place: int) -> tuple[str, str]:
+    """Return the pixel size, and the mean ΔE over the whole picture and all sensors, as text."""
     return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.mean()[place]:.3f}"
 
 
-def called(curve: Curve, place: int) -> str:
-    """A pitch by its part in the story."""
+def rank(curve: Curve, place: int) -> str:
+    """Return whether a pitch is the smallest, largest or best, as text."""
     parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, "best of these": is_best(curve, place)}
     return ", ".join(part for part, is_so in parts.items() if is_so)
 
 
 def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> Array:
-    """A part of the first sensor's picture of a pitch, shown luminance: that of `result.scores`, without its ΔE.
+    """Return the shown luminance in a window, as `result.scores` gives it for the first sensor of a pitch, without ΔE.
 
-    What the cache holds is only shown, in a fifth of the time that the light on the pixels takes.
+    A cached frame is shown directly, which takes a fifth of the time of simulating it.
     """
     study, pitch_um = result.study, float(curve.pitch_um[place])
-    light = light_of(study, result.lights, curve.technology)
-    key = block_key(result.content.frames(curve.technology, pitch_um), 0)
-    kept = ((cache.arrays("frames", key) if key else None) or {}).get("0")
+    light = light_of(study, result.scenes, curve.technology)
+    key = block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0)
+    cached = ((cache.arrays("frames", key) if key else None) or {}).get("0")
     physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
     whole = tuple(pixels_along(um, pitch_um) for um in picture_size_um(result.irradiance))
-    if not isinstance(light, PreparedScene) or kept is None or kept.shape != whole:
-        bench = chain_at(study, light, result.camera, curve.technology, pitch_um)
-        frame = bench.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
-        screen, white_e = bench.screen, bench.white_e_per_s * frame.integration_s
+    if not isinstance(light, PreparedScene) or cached is None or cached.shape != whole:
+        chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
+        frame = chain.capture(*stream_key(study, physics.technology.name, pitch_um, 0))
+        screen, white_e = chain.screen, chain.white_e_per_s * frame.integration_s
     else:
         screen, white_e = light.screen, light.white_e_per_s_um2 * physics.photodiode_area_um2 * time_s
-        # Nothing that is shown depends on the saturated fraction or on the mean signal.
-        unknown = np.broadcast_to(np.nan, kept.shape)
-        frame = make_frame(kept.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
+        # The shown picture does not depend on the saturated fraction or the mean signal.
+        unknown = np.broadcast_to(np.nan, cached.shape)
+        frame = make_frame(cached.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
     return shown_luminance(window.of(screen.luminance(frame, white_e)), study.display)

@@ -1,5 +1,5 @@
-"""Arrays and words to what people look at: figures with their tables, PNG pictures, HTML pages of one file.
+"""Figures with their tables, PNG pictures and self-contained HTML pages, from arrays and text.
 
-It knows no result: axes and words are made by the callers.
+No module here knows a result type: the callers supply axes and text.
 May import: base.
 """

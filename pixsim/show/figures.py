@@ -1,4 +1,4 @@
-"""How pixsim draws with Matplotlib: figures that are the same bytes each time, ΔE maps on one fixed scale."""
+"""Matplotlib figures: reproducible byte for byte, with ΔE maps on one fixed scale."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Look:
-    """How one line of a figure is told from the others: by colour, and, printed grey, by dashes and marker."""
+    """Style of one line: its colour and, for a grey print, its dashes and marker."""
 
     colour: str
     dashes: str | tuple[int, tuple[int, ...]]
@@ -28,7 +28,7 @@ class Look:
 
     @property
     def stroke(self) -> dict[str, Any]:
-        """For Matplotlib, of a line without markers."""
+        """Matplotlib keywords of a line without markers."""
         return {"color": self.colour, "ls": self.dashes}
 
     @property
@@ -37,8 +37,8 @@ class Look:
 
 
 LEGEND_LINE = 3.5  # long enough to show the dashes
-# Okabe and Ito (2008), in an order that keeps the first four at least 19 (CIEDE2000) apart for every kind of colour blindness,
-# and their lightness apart in grey; what comes after them needs its marker.
+# Okabe and Ito (2008). The order keeps the first four at least 19 apart (CIEDE2000) for every kind of colour blindness, and
+# distinct in lightness when printed grey; the later ones need their markers.
 LOOKS = (
     Look("#0072B2", "-", "o"),
     Look("#D55E00", (0, (5, 2)), "s"),
@@ -52,15 +52,15 @@ LOOKS = (
     Look("#D55E00", (0, (1, 3)), "p"),
 )
 COLOURS = tuple(look.colour for look in LOOKS)
-# Of the terms of the blur, in every figure; not the first looks, which are those of pixel sizes.
-TERM_NAMES = ("lens (diffraction)", "photodiode", "{} interpolation on the display", "dot of the display")
+# Blur terms look the same in every figure, and differ from the first looks, which show pixel sizes.
+TERM_NAMES = ("lens (diffraction)", "photodiode", "{} interpolation on the display", "display dot")
 TERM_LOOKS = LOOKS[4:8]
-MANY_POINTS = 50  # of a line: not each gets a marker
-ISO_SMOOTHING_DOTS = 8.0  # about a cycle of the middle frequencies: ΔE peaks in each dark bar
+MANY_POINTS = 50  # a line with more points gets a marker at every fifth of its length
+ISO_SMOOTHING_DOTS = 8.0  # about one cycle at the middle frequencies, since ΔE peaks in each dark bar
 
 
 def plain_powers(axis: Axis) -> None:
-    """Plain numbers at 1, 2 and 5 on a short logarithmic axis."""
+    """Label a short logarithmic axis with plain numbers at 1, 2 and 5."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -69,19 +69,13 @@ def plain_powers(axis: Axis) -> None:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure that is saved to the same bytes each time, without a display."""
+    """Return a figure that needs no display and is saved to the same bytes every time."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     matplotlib.rcParams.update(
-        {
-            "svg.hashsalt": "pixsim",
-            "svg.fonttype": "path",
-            "font.size": 9.0,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-        }
+        {"svg.hashsalt": "pixsim", "svg.fonttype": "path", "font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False}
     )
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
@@ -89,16 +83,16 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def literal(text: str) -> str:
-    """A name from a file, as Matplotlib shows it letter by letter: between two dollar signs it would read mathematics."""
-    printable = "".join(each if each.isprintable() else "\ufffd" for each in text)
+    """Return text that Matplotlib draws literally: between dollar signs it would be read as mathematics."""
+    printable = "".join(character if character.isprintable() else "\ufffd" for character in text)
     return printable.replace("$", r"\$")
 
 
 def svg_text(figure: Figure) -> str:
-    """A figure as SVG; its ids are numbered, since Matplotlib's hash coordinates that vary in their last digit."""
+    """Return a figure as SVG with numbered ids: Matplotlib's hash coordinates whose last digit varies."""
     if layout := figure.get_layout_engine():
         layout.execute(figure)
-        figure.set_layout_engine(None)  # else savefig draws it all once more to lay it out
+        figure.set_layout_engine(None)  # else savefig draws everything once more for the layout
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "pixsim"})
     numbers: dict[str, str] = {}
@@ -116,14 +110,14 @@ def draw_picture(axes: Axes, luminance: Array, where: PictureAxes) -> None:
 
 
 def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, where: PictureAxes) -> None:
-    """A ΔE map on the fixed scale, which stands in axes of its own."""
+    """Draw a ΔE map on the fixed scale, with its colour bar in the axes `bar`."""
     image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, extent=where.extent_mm)
     axes.figure.colorbar(image, cax=bar, label="ΔE", extend="max")
     label_axes(axes, where)
 
 
 def label_axes(axes: Axes, where: PictureAxes) -> None:
-    """What lies along the sides of a picture."""
+    """Label the sides of a picture and hide its frame."""
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.set(xlabel=where.across.label, ylabel=where.down.label)
@@ -133,10 +127,10 @@ def label_axes(axes: Axes, where: PictureAxes) -> None:
 
 
 def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str) -> Array:
-    """The terms of `merit.mtf_terms` against x, with a legend; returns their product, which is drawn too."""
+    """Draw the terms of `merit.mtf_terms` against x, with a legend, and their product, which is returned."""
     for mtf, name, look in zip(terms.values(), TERM_NAMES, TERM_LOOKS, strict=False):
         axes.plot(x, mtf, markevery=1 if x.size < MANY_POINTS else x.size // 5, ms=4, label=name.format(interpolation), **look.line)
     product = np.prod(list(terms.values()), axis=0)
-    axes.plot(x, product, lw=2.5, color="black", label="all together")
+    axes.plot(x, product, lw=2.5, color="black", label="product of all")
     axes.legend(frameon=False, fontsize=8, loc="lower left", handlelength=LEGEND_LINE)
     return product

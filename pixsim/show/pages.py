@@ -1,4 +1,4 @@
-"""Figures with the tables behind them as files, and HTML pages that open offline."""
+"""Figures and their data as SVG and CSV files, and self-contained HTML pages."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# What may not stand in a data URI as it is, or grows when a template escapes it; the percent sign first.
-ENCODED = {each: f"%{ord(each):02X}" for each in "%\r\n\t\"#&'<>\\`"}
-CODE = re.compile(r"`([^`]+)`")  # in descriptions, as docstrings have it
+# Characters that a data URI cannot hold, or that grow when a template escapes them; the percent sign first.
+ENCODED = {character: f"%{ord(character):02X}" for character in "%\r\n\t\"#&'<>\\`"}
+CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 
 
 def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
-    """Fill in a packaged template; every string is escaped."""
+    """Fill in a packaged template, with every string escaped, and return the path."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup, escape
 
@@ -39,8 +39,8 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
         return Markup(CODE.sub(r"<code>\1</code>", str(escape(text))))
 
     folder = str(resources.files("pixsim") / "data")
-    how: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
-    environment = Environment(loader=FileSystemLoader(folder), **how)
+    options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    environment = Environment(loader=FileSystemLoader(folder), **options)
     environment.filters["png"] = lambda content: data_uri("image/png", content)
     environment.filters["code"] = code
     with replacing(path) as partial:
@@ -49,19 +49,19 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
 
 
 def shown_value(value: Any) -> Any:
-    """A value for a table's cell: of a curve of (wavelength in nm, value), how much there is of it."""
+    """Return a value for a table cell: a curve of (wavelength in nm, value) is summarised by its size and range."""
     if isinstance(value, tuple | list) and value and isinstance(value[0], tuple | list):
         return f"curve of {len(value)} points, {value[0][0]:g} to {value[-1][0]:g} nm"
     return value
 
 
 Column = Sequence[float | str]
-COARSE = 64  # samples a side of the tables of pictures
+COARSE = 64  # samples along each side of a picture's table
 
 
 @dataclass(frozen=True)
 class Plate:
-    """A figure for figures/`name`.svg and the table behind it for figures/`name`.csv."""
+    """A figure for figures/`name`.svg and its data for figures/`name`.csv."""
 
     name: str
     caption: str
@@ -78,7 +78,7 @@ class Plate:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A plate as the files that it becomes."""
+    """The SVG and CSV text of a plate."""
 
     name: str
     caption: str
@@ -86,41 +86,44 @@ class Drawn:
     csv: str
 
     def write(self, folder: Path) -> None:
-        """`name`.svg and `name`.csv in a folder."""
-        for suffix, text in (("svg", self.svg), ("csv", self.csv)):
-            write_text(folder / f"{self.name}.{suffix}", text)
+        """Write `name`.svg and `name`.csv to a folder."""
+        write_text(folder / f"{self.name}.svg", self.svg)
+        write_text(folder / f"{self.name}.csv", self.csv)
 
     @property
     def image(self) -> str:
-        """The figure in a page that opens offline."""
+        """The figure as a data URI."""
         return text_uri("image/svg+xml", self.svg)
 
     @property
     def data(self) -> str:
-        """The table in such a page."""
+        """The data as a data URI."""
         return text_uri("text/csv", self.csv)
 
 
 def write_figures(folder: Path, drawn: Sequence[Drawn]) -> Sequence[Drawn]:
-    """Write figures/*.svg and their data, figures/*.csv; returns what was given, for a page."""
+    """Write figures/*.svg and their data, figures/*.csv, and return `drawn`."""
     figures = folder / "figures"
     figures.mkdir(exist_ok=True)
-    for each in drawn:
-        each.write(figures)
+    for plate in drawn:
+        plate.write(figures)
     return drawn
 
 
 def coarse_table(values: Array, name: str) -> dict[str, Column]:
-    """A picture in at most 64 × 64 means: a row for each row, a column for each column."""
+    """Return a picture as a table of at most 64 × 64 block means."""
     rows, columns = (np.array_split(np.arange(n), min(COARSE, n)) for n in values.shape)
-    by_row = np.stack([values[each].mean(axis=0) for each in rows])
-    coarse = np.stack([by_row[:, each].mean(axis=1) for each in columns], axis=1)
+    by_row = np.stack([values[block].mean(axis=0) for block in rows])
+    coarse = np.stack([by_row[:, block].mean(axis=1) for block in columns], axis=1)
     table: dict[str, Column] = {"row": list(range(len(rows)))}
     return table | {f"{name}_column_{index}": coarse[:, index].tolist() for index in range(len(columns))}
 
 
-def _cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure) -> str:
-    """A title, a table and a figure, every string escaped; the figure as an image of its own, whose ids meet no others."""
+def html_cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure: Figure) -> str:
+    """Return a notebook cell of a title, a table and a figure, with every string escaped.
+
+    The figure is a separate image, so that its ids cannot clash with those of other cells.
+    """
 
     def line(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
@@ -135,14 +138,14 @@ def _cell(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], figure
 
 
 def csv_text(lines: Iterable[Iterable[Any]]) -> str:
-    """Lines of a table, the first with its names, as CSV; numbers to their last digit."""
+    """Return the lines of a table, the column names first, as CSV with numbers in full precision."""
     text = io.StringIO(newline="")
     csv.writer(text).writerows(lines)
     return text.getvalue()
 
 
 def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None = None) -> str:
-    """Rows with the same names as CSV; written to a path where there is one."""
+    """Return rows with the same keys as CSV, and write it to `path` if given."""
     text = csv_text([*rows[:1], *(row.values() for row in rows)])
     if path is not None:
         write_text(Path(path), text)
@@ -150,7 +153,7 @@ def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None
 
 
 def plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Ready for JSON: None for what is not a number."""
+    """Return values for JSON: NaN and infinity become None."""
     return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
 
 
@@ -160,12 +163,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def data_uri(kind: str, content: bytes) -> str:
-    """A file in the text of a page that opens offline."""
+    """Return a file as a base64 data URI."""
     return f"data:{kind};base64," + base64.b64encode(content).decode()
 
 
 def text_uri(kind: str, text: str) -> str:
-    """A text file in such a page, in fewer bytes than `data_uri` takes."""
-    for each, code in ENCODED.items():
-        text = text.replace(each, code)
+    """Return a text file as a data URI, in fewer bytes than `data_uri` takes."""
+    for character, code in ENCODED.items():
+        text = text.replace(character, code)
     return f"data:{kind};charset=utf-8,{text}"

@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 
 DELTA_E_SHOWN = 10.0  # top of the fixed colour scale, so that two maps can be compared
 VIEWING_GAMMA = 2.2
-COLOUR_LEVEL = 3  # of zlib: a third of the time that its default takes, for a tenth more bytes
-# Of a map with axes, in px.
-MAP, LEFT, TOP, BELOW, BESIDE = 560, 110, 70, 90, 160
+COLOUR_LEVEL = 3  # of zlib: a third of the default's time for a tenth more bytes
+# Layout of a map with axes, in px.
+MAP, LEFT, TOP, BOTTOM, RIGHT = 560, 110, 70, 90, 160
 BAR, BAR_GAP, TICK, GAP, POINT = 30, 50, 7, 5, 20
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Marks along a side of a picture: (mm on the sensor, text)."""
+    """Label and ticks along a side of a picture; a tick is (mm on the sensor, text)."""
 
     label: str
     ticks: tuple[tuple[float, str], ...]
@@ -42,11 +42,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class PictureAxes:
-    """Where a picture lies on the sensor.
+    """Position and axes of a picture on the sensor.
 
     extent_mm : left, right, bottom, top; row 0 on top
-    across, down : the marks along its sides
-    fixed : whether figures have these marks too; otherwise Matplotlib chooses its own
+    across, down : ticks along its sides
+    fixed : whether figures use these ticks too; otherwise Matplotlib chooses them
     """
 
     extent_mm: tuple[float, float, float, float]
@@ -56,22 +56,22 @@ class PictureAxes:
 
 
 def grey_codes(luminance: Array) -> NDArray[np.uint8]:
-    """Relative luminance encoded for a display of gamma 2.2."""
+    """Return relative luminance encoded for a display of gamma 2.2."""
     return np.asarray(np.rint(255 * np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)).astype(np.uint8))
 
 
 def save_png(path: Path, luminance: Array) -> None:
-    """A grey picture of relative luminance, encoded for a display of gamma 2.2."""
+    """Write relative luminance as a grey PNG encoded for a display of gamma 2.2."""
     path.write_bytes(png_bytes(np.repeat(grey_codes(luminance)[:, :, None], 3, axis=2)))
 
 
 def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes) -> None:
-    """The map with its scale and axes."""
+    """Write a ΔE map as a PNG with its colour scale and axes."""
     from PIL import Image, ImageDraw
 
     shown = _enlarged(delta_e_colours(delta_e))
     height, width = shown.shape[:2]
-    canvas = Image.new("RGB", (LEFT + width + BESIDE, TOP + height + BELOW), WHITE)
+    canvas = Image.new("RGB", (LEFT + width + RIGHT, TOP + height + BOTTOM), WHITE)
     canvas.paste(Image.fromarray(shown), (LEFT, TOP))
     draw = ImageDraw.Draw(canvas)
     title = f"S-CIELAB difference from the ideal image, mean {delta_e.mean():.3f}"
@@ -89,7 +89,7 @@ def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes) -> None:
 
 
 def delta_e_colours(delta_e: Array) -> NDArray[np.uint8]:
-    """(H, W, 3) codes of the fixed scale, 0 to `DELTA_E_SHOWN`; what is beyond has its last colour."""
+    """Return the (H, W, 3) colour codes of a ΔE map on the fixed scale, 0 to `DELTA_E_SHOWN`; larger ΔE takes the last colour."""
     table = viridis()
     place = np.clip(delta_e / DELTA_E_SHOWN * len(table), 0, len(table) - 1)
     return np.asarray(table[place.astype(int)])
@@ -101,14 +101,14 @@ def viridis() -> NDArray[np.uint8]:
 
 
 def _enlarged(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """About `MAP` px along the longer side: each dot several px, or several dots one."""
+    """Return a map scaled to about `MAP` px along its longer side, each dot several px or several dots one."""
     from PIL import Image
 
     height, width = colours.shape[:2]
     factor = MAP / max(height, width)
     size = max(1, round(width * factor)), max(1, round(height * factor))
-    how = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
-    return np.asarray(Image.fromarray(colours).resize(size, how))
+    resampling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
+    return np.asarray(Image.fromarray(colours).resize(size, resampling))
 
 
 def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:
@@ -118,8 +118,8 @@ def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:
     ramp = delta_e_colours(np.linspace(DELTA_E_SHOWN, 0, high)[:, None])
     canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (left, TOP + height - high))
     top = TOP + height - high
-    point = [(left, top), (left + BAR / 2, top - POINT), (left + BAR - 1, top)]
-    draw.polygon(point, fill=tuple(viridis()[-1].tolist()), outline=BLACK)
+    arrow = [(left, top), (left + BAR / 2, top - POINT), (left + BAR - 1, top)]
+    draw.polygon(arrow, fill=tuple(viridis()[-1].tolist()), outline=BLACK)
     draw.rectangle((left, top, left + BAR - 1, TOP + height), outline=BLACK)
     for value in range(0, int(DELTA_E_SHOWN) + 1, 2):
         at = top + (1 - value / DELTA_E_SHOWN) * high
@@ -130,25 +130,25 @@ def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:
 
 def _mark(draw: ImageDraw, x: float, y: float, text: str, down: bool) -> None:
     end = (x, y + TICK) if down else (x - TICK, y)
-    draw.line((x, y, *end) if down else (x - 1, y, *end), BLACK)  # the map keeps its border
+    draw.line((x, y, *end) if down else (x - 1, y, *end), BLACK)  # the tick does not overwrite the map's border
     beyond = (x, y + TICK + GAP) if down else (x - TICK - GAP, y)
     draw.text(beyond, text, BLACK, font(15), anchor="mt" if down else "rm")
 
 
 def _upright(canvas: Image, text: str, left: float, middle: float) -> None:
-    """A text that is read from below."""
+    """Draw text rotated by 90 degrees, read from bottom to top."""
     from PIL import Image, ImageDraw
 
     box = font(15).getbbox(text, anchor="lt")
-    own = Image.new("RGB", (math.ceil(box[2]) + 1, math.ceil(box[3]) + 1), WHITE)
-    ImageDraw.Draw(own).text((0, 0), text, BLACK, font(15), anchor="lt")
-    turned = own.transpose(Image.Transpose.ROTATE_90)
+    label = Image.new("RGB", (math.ceil(box[2]) + 1, math.ceil(box[3]) + 1), WHITE)
+    ImageDraw.Draw(label).text((0, 0), text, BLACK, font(15), anchor="lt")
+    turned = label.transpose(Image.Transpose.ROTATE_90)
     canvas.paste(turned, (round(left), round(middle - turned.height / 2)))
 
 
 @lru_cache
 def font(size: int) -> Any:
-    """Matplotlib's DejaVu Sans, found without importing Matplotlib."""
+    """Return Matplotlib's DejaVu Sans without importing Matplotlib."""
     from PIL import ImageFont
 
     home = util.find_spec("matplotlib")
@@ -157,14 +157,14 @@ def font(size: int) -> Any:
 
 
 def png_bytes(codes: NDArray[np.uint8]) -> bytes:
-    """A PNG of grey (H, W) or coloured (H, W, 3) codes."""
+    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG."""
     from PIL import Image, PngImagePlugin
 
-    told, content = PngImagePlugin.PngInfo(), io.BytesIO()
-    told.add_text("Software", "pixsim")
-    # Noise repeats nothing: runs of one code are all there is to find, in a sixth of the time and even in fewer bytes.
-    how = {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
-    Image.fromarray(codes).save(content, "png", pnginfo=told, **how)
+    metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
+    metadata.add_text("Software", "pixsim")
+    # Noise does not repeat: run lengths alone take a sixth of the time and even fewer bytes.
+    compression = {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
+    Image.fromarray(codes).save(content, "png", pnginfo=metadata, **compression)
     return content.getvalue()
 
 
@@ -177,9 +177,9 @@ INK, PAPER = 0, 255
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for a page or a sheet, grey (H, W) or coloured (H, W, 3) codes, with two lines of words; the best one is framed.
+    """A picture for a page or contact sheet: grey (H, W) or coloured (H, W, 3) codes, a name, a note, and a frame if `best`.
 
-    png : of the codes, made where it is not given
+    png : the codes as PNG; encoded from them by default
     """
 
     codes: NDArray[np.uint8] = field(repr=False, compare=False)
@@ -202,7 +202,7 @@ class Picture:
 
 
 def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
-    """Grey pictures of at most one size in rows of six, each of their dots one of the sheet."""
+    """Return grey pictures in rows of six as one PNG, a picture dot for each sheet dot."""
     from PIL import Image, ImageDraw
 
     title = one_line(title, MAX_TITLE)
@@ -224,10 +224,10 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
     return png_bytes(np.asarray(canvas))
 
 
-DETAIL_DOTS = 112  # three of them stand abreast on a telephone
-MAX_PICTURE_DOTS = 1024  # along a side of a whole picture in a page: larger ones would make it tens of megabytes
-DETAIL_STEPS = 4  # tried places a detail's width
-SCALE_DOTS = 200, 12  # of the bar of colours
+DETAIL_DOTS = 112  # three of them fit side by side on a phone
+MAX_PICTURE_DOTS = 1024  # per side of a whole picture in a page: larger pictures would make pages of tens of megabytes
+DETAIL_STEPS = 4  # positions tried per width of a detail
+SCALE_DOTS = 200, 12  # width and height of the colour scale
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ class Window:
     width: float
 
     def of(self, picture: Array) -> Array:
-        """That part of a picture of any number of dots, at least one of them."""
+        """Return this part of a picture of any number of dots, at least one dot."""
         places = zip((self.top, self.left), (self.height, self.width), picture.shape, strict=True)
         spans = ((min(round(start * n), n - 1), size, n) for start, size, n in places)
         rows, columns = (slice(first, first + max(1, round(size * n))) for first, size, n in spans)
@@ -248,12 +248,12 @@ class Window:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Across and down."""
+        """Position (across, down) of the centre."""
         return self.left + self.width / 2, self.top + self.height / 2
 
 
 def windows(shape: tuple[int, int]) -> list[Window]:
-    """Details of a picture of `shape` dots, a quarter of their width apart and up to its borders."""
+    """Return all details of a picture of `shape` dots, a quarter of their width apart, up to its edges."""
     height, width = shape
     side = min(DETAIL_DOTS, *shape)
     starts = [sorted({*range(0, n - side + 1, max(1, side // DETAIL_STEPS)), n - side}) for n in shape]
@@ -261,7 +261,7 @@ def windows(shape: tuple[int, int]) -> list[Window]:
 
 
 def window_at(centre: tuple[float, float], shape: tuple[int, int]) -> Window:
-    """The detail around a place (across, down; fractions), moved inwards at a border."""
+    """Return the detail around a position (across, down; fractions), shifted inwards at an edge."""
     height, width = shape
     side = min(DETAIL_DOTS, *shape)
     top, left = (min(max(round(at * n - side / 2), 0), n - side) for at, n in zip(reversed(centre), shape, strict=True))
@@ -269,22 +269,24 @@ def window_at(centre: tuple[float, float], shape: tuple[int, int]) -> Window:
 
 
 def worst_window(maps: Sequence[Array]) -> Window:
-    """The detail in which the better of several ΔE maps is worst.
+    """Return the detail with the largest minimum over maps of mean ΔE.
 
-    With the maps of the smallest and of the largest pixels it is where both noise and blur show: the mean of the maps would be
-    drawn to where one of them alone is very bad.
+    With maps of the smallest and the largest pixels, both noise and blur show there. The mean over maps would prefer a detail
+    where only one of them is very bad.
     """
-    finest = max(maps, key=lambda each: each.size)
-    return max(windows((finest.shape[0], finest.shape[1])), key=lambda window: min(float(window.of(each).mean()) for each in maps))
+    finest = max(maps, key=lambda delta_e: delta_e.size)
+    return max(
+        windows((finest.shape[0], finest.shape[1])), key=lambda window: min(float(window.of(delta_e).mean()) for delta_e in maps)
+    )
 
 
 def factor_for(picture: Array) -> int:
-    """How many dots a side come to one where a whole picture stands in a page."""
+    """Return how many dots per side are averaged into one when a whole picture is shown in a page."""
     return -(-max(picture.shape) // MAX_PICTURE_DOTS)
 
 
 def reduced(luminance: Array) -> Array:
-    """A whole picture for a page, at most `MAX_PICTURE_DOTS` a side: means of squares of dots (what is left over is cut off)."""
+    """Return a picture of at most `MAX_PICTURE_DOTS` per side: means of square blocks; an incomplete last block is cut off."""
     down, across = (min(factor_for(luminance), size) for size in luminance.shape)
     if down == across == 1:
         return luminance
@@ -293,7 +295,7 @@ def reduced(luminance: Array) -> Array:
 
 
 def scale() -> Picture:
-    """The colours of every ΔE map, 0 at the left."""
+    """Return the colour scale of every ΔE map, 0 on the left."""
     width, height = SCALE_DOTS
     ramp = delta_e_colours(np.linspace(0.0, DELTA_E_SHOWN, width, endpoint=False)[None])
-    return Picture(np.repeat(ramp, height, axis=0), f"colours of ΔE from 0 to {DELTA_E_SHOWN:g}")
+    return Picture(np.repeat(ramp, height, axis=0), f"colour scale of ΔE from 0 to {DELTA_E_SHOWN:g}")

@@ -1,4 +1,4 @@
-"""Where more evaluations narrow the interval of the optimum most: other pitches, or more sensors of the present ones."""
+"""Choice of further evaluations: the new pitches, or further sensors, that narrow the optimum's interval most."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 from pixsim.studies.optimum import FittedCurve, Posterior
 
-ROUND = 4  # additions that are chosen together, from one curve
-SENSORS_AN_ADDITION = 2  # of a new pitch, so that it tells its own scatter; the same number more of a present one
-# Pitches beyond either end of the interval that may have more. The slope of a curve at its minimum is measured best somewhat
-# away from it: with one such pitch a tenth of simulated studies stick where they are.
+ROUND = 4  # additions chosen together from one fitted curve
+SENSORS_PER_ADDITION = 2  # so that a new pitch shows its own scatter; an existing pitch gets the same number more
+# Pitches beyond each end of the interval that are candidates too. The slope at a minimum is measured best somewhat away from
+# it: with one such pitch, a tenth of simulated studies stop improving.
 BEYOND = 2
 MIN_RATIO = 1.002  # between neighbouring pitches
-DIGITS = 4  # of a pitch, as those that a study begins with
+DIGITS = 4  # of a new pitch, as of a study's first pitches
 
 
 def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
-    """Sensors of each pitch, {µm: sensors}, after a round of additions to the present ones; the same where none is possible.
+    """Return the sensors of each pitch, {µm: sensors}, after a round of additions; unchanged if none is possible.
 
-    Each addition is the one that most lowers the variance of what the curve rises by from its minimum to both ends of the
-    interval: what that rise leaves open is what the interval holds. The variance of a Gaussian process does not depend on
-    what will be measured, so that the choice can be made before it is.
+    Each addition is the one that most lowers the variance of the curve's rise from its minimum to both ends of the interval:
+    the interval contains the pitches where that rise is uncertain. The variance of a Gaussian process does not depend on the
+    measured values, so it is known before they are measured.
 
     fit : of the present pitches
     max_sensors : at one pitch
@@ -32,32 +32,32 @@ def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) 
         options = additions(fit, chosen, max_sensors)
         if not options:
             break
-        pitch_um = min(options, key=lambda each: rise_variance(fit, chosen | {each: options[each]}))
+        pitch_um = min(options, key=lambda pitch: rise_variance(fit, chosen | {pitch: options[pitch]}))
         chosen[pitch_um] = options[pitch_um]
     return dict(sorted(chosen.items()))
 
 
 def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
-    """What one addition may make of a pitch, {µm: sensors}: within the interval and `BEYOND`, and halfway between those."""
+    """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside the interval, and midpoints."""
     pitches_um = np.array(sorted(sensors))
     low, high = fit.optimum.interval_um
     first = 0 if low is None else max(0, int(np.searchsorted(pitches_um, low)) - BEYOND)
     stop = pitches_um.size if high is None else int(np.searchsorted(pitches_um, high, side="right")) + BEYOND
     near = pitches_um[first:stop]
-    more = {each: min(sensors[each] + SENSORS_AN_ADDITION, max_sensors) for each in near.tolist() if sensors[each] < max_sensors}
+    more = {um: min(sensors[um] + SENSORS_PER_ADDITION, max_sensors) for um in near.tolist() if sensors[um] < max_sensors}
     halfway = np.round(fit.pitches_at((fit.places_of(near[:-1]) + fit.places_of(near[1:])) / 2), DIGITS)
     for left, middle, right in zip(near[:-1].tolist(), halfway.tolist(), near[1:].tolist(), strict=True):
         if middle >= MIN_RATIO * left and right >= MIN_RATIO * middle:
-            more[middle] = min(SENSORS_AN_ADDITION, max_sensors)
+            more[middle] = min(SENSORS_PER_ADDITION, max_sensors)
     return more
 
 
 def rise_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
-    """Variance of the curve at both ends of the interval over that at its minimum, were so many sensors measured."""
+    """Return the variance, summed over both ends of the interval, of the curve's rise from its minimum with so many sensors."""
     pitches_um = np.array(sorted(sensors))
     u = fit.places_of(pitches_um)
     mean = np.interp(u, fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
-    counts = np.array([sensors[each] for each in pitches_um.tolist()])
+    counts = np.array([sensors[um] for um in pitches_um.tolist()])
     best = fit.likeliest
     design = replace(best.design, u=u, noise=fit.noise * mean**2, sensors=counts)
     low, high = fit.optimum.interval_um

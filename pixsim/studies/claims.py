@@ -1,6 +1,6 @@
-"""What Chen, Catrysse, El Gamal and Wandell (2000) say, and what pixsim finds: one row for each statement.
+"""Statements of Chen, Catrysse, El Gamal and Wandell (2000), each compared with a study's result.
 
-A row that does not agree stays in, with its reason.
+A row that does not agree is kept, with its reason.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ FIGURE_2_WELL_FRACTION = 0.20
 
 
 def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | None = None) -> tuple[Array, Array]:
-    """Figure 2a: eq. (1), and eq. (2) at 20 % of the well, at 30 ms, in dB, (P,) each; for the reference technology.
+    """Return DR (eq. 1) and SNR at 20 % of the well (eq. 2) at 30 ms, in dB, (P,) each, as in Figure 2a.
 
-    technology : that technology as a study has it; None takes the packaged one
+    technology : the reference technology as a study defines it; None means the packaged one
     """
     options = ({"pitch_um": p, "capacitance": capacitance} for p in pitch_um.tolist())
-    pixels = [derive(Pixel.model_validate(each), technology) for each in options]
+    pixels = [derive(Pixel.model_validate(option), technology) for option in options]
     dr = [pixel.dynamic_range_db(FIGURE_2_INTEGRATION_S) for pixel in pixels]
     snr = [pixel.snr_db(FIGURE_2_WELL_FRACTION * pixel.full_well_e, FIGURE_2_INTEGRATION_S) for pixel in pixels]
     return np.array(dr), np.array(snr)
 
 
 def growth_exponent(pitch_um: Array, level_db: Array) -> float:
-    """b in ratio ∝ pitch^b, by least squares in logarithms."""
+    """Return b in ratio ∝ pitch^b, by least squares in logarithms."""
     return float(np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1).convert().coef[1])
 
 
@@ -50,7 +50,7 @@ FIGURE_2_RANGE_DB = (35.0, 70.0)
 FIGURE_2B_PITCHES_UM = (6.0, 8.0, 10.0, 12.0)
 FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
 OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
-TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which it tells from 6 and 8 µm
+TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
 FILL_FACTOR_TOLERANCE = 0.05
 SENSORS = 8
 FINE_DISPLAY_BITS = 16
@@ -63,7 +63,7 @@ UNKNOWN: Interval = (None, None)
 
 @dataclass(frozen=True)
 class Finding:
-    """A statement of the paper beside what came out."""
+    """A statement of the paper and the corresponding result."""
 
     statement: str
     given: str
@@ -77,23 +77,23 @@ class Finding:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The study and the mean ΔE maps that the statements are checked on."""
+    """A study and the ΔE maps with which the statements are checked."""
 
     result: StudyResult
     curves: dict[str, Curve] = field(repr=False)
 
     @cached_property
     def maps(self) -> dict[float, Array]:
-        """Pitch -> ΔE map at the reference technology, mean over the study's first eight sensors."""
+        """Pitch -> mean ΔE map of the first eight sensors in the reference technology."""
         return {pitch: np.mean(maps, axis=0) for pitch, maps in self.sensor_maps.items()}
 
     @property
     def sensor_maps(self) -> dict[float, list[Array]]:
-        """Pitch -> ΔE map of each of those sensors."""
+        """Pitch -> ΔE maps of those sensors."""
         return self._maps_and_borders[0]
 
     def border(self, pitch_um: float) -> tuple[float, float]:
-        """Shares of the chart's height and width that the maps of a pitch leave out on either side."""
+        """Return the fractions of the chart's height and width that the maps of a pitch omit on each side."""
         return self._maps_and_borders[1][pitch_um]
 
     @cached_property
@@ -108,7 +108,7 @@ class Evidence:
 
     @cached_property
     def fine_display_map(self) -> Array:
-        """ΔE map of one sensor at 8 µm on a display whose steps cannot be seen."""
+        """ΔE map of one sensor at 8 µm on a display without visible quantisation."""
         study = self.result.study
         display = study.display.model_copy(update={"bits": FINE_DISPLAY_BITS})
         finer = replace(self.result, study=study.model_copy(update={"display": display}))
@@ -116,9 +116,9 @@ class Evidence:
 
     @cached_property
     def thresholds(self) -> dict[float, Array]:
-        """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf where it never does."""
+        """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf if never."""
         level = self.result.study.iso_delta_e
-        return {pitch: threshold_contrast(each, level, self.border(pitch)[0]) for pitch, each in self.maps.items()}
+        return {pitch: threshold_contrast(delta_e, level, self.border(pitch)[0]) for pitch, delta_e in self.maps.items()}
 
     @cached_property
     def frequencies_lp_per_mm(self) -> Array:
@@ -126,42 +126,42 @@ class Evidence:
         return frequency_bins_lp_per_mm(self.border(FIGURE_6_PITCHES_UM[0])[1])
 
 
-ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not tell"
+ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not state"
 
 
-def depending(statement: str, given: str, found: str, agrees: bool) -> Finding:
-    """A row that depends on what the paper does not tell: the reason where it does not agree."""
-    return Finding(statement, given, found, agrees, "" if agrees else ASSUMED)
+def depending(statement: str, given: str, result: str, agrees: bool) -> Finding:
+    """Return a row that depends on unstated assumptions, with that reason if it does not agree."""
+    return Finding(statement, given, result, agrees, "" if agrees else ASSUMED)
 
 
 def by_frequency(delta_e: Array) -> Array:
-    """Means of a CSF map over bins of equal ratio in frequency, (rows, bins)."""
+    """Return the means of a CSF map over bins of equal frequency ratio, (rows, bins)."""
     return np.stack([part.mean(axis=1) for part in np.array_split(delta_e, FREQUENCY_BINS, axis=1)], axis=1)
 
 
 def chart_places(parts: int, border: float) -> Array:
-    """Middles of equal parts of a map along a side of the chart, (parts,), 0 to 1; `border` of the side lies outside the map."""
+    """Return the centres of equal parts of a map along a side of the chart, (parts,), 0 to 1, without `border` at each end."""
     return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
 
 
 def frequency_bins_lp_per_mm(border: float = 0.0) -> Array:
-    """Centres of `by_frequency`, of a map that leaves out a border (as a share of the chart's width) on either side."""
+    """Return the bin centres of `by_frequency`, for a map that omits a fraction `border` of the chart's width on each side."""
     return csf_frequency_lp_per_mm(chart_places(FREQUENCY_BINS, border))
 
 
 def frequency_contrast_table(delta_e: Array, border: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array, Array]:
-    """Frequencies (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map.
+    """Return frequencies (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map.
 
-    border : shares of the chart's height and width that the map leaves out on either side
+    border : fractions of the chart's height and width that the map omits on each side
     """
     table = np.stack([part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)])
     return frequency_bins_lp_per_mm(border[1]), csf_contrast(chart_places(CONTRAST_BINS, border[0])), table
 
 
 def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Array:
-    """Contrast at which the mean ΔE of each frequency bin first exceeds a level, coming from low contrast, (F,).
+    """Return the lowest contrast at which the mean ΔE of each frequency bin exceeds a level, (F,); inf if none.
 
-    border : share of the chart's height that the map leaves out above and below
+    border : fraction of the chart's height that the map omits above and below
     """
     smooth = gaussian_filter1d(by_frequency(delta_e), CONTRAST_SMOOTHING_DOTS, axis=0, mode="nearest")
     contrast = csf_contrast(chart_places(len(smooth), border))
@@ -170,10 +170,9 @@ def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Arr
 
 
 def modes(delta_e: Array) -> int:
-    """Number of modes of a map's distribution: maxima of its density that stand out by 2 % of the highest.
+    """Return the number of modes of a map's distribution: density maxima with a prominence of 2 % of the highest.
 
-    The density is a histogram smoothed by Silverman's rule (Density Estimation, 1986, eq. 3.31), so that fewer dots are smoothed
-    more.
+    The density is a histogram smoothed by Silverman's rule (Density Estimation, 1986, eq. 3.31).
     """
     values = delta_e[delta_e <= np.percentile(delta_e, 99.9)]
     lower, upper = np.percentile(values, (25, 75))
@@ -184,18 +183,18 @@ def modes(delta_e: Array) -> int:
     step = np.ptp(values) / HISTOGRAM_BINS
     padded = np.pad(counts.astype(float), HISTOGRAM_BINS // 4)
     density = gaussian_filter1d(padded, bandwidth / step, mode="constant")
-    from scipy.signal import find_peaks  # half a second to import
+    from scipy.signal import find_peaks  # takes 0.5 s to import
 
     return len(find_peaks(density, prominence=MODE_PROMINENCE * density.max())[0])
 
 
 def findings(evidence: Evidence) -> list[Finding]:
-    """One row for each statement that the study has the data for."""
+    """Return one row for each statement for which the study has data."""
     return [*reference_rows(evidence), *scaling_rows(list(evidence.curves.values()))]
 
 
 def reference_rows(evidence: Evidence) -> list[Finding]:
-    """The rows that depend on no process but the paper's own, 0.35 µm."""
+    """Return the rows that depend only on the paper's process, 0.35 µm."""
     checks: list[Callable[[Evidence], Iterator[Finding]]] = [_pixel_rows]
     if REFERENCE_TECHNOLOGY in evidence.curves:
         checks += [_optimum_rows, _iso_rows, _map_rows]
@@ -203,35 +202,35 @@ def reference_rows(evidence: Evidence) -> list[Finding]:
 
 
 def reference_process(study: Study) -> Technology:
-    """The paper's own process with the numbers and the fill-factor law of a study."""
+    """Return the paper's process with the numbers and the fill-factor law of a study."""
     return with_fill_factor_law(technology_of(study, REFERENCE_TECHNOLOGY), study.pixel.fill_factor_law)
 
 
 def response_note(study: Study) -> str:
-    """How the quantum efficiency of a study compares with what its reference process states, for a report."""
+    """Return a note that compares the quantum efficiency of a study with that of its reference process."""
     stated = reference_process(study)
     wavelength_nm = np.arange(300.0, 1101.0)
     used = float(physics_of(study, REFERENCE_TECHNOLOGY, study.pitch.max_um).quantum_efficiency(wavelength_nm).max())
-    told = f"{stated.peak_quantum_efficiency:g} ({stated.sources.get('peak_quantum_efficiency', 'no source')})"
+    reference = f"{stated.peak_quantum_efficiency:g} ({stated.sources.get('peak_quantum_efficiency', 'no source')})"
     apart = not math.isclose(used, stated.peak_quantum_efficiency, rel_tol=0.01)
     verdict = "The two contradict each other" if apart else "The two agree"
     if study.pixel.quantum_efficiency is not None:
-        return f"The quantum efficiency of this study peaks at {used:.3g}. The process {stated.name} states {told}. {verdict}."
+        return f"The quantum efficiency of this study peaks at {used:.3g}. The process {stated.name} states {reference}. {verdict}."
     reading, other = ("literally, as a quantum efficiency", "scaled") if study.pixel.response == "literal" else (
         "as A/W, scaled to the process", "literal"
     )  # fmt: skip
     return (
-        f"The response file is read {reading}: it peaks at {used:.3g}. The process {stated.name} states {told}. {verdict}. "
-        f"For the optimum by the other reading add `--pixel.response {other} --out FOLDER` to the command."
+        f"The response file is read {reading}: it peaks at {used:.3g}. The process {stated.name} states {reference}. {verdict}. "
+        f"For the optimum with the other reading, add `--pixel.response {other} --out FOLDER` to the command."
     )
 
 
 def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
     for size_um, given in FILL_FACTORS.items():
-        found = float(fill_factor_law(size_um, process))
+        result = float(fill_factor_law(size_um, process))
         name, why = f"Fill factor at {size_um:g} µm", "the law of the packaged process is fitted to these three numbers"
-        yield Finding(name, f"{given:.0%}", f"{found:.1%}", abs(found - given) < 0.015, why)
+        yield Finding(name, f"{given:.0%}", f"{result:.1%}", abs(result - given) < 0.015, why)
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = FIGURE_2_RANGE_DB
     for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True):
@@ -244,8 +243,8 @@ def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
             "pitch^0.5",
             f"pitch^{exponent:.2f}",
             abs(exponent - 0.5) < 0.15,
-            "the paper's fill factors, 5 to 73 %, make the photodiode's area grow as pitch^4.6 between these "
-            "pitches, and the axis of its Fig. 2a, 35 to 70 dB, has room for more than √pitch",
+            "with the paper's fill factors, 5 to 73 %, the photodiode's area grows as pitch^4.6 between these "
+            "pitches, and the axis of its Fig. 2a, 35 to 70 dB, allows more than √pitch",
         )
 
 
@@ -265,56 +264,56 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _bands(frequencies_lp_per_mm: Array) -> str:
-    """The frequencies at which something holds, for people."""
+    """Return frequencies as text."""
     names = [f"{frequency:.2g}" for frequency in frequencies_lp_per_mm]
     return f"{', '.join(names)} lp/mm" if names else "no frequency"
 
 
 def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
-    """Fig. 6: a pixel is better where it reaches the iso level at a higher contrast. The contrasts are figure 6's table."""
+    """Yield the rows of Fig. 6: a pixel is better where it reaches the iso level at a higher contrast."""
     limits, centres = evidence.thresholds, evidence.frequencies_lp_per_mm
     title = f"Iso-ΔE = {evidence.result.study.iso_delta_e:g}"
     for good, bad in ((8.0, 15.0), (6.0, 8.0)):
         better, worse = limits[good] > limits[bad], limits[good] < limits[bad]
-        found = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
+        result = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
         if not (better | worse).all():
-            found += "; elsewhere neither reaches the level, or both at the same contrast"
+            result += "; elsewhere neither reaches the level, or both at the same contrast"
         agrees = bool(better.any() and not worse.any())
-        yield depending(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", found, agrees)
+        yield depending(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees)
     six, smallest = limits[6.0], limits[5.3]
     apart = np.flatnonzero(six != smallest)
     crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
     turn = np.flatnonzero(smallest > six)[:1]
     where = f"; they cross between {centres[turn[0] - 1]:.2g} and {centres[turn[0]]:.2g} lp/mm" if crosses and turn[0] else ""
-    found = f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}{where}"
-    yield depending(f"{title}: 6 and 5.3 µm cross", "6 µm better at low, 5.3 µm at high frequencies", found, crosses)
+    result = f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}{where}"
+    yield depending(f"{title}: 6 and 5.3 µm cross", "6 µm better at low, 5.3 µm at high frequencies", result, crosses)
 
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     count = modes(evidence.sensor_maps[8.0][0])
-    found, why = f"{count} mode{'s' if count != 1 else ''}", ""
+    result, why = f"{count} mode{'s' if count != 1 else ''}", ""
     if count != 1:
         fine = modes(evidence.fine_display_map)
         bits = evidence.result.study.display.bits
-        why = f"the steps of the display ({bits} bits) show in it" if fine == 1 else ASSUMED
-        found += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
-    yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", found, count == 1, why)
+        why = f"the quantisation of the display ({bits} bits) adds modes" if fine == 1 else ASSUMED
+        result += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
+    yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", result, count == 1, why)
     frequency, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
-    found = f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}"
-    yield depending("Largest errors (8 µm)", "at high frequency and high contrast", found, corner)
+    result = f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}"
+    yield depending("Largest errors (8 µm)", "at high frequency and high contrast", result, corner)
 
 
 def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
-    """Section 5, from the largest to the smallest process; none for a single one. `rise` says what counts as a trend."""
-    curves = sorted((each for each in curves if each.technology != NO_TECHNOLOGY), key=lambda curve: -curve.feature_size_um)
+    """Return the rows of section 5, from the largest to the smallest process, by `rise`; none for a single process."""
+    curves = sorted((curve for curve in curves if curve.technology != NO_TECHNOLOGY), key=lambda curve: -curve.feature_size_um)
     if len(curves) < 2:
         return []
     names = [f"{curve.feature_size_um:g}" for curve in curves]
     optima = [curve.optimum for curve in curves]
     size_um = [best.pitch_um for best in optima]
-    # A minimum at the end of the pitches is none: nothing is known of the optimum, nor of the least error.
+    # A minimum at the end of the pitches is no optimum: neither its pitch nor its error is known.
     size_intervals = [best.interval_um if best.inside else UNKNOWN for best in optima]
     ratio = [best.pitch_um / curve.feature_size_um for best, curve in zip(optima, curves, strict=True)]
     ratio_intervals = [
@@ -325,11 +324,11 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     least_intervals = [best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima]
 
     def row(statement: str, given: str, values: Sequence[float], digits: int, verdict: tuple[bool, str]) -> Finding:
-        found = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
+        result = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
         agrees, why = verdict
         if not agrees and why.startswith(FALLS) and "0.25" in why:
             why += "; the 0.25 µm junction is unusually capacitive"
-        return Finding(statement, given, found, agrees, why)
+        return Finding(statement, given, result, agrees, why)
 
     shrinks = rise(size_um[::-1], size_intervals[::-1], names[::-1])
     return [
@@ -343,15 +342,15 @@ FALLS = "it falls"
 
 
 def rise(values: Sequence[float], intervals: Sequence[Interval], names: Sequence[str]) -> tuple[bool, str]:
-    """Whether values rise from the first process to the last, and why or why not.
+    """Return whether values rise from the first process to the last, and the reason.
 
-    They do where no step falls and the whole rise exceeds its 95 % interval, whose half width is √((b - b_low)² +
+    They rise if no step falls and the whole rise exceeds its 95 % interval, whose half width is √((b - b_low)² +
     (a_high - a)²) for a first value a and a last value b of independent sensors.
 
     values : one for each process, in one unit
-    intervals : 95 %, low and high; None for an end that is open. A rise that depends on an open end is not known, and neither
-        is one of a value with both ends open.
-    names : of the processes, their feature sizes in µm
+    intervals : 95 %, low and high; None for an open end. A rise that depends on an open end is unknown, and so is one that
+        includes a value with both ends open.
+    names : feature sizes of the processes in µm
     """
     unknown = [name for name, interval in zip(names, intervals, strict=True) if interval == UNKNOWN]
     falls = [f"{names[i]} to {names[i + 1]}" for i in range(len(values) - 1) if values[i + 1] < values[i]]

@@ -1,4 +1,4 @@
-"""Calls on worker processes: of this machine by loky, of many by Dask, both through joblib; what a dead worker had is retried."""
+"""Parallel calls on worker processes: local ones by loky, a cluster by Dask, both through joblib. Lost calls are retried."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Task = TypeVar("Task")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
 Function = Callable[[Task, Shared], Result]
-Call = tuple[Task, Callable[[], Shared]]  # a task, and what makes that which it shares with others
-Calls = dict[int, Call[Task, Shared]]  # by their number
-Told = tuple[int, Result, list[str]]  # a call's number, its result, and what it warns of
-NAMED_TASKS = 4  # in a message
-SUSPECTS = 2  # calls a job that are under way or wait in its queue
+Call = tuple[Task, Callable[[], Shared]]  # a task, and the function that makes its shared data
+Calls = dict[int, Call[Task, Shared]]  # by number
+Reply = tuple[int, Result, list[str]]  # a call's number, its result and its warnings
+NAMED_TASKS = 4  # named in an error message
+SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
-WORKER_SECONDS = 30.0  # until a cluster has one
+WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
 
 
 @dataclass(frozen=True)
@@ -43,22 +43,22 @@ class Workers:
 
 
 def workers_here(jobs: int | None = None) -> Workers:
-    """Processes of this machine: as many as asked for, or one for each core that this process may use."""
+    """Return local workers: `jobs` processes, or one per core that this process may use."""
     return Workers(jobs or processors().usable)
 
 
 @contextmanager
 def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Workers]:
-    """The workers asked for.
+    """Provide local or cluster workers.
 
-    jobs : processes of this machine; None takes one a core
+    jobs : local processes; None means one per core
     scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which stays open
 
-    Raises PixsimError for both, fewer than one job, a cluster that is not there, has no worker, or runs another pixsim.
+    Raises PixsimError if both are given, jobs is below 1, or the cluster is unreachable, has no worker or runs another pixsim.
     """
     if jobs is not None and (jobs < 1 or scheduler is not None):
         got = f"{jobs} with a scheduler" if scheduler is not None else jobs
-        raise invalid("--jobs", got, "1 or more processes of this machine, or a --scheduler, which knows its workers")
+        raise invalid("--jobs", got, "1 or more local processes, or a --scheduler without --jobs")
     if scheduler is None:
         yield workers_here(jobs)
     elif isinstance(scheduler, str):
@@ -69,9 +69,9 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
         try:
             client = distributed.Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            mend = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
+            hint = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
             got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
-            raise invalid("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", mend) from None
+            raise invalid("--scheduler", got, "the address of a running Dask scheduler, as tcp://host:8786", hint) from None
         with closing(client):
             yield _checked(client)
     else:
@@ -79,40 +79,40 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
 
 
 def _checked(client: Any) -> Workers:
-    """PixsimError where a worker would compute something else."""
+    """Return the workers of a cluster. Raises PixsimError if it has none, or one runs another version."""
     try:
         client.wait_for_workers(1, timeout=WORKER_SECONDS)
         theirs = client.run(cache.version_fingerprint)
     except TimeoutError:
-        mend = "Start some with `dask worker ADDRESS`."
-        raise invalid("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", mend) from None
-    except Exception as error:  # whatever happens there: Dask tells it as a plain Exception
-        got = f"a worker that cannot tell which pixsim it has ({error})"
-        raise invalid("--scheduler", got, f"{cache.version_fingerprint()} on all of them") from None
+        hint = "Start workers with `dask worker ADDRESS`."
+        raise invalid("--scheduler", f"no worker within {WORKER_SECONDS:g} s", "a cluster with a worker", hint) from None
+    except Exception as error:  # Dask reports any failure on a worker as a plain Exception
+        got = f"a worker that does not report its pixsim version ({error})"
+        raise invalid("--scheduler", got, f"{cache.version_fingerprint()} on all workers") from None
     ours = cache.version_fingerprint()
     for address, other in theirs.items():
         if other != ours:
-            raise invalid("--scheduler", f"{other} at {address}", f"{ours}, as here, so that all rows are alike")
+            raise invalid("--scheduler", f"{other} at {address}", f"{ours}, as here, so that all rows are comparable")
     return Workers(client=client)
 
 
 def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Task, Shared]], workers: Workers) -> Iterator[Result]:
-    """`function(task, make())` of each call (task, make), in the order in which they come.
+    """Yield `function(task, make())` of each call (task, make), in order of completion.
 
-    Calls with the same `make` share what it makes: one copy of it a worker, made while others are already at work. Where a
-    worker dies, what is left is tried again, what was under way last.
+    Calls with the same `make` share its result, one copy per worker, made while other calls already run. If a worker dies,
+    unfinished calls are retried, those that were running last.
 
-    Raises PixsimError that names those which end their worker even when nothing else runs beside them.
+    Raises PixsimError naming the tasks that end their worker even when they run alone.
     """
     left: Calls[Task, Shared] = dict(enumerate(calls))
     deadly: Calls[Task, Shared] = {}
-    workers = Workers() if len(calls) == 1 and not workers.client else workers  # not worth a process
+    workers = Workers() if len(calls) == 1 and not workers.client else workers  # one call does not need a process
 
-    def attempt(some: Calls[Task, Shared]) -> Iterator[Result]:
-        """Results of some calls, which are taken away from them; a worker's death ends it."""
+    def attempt(batch: Calls[Task, Shared]) -> Iterator[Result]:
+        """Yield results, removing finished calls from the batch; stop when a worker dies."""
         try:
-            for index, result in _once(function, some, workers):
-                del some[index]
+            for index, result in _once(function, batch, workers):
+                del batch[index]
                 yield result
         except Exception as error:
             if not is_death(error):
@@ -123,13 +123,13 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
         yield from attempt(left)
         if not left:
             break
-        warnings.warn(f"a worker died; what is left, {len(left)} of {len(calls)} tasks, is tried again", stacklevel=2)
+        warnings.warn(f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks", stacklevel=2)
         indices = list(left)
-        if len(left) < before:  # those that were begun first may be what kills: the others go before them
+        if len(left) < before:  # the calls started first may be the cause: the others go before them
             half = len(indices) // 2
             left = {index: left[index] for index in [*indices[half:], *indices[:half]]}
             continue
-        for index in indices[: SUSPECTS * workers.jobs]:  # one of those that were begun first: each with no other beside it
+        for index in indices[: SUSPECTS * workers.jobs]:  # one of the calls started first is the cause: run each alone
             alone = {index: left.pop(index)}
             yield from attempt(alone)
             deadly |= alone
@@ -137,44 +137,44 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
         tasks = [str(task) for task, _ in deadly.values()]
         named = ", ".join(tasks[:NAMED_TASKS]) + (f" and {len(tasks) - NAMED_TASKS} more" if len(tasks) > NAMED_TASKS else "")
         raise PixsimError(
-            f"workers ({workers}): each of these ended its process, even alone: {named}. Often it is the system that is out of "
-            "memory. What is finished is kept, and the same command goes on from there; --jobs 1 shows the error."
+            f"workers ({workers}): each of these tasks ended its process, even when run alone: {named}. Often the system is out "
+            "of memory. Finished rows are kept, and the same command continues from them; --jobs 1 shows the error."
         )
 
 
 def is_death(error: BaseException) -> bool:
-    """Whether an error is that of a worker or a cluster, and not of the work; told by name, since neither need be installed."""
+    """Return whether an error means a lost worker or cluster; compared by name, since neither package need be installed."""
     names = {kind.__name__ for kind in type(error).__mro__}
     return bool(names & {"BrokenProcessPool", "KilledWorker", "CommClosedError", "FutureCancelledError", "CancelledError"})
 
 
 def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], workers: Workers) -> Iterator[tuple[int, Result]]:
-    """Each call's number and result, as they come."""
+    """Yield each call's number and result, in order of completion, without retrying."""
     if not workers.client and workers.jobs == 1:
         yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
         return
     if workers.client:
         results = _on_cluster(function, calls, workers.client)
     else:
-        # At least two: what is left after a worker's death may be what killed it, and must not come to this process.
+        # At least two: after a worker's death, joblib must not run the remaining calls in this process.
         results = _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
-    told: set[str] = set()
+    shown: set[str] = set()
     for index, result, notes in results:
         for note in notes:
-            if note not in told:
+            if note not in shown:
                 warnings.warn(note, stacklevel=4)
-                told.add(note)
+                shown.add(note)
         yield index, result
 
 
-def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Any) -> Iterator[Told[Result]]:
+def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], client: Any) -> Iterator[Reply[Result]]:
     from joblib import Parallel, delayed, parallel_config
 
     shared = {id(make): make() for _, make in calls.values()}
-    if sum(client.ncores().values()) == 1:  # joblib would compute here; one thread does them in this order
-        there = {name: client.scatter(each, hash=False) for name, each in shared.items()}
+    if sum(client.ncores().values()) == 1:  # joblib would compute in this process; one thread keeps the order
+        remote = {name: client.scatter(data, hash=False) for name, data in shared.items()}
         futures = [
-            client.submit(_numbered, function, index, task, there[id(make)], pure=False)
+            client.submit(_numbered, function, index, task, remote[id(make)], pure=False)
             for index, (task, make) in list(calls.items())
         ]
         yield from (future.result() for future in futures)
@@ -186,18 +186,18 @@ def _on_cluster(function: Function[Task, Shared, Result], calls: Calls[Task, Sha
         )
 
 
-def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared) -> Told[Result]:
-    """A call's number, its result, and what it warns of: the process that asked tells it, once."""
+def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared) -> Reply[Result]:
+    """Return a call's number, its result and its warnings, which the parent process shows once."""
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
         result = function(task, shared)
     return index, result, [str(note.message) for note in notes if issubclass(note.category, UserWarning)]
 
 
-def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Told[Result]]:
-    """What is shared lies in files that the workers map into their memory: one copy for all of them.
+def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Reply[Result]]:
+    """Run calls on local processes, with shared data in memory-mapped files: one copy for all.
 
-    (joblib would do so by itself, but waits a second at the end for workers to let go.)
+    (joblib would do so by itself, but waits a second at the end for workers to release them.)
     """
     from joblib import Parallel, delayed, dump, parallel_config
 
@@ -222,5 +222,5 @@ def _mapped(path: str) -> Any:
     return load(path, mmap_mode="r")
 
 
-def _numbered_from(function: Function[Task, Any, Result], index: int, task: Task, path: str) -> Told[Result]:
+def _numbered_from(function: Function[Task, Any, Result], index: int, task: Task, path: str) -> Reply[Result]:
     return _numbered(function, index, task, _mapped(path))

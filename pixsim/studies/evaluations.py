@@ -1,9 +1,8 @@
-"""The evaluations of a study: which there are, which are missing, what a worker does for them, and results.csv.
+"""The evaluations of a study, the tasks that compute missing ones, and results.csv.
 
-One writer appends rows as they come, so that whatever ends a study keeps what is finished. A row is known by its key.
-
-One row of results.csv is one evaluation (technology, pitch, repeat). Its key is the content that it depends on. So is that
-of its frame, which no viewer changes: frames are kept in the cache, and another display looks at the same ones.
+A row of results.csv is one evaluation (technology, pitch, repeat). Its key is a hash of everything that it depends on.
+A frame does not depend on the display: frames are cached under their own key, and reused for another display.
+One process appends rows as they finish, so an interrupted study keeps them.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,7 +34,7 @@ from pixsim.sensor.readout import make_frame
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
 from pixsim.studies.engine import Workers, results_of
-from pixsim.viewer.score import ImagingChain, Light, Lights, Score, chain_at_pitch, prepare_scene
+from pixsim.viewer.score import ImagingChain, SceneCache, Score, SharedLight, chain_at_pitch, prepare_scene
 
 DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
@@ -48,13 +46,13 @@ MAX_LINE = 1 << 14
 
 
 class ResultsFile:
-    """A file of rows with `COLUMNS`; those in `TEXTS` are words, the rest are numbers."""
+    """results.csv: rows with `COLUMNS`, of which `TEXTS` hold text and the others numbers."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def read(self) -> dict[str, Row]:
-        """Whole rows by key; a last line that was cut off is left out."""
+        """Return complete rows by key; an incomplete last line is ignored."""
         if not self.path.is_file():
             return {}
         allowed = "the rows of a study"
@@ -64,43 +62,45 @@ class ResultsFile:
         try:
             return {row["key"]: {name: row[name] for name in COLUMNS} for row in table if self._is_whole(row)}
         except csv.Error as error:
-            raise invalid("results", f"'{self.path}' ({error})", allowed, "Move it away: its rows are made again.") from None
+            raise invalid(
+                "results", f"'{self.path}' ({error})", allowed, "Move the file away: its rows are then computed again."
+            ) from None
 
     def _is_whole(self, row: Row) -> bool:
-        """Whether a row has every column, and numbers where they belong; others are made again."""
+        """Return whether a row has every column, with numbers where they belong; other rows are computed again."""
         try:
             return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in COLUMNS)
         except (KeyError, TypeError, ValueError):
             return False
 
-    def begin(self, is_wanted: Callable[[Row], bool]) -> dict[str, Row]:
-        """Rows that are there and wanted, by key; others, of another study, are kept in FILE.old and leave the file."""
+    def resume(self, is_expected: Callable[[Row], bool]) -> dict[str, Row]:
+        """Return the expected rows by key. If there are others, copy the file to FILE.old; leave only the expected rows."""
         known = self.read()
-        done = {key: row for key, row in known.items() if is_wanted(row)}
-        something = self.path.is_file() and self.path.stat().st_size > len(",".join(COLUMNS)) + 2
-        if something and (len(done) < len(known) or not known):
-            self._keep_old()
+        done = {key: row for key, row in known.items() if is_expected(row)}
+        has_content = self.path.is_file() and self.path.stat().st_size > len(",".join(COLUMNS)) + 2
+        if has_content and (len(done) < len(known) or not known):
+            self._back_up()
         self.write(done.values())
         return done
 
     def finish(self, rows: Collection[Row]) -> None:
-        """Leave these rows in the file; where it holds others, it is kept in FILE.old."""
+        """Leave only these rows in the file, copied to FILE.old first if it holds others."""
         if set(self.read()) - {row["key"] for row in rows}:
-            self._keep_old()
+            self._back_up()
         self.write(rows)
 
-    def _keep_old(self) -> None:
+    def _back_up(self) -> None:
         shutil.copyfile(self.path, self.path.with_name(self.path.name + ".old"))
 
     def write(self, rows: Collection[Row]) -> None:
-        """The file anew, whole or not at all."""
-        with self._told(), replacing(self.path) as partial:
+        """Replace the file, completely or not at all."""
+        with self._clear_write_errors(), replacing(self.path) as partial:
             partial.write_bytes(self._text([dict(zip(COLUMNS, COLUMNS, strict=True)), *rows]))
 
     def append(self, rows: Collection[Row]) -> None:
-        """Add rows, all of them or none."""
+        """Append all of the rows, or none if writing fails."""
         text = self._text(rows)
-        with self._told(), self.path.open("ab", buffering=0) as file:
+        with self._clear_write_errors(), self.path.open("ab", buffering=0) as file:
             before = file.tell()
             try:
                 if file.write(text) != len(text):
@@ -110,76 +110,79 @@ class ResultsFile:
                 raise
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
-        """As the one writer; PixsimError where another process is. The lock goes with the process, however that ends."""
+    def locked(self) -> Iterator[None]:
+        """Hold the file's lock, which ends with the process. Raises PixsimError if another process holds it."""
         try:
             import fcntl
         except ImportError:  # Windows
             yield
             return
         lock = self.path.with_name(f".{self.path.name}.lock")
-        with self._told():
+        with self._clear_write_errors():
             file = lock.open("w")
         with file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 same = os.path.samestat(os.fstat(file.fileno()), lock.stat())
             except (BlockingIOError, FileNotFoundError):
-                same = False  # another has it, or had it a moment ago and took it away
+                same = False  # another process holds it, or has just removed it
             if not same:
-                mend = "Wait for it, or take another --out."
-                raise invalid("study", f"'{self.path.parent}', where another process is at work", "one at a time", mend)
+                hint = "Wait until it ends, or choose another --out."
+                raise invalid("study", f"'{self.path.parent}', in use by another process", "a folder that is not in use", hint)
             try:
                 yield
             finally:
                 lock.unlink(missing_ok=True)
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """A disk that is full or a folder that cannot be written, in words."""
+    def _clear_write_errors(self) -> Iterator[None]:
+        """Raise PixsimError in place of an OSError, such as a full disk."""
         try:
             yield
         except OSError as error:
             raise PixsimError(
-                f"results: '{self.path}' cannot be written ({error.strerror or error}). What is finished is kept: make room, "
-                "and give the same command again."
+                f"results: '{self.path}' cannot be written ({error.strerror or error}). Finished rows are kept: free some disk "
+                "space, and run the same command again."
             ) from None
 
     def _text(self, rows: Iterable[Row]) -> bytes:
         return csv_text([row[name] for name in COLUMNS] for row in rows).encode()
 
 
-REPEATS_A_TASK = 8  # evaluations after which a worker reports
-Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors, both in their order
+REPEATS_PER_TASK = 8  # evaluations after which a worker reports
+Sampling = dict[str, dict[float, int]]  # technology -> pitch in µm -> sensors; both in order
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
-    """The pitches of a technology; PixsimError where the range is empty."""
+    """Return the pitches of a technology in µm, (P,). Raises PixsimError if there are too few or the range is empty."""
     if study.pitch.values_um is not None:
         pitches = np.unique(study.pitch.values_um)
         if pitches.size < 5:
             raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
         return pitches
-    low, told = study.pitch.min_um, "pitch.min_um"
+    low, source = study.pitch.min_um, "pitch.min_um"
     if low is None:
         process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
-        told = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
+        source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= study.pitch.max_um:
-        raise invalid("pitch.max_um", study.pitch.max_um, f"above {low:.4g} µm, {told}")
+        raise invalid("pitch.max_um", study.pitch.max_um, f"above {low:.4g} µm, {source}")
     return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
 
 
-def light_of(study: Study, lights: Lights, technology: str) -> Light:
-    """What all pitches of a technology share."""
+def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
+    """Return the light that all pitches of a technology share."""
     any_um = float(study_pitches_um(study, technology).max())
-    return lights.of(technology, physics_of(study, technology, any_um), study.pitch.largest_um)
+    return scenes.get(technology, physics_of(study, technology, any_um), study.pitch.largest_um)
 
 
 def chain_at(
-    study: Study, light: Light, camera: Camera, technology: str, pitch_um: float, process: Technology | None = None
+    study: Study, light: SharedLight, camera: Camera, technology: str, pitch_um: float, process: Technology | None = None
 ) -> ImagingChain:
-    """The bench of a pitch; a worker elsewhere is told the process, whose file it may not have."""
+    """Return the imaging chain of a pitch.
+
+    process : of the technology, for a worker that may not have its file
+    """
     physics = physics_of(study, technology, pitch_um, process)
     if isinstance(light, SpectralImage):
         light = prepare_scene(light, camera, physics, study.display, border_um=study.pitch.largest_um)
@@ -187,16 +190,16 @@ def chain_at(
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
-    """Of the technology by its name: where its file lies is no part of a result."""
+    """Return the random-stream key of a frame. It holds the technology's name, not its path, which is no part of a result."""
     return study.name, study.seed, technology, pitch_um, repeat
 
 
 @dataclass(frozen=True)
 class Task:
-    """Some sensors of one pitch.
+    """Some sensors of one pitch to evaluate.
 
-    light_key, frames_key : hashes of all that their light and their frames depend on; frames without a key are not kept
-    keys : repeat -> hash of all that its row depends on
+    light_key, frames_key : hashes of everything that their light and their frames depend on; empty: frames are not cached
+    keys : repeat -> hash of everything that its row depends on
     """
 
     study: Study
@@ -212,47 +215,47 @@ class Task:
         return f"{self.technology} at {self.pitch_um:g} µm"
 
 
-_recent = threading.local()  # a thread's last bench: it is dear, and the tasks of a pitch come one after another
+_recent = threading.local()  # a thread's last chain: it is expensive, and the tasks of a pitch follow one another
 
 
-def evaluate_task(task: Task, light: Light) -> list[Row]:
-    """The rows of a task."""
-    own = task.light_key, task.pitch_um
-    if getattr(_recent, "key", None) != own:
-        _recent.bench = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
-        _recent.key = own
+def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
+    """Return the rows of a task."""
+    key = task.light_key, task.pitch_um
+    if getattr(_recent, "key", None) != key:
+        _recent.chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
+        _recent.key = key
     rows = []
-    for repeat, score in scores_of(_recent.bench, task.study, list(task.keys), task.frames_key):
+    for repeat, score in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
         rows.append({"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat), **numbers})
     return rows
 
 
-def scores_of(bench: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
-    """Each repeat with `bench.score` of its stream, its frame from the cache; those that are not there are kept."""
-    technology, pitch_um = bench.physics.technology.name, bench.physics.pitch_um
-    known = (cache.arrays("frames", frames_key) if frames_key else None) or {}
-    # A frame's digital numbers under its repeat; its saturated fraction, which they do not show, as a number of its own.
-    frames = {name: each for name, each in known.items() if each.shape in (bench.signal_e_per_s.shape, ())}
+def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
+    """Yield each repeat with its score; frames come from the cache, and new ones are stored there."""
+    technology, pitch_um = chain.physics.technology.name, chain.physics.pitch_um
+    cached = (cache.arrays("frames", frames_key) if frames_key else None) or {}
+    # A frame's digital numbers stand under its repeat; its saturated fraction does not follow from them and is stored too.
+    frames = {name: array for name, array in cached.items() if array.shape in (chain.signal_e_per_s.shape, ())}
     before = len(frames)
     for repeat in repeats:
         name, saturated = str(repeat), f"{repeat}_saturated_fraction"
         if name in frames and saturated in frames:
-            how = bench.signal_e_per_s, bench.physics, bench.exposure
-            yield repeat, bench.view(make_frame(frames[name].astype(np.int32), float(frames[saturated]), *how))
+            dn, fraction = frames[name].astype(np.int32), float(frames[saturated])
+            yield repeat, chain.score_frame(make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure))
         else:
-            frame = bench.capture(*stream_key(study, technology, pitch_um, repeat))
+            frame = chain.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
                 frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
                 frames[saturated] = np.array(frame.saturated_fraction)
-            yield repeat, bench.view(frame)
+            yield repeat, chain.score_frame(frame)
     if len(frames) > before:
         cache.store_arrays("frames", frames_key, frames)
 
 
 @dataclass(frozen=True)
 class Fingerprints:
-    """What the evaluations of a study depend on, as hashes; each is made once."""
+    """Hashes of everything that the evaluations of a study depend on."""
 
     study: Study
     camera: Camera
@@ -260,42 +263,41 @@ class Fingerprints:
     _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
-    def picture(self) -> str:
-        """Of the light, the exposure and the random streams; whatever shows it."""
+    def imaging(self) -> str:
+        """Hash of the irradiance, camera, exposure and random streams, without pixel and display."""
         study = self.study
         light = [self.irradiance.header, self.camera.model_dump()]
-        # With pixsim's sources and the packages that compute: a row is never one of another formula.
+        # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
         version_fingerprint = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
         return content_hash([*light, study.exposure.model_dump(), study.name, study.seed, version_fingerprint])
 
     @cached_property
     def display(self) -> str:
-        """Of the viewer's raster, and of the part of the die that is scored on it."""
+        """Hash of the display and of the part of the die that is scored on it."""
         study = self.study
         border_um = study.pitch.largest_um if study.display.raster == "fixed_size" else 0.0
         return content_hash([study.display.content_hash, border_um])
 
-    def light(self, technology: str) -> str:
-        """Of what all pitches of a technology share."""
-        return content_hash([self.picture, self.display, self.process(technology), self.study.pixel.model_dump()])
-
-    def process(self, technology: str) -> dict[str, Any]:
-        return technology_of(self.study, technology).content
+    def scene(self, technology: str) -> str:
+        """Return the hash of the light that all pitches of a technology share."""
+        return content_hash(
+            [self.imaging, self.display, technology_of(self.study, technology).content, self.study.pixel.model_dump()]
+        )
 
     def pixel(self, technology: str, pitch_um: float) -> str:
-        """Of all that the frames of a pitch depend on."""
+        """Return the hash of everything that the frames of a pitch depend on."""
         if (technology, pitch_um) not in self._pixels:
-            pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # its file's place is no content
-            self._pixels[technology, pitch_um] = content_hash([self.picture, self.process(technology), pixel])
+            pixel = pixel_of(self.study, technology, pitch_um).model_dump(exclude={"technology"})  # a path is no content
+            self._pixels[technology, pitch_um] = content_hash([self.imaging, technology_of(self.study, technology).content, pixel])
         return self._pixels[technology, pitch_um]
 
     def keys(self, technology: str, pitch_um: float, repeats: Iterable[int]) -> dict[int, str]:
-        """Repeat -> key of its row."""
+        """Return the key of the row of each repeat."""
         pixel = self.pixel(technology, pitch_um)
         return {repeat: content_hash([pixel, self.display, repeat]) for repeat in repeats}
 
-    def is_row(self, row: Row) -> bool:
-        """Whether a row of results.csv is one that the study may have, and says what its key stands for."""
+    def is_expected_row(self, row: Row) -> bool:
+        """Return whether a row of results.csv may belong to the study and has the key of its technology, pitch and repeat."""
         technology, pitch_um, repeat = row["technology"], float(row["pitch_um"]), float(row["repeat"])
         if technology not in self.study.technologies or not (repeat >= 0 and repeat.is_integer()):
             return False
@@ -308,80 +310,80 @@ class Fingerprints:
     def first_sampling(self) -> Sampling:
         return first_sampling(self.study)
 
-    def frames(self, technology: str, pitch_um: float) -> str:
-        """What the frames of a pitch are kept under; nothing where those of the study would drive out most of the cache."""
-        return self.pixel(technology, pitch_um) if self.keeps_frames else ""
+    def frames_of_pitch(self, technology: str, pitch_um: float) -> str:
+        """Return the cache key of the frames of a pitch; empty if the frames of the study do not fit in the cache."""
+        return self.pixel(technology, pitch_um) if self.frames_fit_in_cache else ""
 
     @cached_property
-    def keeps_frames(self) -> bool:
-        """Whether all frames of the study may be kept without driving out most of the cache."""
+    def frames_fit_in_cache(self) -> bool:
+        """Whether all frames of the study fit in the cache without displacing most of it."""
         study, die_um = self.study, 1e3 * self.camera.die_mm
         code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
-        sensors = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
-        pitches = [pitch_um for own in self.first_sampling.values() for pitch_um in own]
-        return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors)
+        sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+        pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
+        return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors_per_pitch)
 
 
 def first_sampling(study: Study) -> Sampling:
-    """What a study begins with: `repeats` sensors of each of its pitches."""
-    return {each: dict.fromkeys(study_pitches_um(study, each).tolist(), study.repeats) for each in study.technologies}
+    """Return the sampling that a study starts with: `repeats` sensors of each of its pitches."""
+    return {name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats) for name in study.technologies}
 
 
 def block_key(frames_key: str, block: int) -> str:
-    """Frames of as many sensors as a task has are kept in one file."""
+    """Return the cache key of the frames of one task, which share a file."""
     return frames_key and f"{frames_key}-{block}"
 
 
-def tasks_of(content: Fingerprints, technology: str, sensors: Mapping[float, int], done: Container[str]) -> Iterator[Task]:
-    """What is missing of a technology, small pixels first, since they take longest.
+def tasks_of(hashes: Fingerprints, technology: str, sensors: Mapping[float, int], done: Container[str]) -> Iterator[Task]:
+    """Yield the tasks that are missing of a technology, small pixels first, since they take longest.
 
     sensors : of each pitch in µm
     """
-    study, light_key, process = content.study, content.light(technology), technology_of(content.study, technology)
+    study, light_key, process = hashes.study, hashes.scene(technology), technology_of(hashes.study, technology)
     for pitch_um, count in sensors.items():
-        keys, frames = content.keys(technology, pitch_um, range(count)), content.frames(technology, pitch_um)
-        for block in range(-(-count // REPEATS_A_TASK)):
-            repeats = range(block * REPEATS_A_TASK, min(count, (block + 1) * REPEATS_A_TASK))
+        keys, frames = hashes.keys(technology, pitch_um, range(count)), hashes.frames_of_pitch(technology, pitch_um)
+        for block in range(-(-count // REPEATS_PER_TASK)):
+            repeats = range(block * REPEATS_PER_TASK, min(count, (block + 1) * REPEATS_PER_TASK))
             missing = {repeat: keys[repeat] for repeat in repeats if keys[repeat] not in done}
             if missing:
-                own = light_key, block_key(frames, block), missing
-                yield Task(study, content.camera, technology, process, pitch_um, *own)
+                yield Task(study, hashes.camera, technology, process, pitch_um, light_key, block_key(frames, block), missing)
 
 
 class Evaluations:
-    """The rows of a study in results.csv: those of an earlier run that fit are taken, missing ones are appended as they come."""
+    """The rows of a study in results.csv: matching rows of an earlier run are reused, missing ones computed and appended."""
 
-    def __init__(self, study: Study, lights: Lights, results: Path, workers: Workers) -> None:
-        self.study, self._lights, self._workers = study, lights, workers
-        self.content = Fingerprints(study, lights.camera, lights.irradiance)
-        self._ledger = ResultsFile(results)
+    def __init__(self, study: Study, scenes: SceneCache, results: Path, workers: Workers) -> None:
+        self.study, self._scenes, self._workers = study, scenes, workers
+        self.fingerprints = Fingerprints(study, scenes.camera, scenes.irradiance)
+        self._results = ResultsFile(results)
         self._done: dict[str, Row] = {}
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
-        """As the one writer of the file; PixsimError where another process is."""
-        with self._ledger.alone():
-            self._done = self._ledger.begin(self.content.is_row)
+    def locked(self) -> Iterator[None]:
+        """Hold the lock of the file and read it. Raises PixsimError if another process holds the lock."""
+        with self._results.locked():
+            self._done = self._results.resume(self.fingerprints.is_expected_row)
             try:
                 yield
             finally:
-                _recent.__dict__.clear()  # of this process; a worker keeps its last bench until its next task
+                _recent.__dict__.clear()  # in this process; a worker keeps its last chain until its next task
 
-    def of(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
-        """The rows of a sampling, in its order.
+    def rows(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
+        """Return the rows of a sampling, in its order, computing those that are missing.
 
-        PixsimError where the file cannot be written; what is finished stays.
+        Raises PixsimError if the file cannot be written; finished rows stay in it.
         """
         tasks = {
-            technology: list(tasks_of(self.content, technology, sensors, self._done)) for technology, sensors in sampling.items()
+            technology: list(tasks_of(self.fingerprints, technology, sensors, self._done))
+            for technology, sensors in sampling.items()
         }
-        missing = total = sum(len(task.keys) for own in tasks.values() for task in own)
-        names, room = self.study.technologies, self._lights.room
-        for first in range(0, len(names), room):  # technologies whose lights there is room for together
-            makers = {name: partial(light_of, self.study, self._lights, name) for name in names[first : first + room]}
+        missing = total = sum(len(task.keys) for group in tasks.values() for task in group)
+        names, capacity = self.study.technologies, self._scenes.capacity
+        for first in range(0, len(names), capacity):  # technologies whose prepared scenes fit into memory together
+            makers = {name: partial(light_of, self.study, self._scenes, name) for name in names[first : first + capacity]}
             calls = [(task, make) for name, make in makers.items() for task in tasks[name]]
             for rows in results_of(evaluate_task, calls, self._workers):
-                self._ledger.append(rows)
+                self._results.append(rows)
                 self._done |= {row["key"]: row for row in rows}
                 missing -= len(rows)
                 if progress:
@@ -390,9 +392,9 @@ class Evaluations:
             self._done[key]
             for technology, sensors in sampling.items()
             for pitch_um, count in sensors.items()
-            for key in self.content.keys(technology, pitch_um, range(count)).values()
+            for key in self.fingerprints.keys(technology, pitch_um, range(count)).values()
         ]
 
     def finish(self, rows: list[Row]) -> None:
-        """Leave these rows in the file, in their order."""
-        self._ledger.finish(rows)
+        """Leave only these rows in the file, in their order."""
+        self._results.finish(rows)

@@ -1,16 +1,16 @@
-"""The pitch with the least visible error, and how sure it is: a regression of mean ΔE against pitch.
+"""The optimal pitch with its uncertainty: a Gaussian-process regression of mean ΔE against pitch.
 
-The mean ΔE of a pitch, y_i over R_i sensors, is taken as f(u_i) + s y_i (t z_i + e_i/√R_i): a smooth curve, a residual of
-the pitch that its sensors share (how pixels register with dots and detail), and the noise of each sensor; z and e are
-standard normal. The noise s is known from the sensors' scatter. f is a quintic smoothing spline in the logarithm of the
-photodiode's width, u: as a Gaussian process, a quadratic of unknown coefficients plus a Wiener process integrated twice,
+The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s y_i (t z_i + e_i/√R_i): a smooth curve, a residual
+that the sensors of a pitch share (how pixels register with dots and detail), and the noise of each sensor; z and e are
+standard normal. The noise s follows from the scatter of the sensors. f is a quintic smoothing spline in the logarithm u of
+the photodiode's width: as a Gaussian process, a quadratic of unknown coefficients plus a twice integrated Wiener process
 of stiffness k (G. Wahba, J. R. Stat. Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for
-Machine Learning, 2006, sections 2.7 and 6.3). Against pitch itself the curve of a process has a wall, where the photodiode
-vanishes; against its width it has none.
+Machine Learning, 2006, sections 2.7 and 6.3). Against the pitch, the curve diverges where the photodiode vanishes; against
+its width it does not.
 
-k, t and the uncertainty of s are integrated over, each with the likelihood of the data. The distribution of the place of
-the minimum over curves drawn from the posterior is the answer: it holds noise, residual, and what the curve may do between
-the pitches.
+k, t and the uncertainty of s are integrated over, weighted by the likelihood of the data. The result is the distribution
+of the minimum's position over curves drawn from the posterior. It covers the noise, the residual, and the uncertainty of
+the curve between the pitches.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from scipy.special import gammaincinv, stdtrit
 from pixsim.base.arrays import Array
 
 CONFIDENCE = 0.95
-# Curves from the posterior are a little rougher than real ones, so that more than their share of intervals would cover: in
-# simulated studies the middle 90 % of the posterior cover the minimum in 96 % of them (tests/benchmarks/interval_coverage.py).
+# Curves from the posterior are slightly rougher than real ones, so their intervals are too wide: in simulated studies the
+# middle 90 % of the posterior contain the minimum in 96 % of them (tests/benchmarks/interval_coverage.py).
 CREDIBILITY = 0.90
-# Stiffness k in units of the mean ΔE: dense sweeps of six studies have 0.5 to 1.3 (tests/data/dense_sweeps).
+# Stiffness k in units of the mean ΔE; dense sweeps of six studies gave 0.5 to 1.3 (tests/data/dense_sweeps).
 STIFFNESS = np.geomspace(0.1, 30.0, 9)
 USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 0.5  # median and logarithmic standard deviation of its prior
-# Residual t in units of a sensor's noise: those sweeps have 0.2 to 0.5.
+# Residual t in units of a sensor's noise; those sweeps gave 0.2 to 0.5.
 RESIDUALS = (0.0, 0.25, 0.5)
 NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
-WEIGHT_KEPT = 0.95  # of the posterior of k, t and s; the rest has too little weight to be drawn from
+WEIGHT_USED = 0.95  # of the posterior of k, t and s; the rest weighs too little to draw from
 DRAWS = 2000
-PLACES = 61  # at which drawn curves are known; their minima are found between them
+PLACES = 61  # at which curves are drawn; their minima are interpolated between them
 FINE_PLACES = 801  # of the fitted curve: steps of less than 0.4 % of a pitch
-ROUNDING = 1e-6  # of the mean ΔE: the least noise of a pitch, so that exact data can be factored
+ROUNDING = 1e-6  # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be factored
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """The least mean ΔE over pitch.
+    """The pitch of minimum mean ΔE, with its uncertainty.
 
-    pitch_um : where the fitted curve is least
-    interval_um : (low, high), the 95 % interval of the pitch at which the expected ΔE is least: the middle 90 % of the
-        posterior, which cover it in 95 % of simulated studies and more. None for an end that the tried pitches leave open:
-        the minimum may lie at or beyond it
+    pitch_um : minimum of the fitted curve
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 90 % of the posterior, which
+        contain it in at least 95 % of simulated studies. None for an open end: the minimum may lie at or beyond the
+        smallest or largest pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : its 95 % interval
-    inside : whether the fitted curve is least between the smallest and the largest tried pitch, not at one of them
-    within_1_percent_um, within_2_percent_um : pitches whose fitted mean ΔE is so close to the least; None for an end at the
-        smallest or the largest tried pitch
+    inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
+    within_1_percent_um, within_2_percent_um : range of pitches whose fitted mean ΔE is that close to the minimum; None for
+        an end at the smallest or the largest pitch tried
     """
 
     pitch_um: float
@@ -69,12 +69,12 @@ class Optimum:
 
     @property
     def half_width_um(self) -> float:
-        """Half of the interval's length; infinite where an end is open."""
+        """Half the length of the interval; infinite if an end is open."""
         low, high = self.interval_um
         return np.inf if low is None or high is None else (high - low) / 2
 
     def as_dict(self) -> dict[str, Any]:
-        """As summary.json holds it."""
+        """Return the fields as in summary.json."""
         return asdict(self)
 
 
@@ -83,16 +83,16 @@ Widths = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class FittedCurve:
-    """Mean ΔE against pitch as a smooth curve, from the smallest to the largest tried pitch.
+    """Mean ΔE against pitch as a smooth curve, from the smallest to the largest pitch tried.
 
-    pitch_um : (places,) rising
+    pitch_um : (places,) increasing
     delta_e : (places,) mean of the posterior
-    low, high : (places,) ends of its 95 % interval at each place
+    low, high : (places,) ends of its pointwise 95 % interval
     optimum : its minimum
-    likeliest : posterior of the curve: its design, stiffness and residual
+    likeliest : posterior at the most likely stiffness, residual and noise
     noise : the likeliest variance of one sensor over the square of its mean ΔE
-    scale : mean ΔE whose square the design's noise is in units of
-    width_um : photodiode width of pixel pitches; by default in proportion to the pitch
+    scale : unit of ΔE in the design
+    width_um : photodiode width as a function of the pitch; by default proportional to it
     """
 
     pitch_um: Array = field(repr=False)
@@ -106,21 +106,21 @@ class FittedCurve:
     width_um: Widths = field(repr=False, default=np.asarray)
 
     def places_of(self, pitch_um: Array) -> Array:
-        """Places (n,) of pitches where the curve is smooth: logarithms of photodiode widths over the smallest one."""
+        """Return the coordinates u (n,) of pitches: logarithms of photodiode widths over the smallest one."""
         return places_of(pitch_um, float(self.pitch_um[0]), self.width_um)
 
     def pitches_at(self, places: Array) -> Array:
-        """Pitches (n,) in µm of `places_of`."""
+        """Return the pitches (n,) in µm at coordinates u: the inverse of `places_of`."""
         return np.exp(np.interp(places, self.places_of(self.pitch_um), np.log(self.pitch_um)))
 
 
 @dataclass(frozen=True)
 class Design:
-    """What has been measured, whatever came out: enough to predict how sure a curve will be.
+    """Pitches, noise and sensors of a study without its measured values: enough to predict a curve's uncertainty.
 
-    u : (P,) rising, logarithms of photodiode widths, the first one 0
+    u : (P,) increasing, logarithms of photodiode widths over the first
     noise : (P,) variance of one sensor at each pitch, over the square of the mean ΔE's scale
-    sensors : (P,)
+    sensors : (P,) number of sensors
     """
 
     u: Array
@@ -128,14 +128,14 @@ class Design:
     sensors: NDArray[np.int64]
 
     def covariance(self, stiffness: float, residual: float) -> Array:
-        """Of the pitches' mean ΔE, but for the quadratic, (P, P)."""
+        """Return the covariance of the pitches' mean ΔE without the quadratic, (P, P)."""
         covariance = stiffness**2 * wiener_covariance(self.u, self.u)
         covariance[np.diag_indices(self.u.size)] += self.noise * (1 / self.sensors + residual**2) + ROUNDING**2
         return covariance
 
 
 class Posterior:
-    """A Gaussian process with a design's data at one stiffness and residual."""
+    """Posterior Gaussian process of a design and its data at one stiffness and residual."""
 
     def __init__(self, design: Design, stiffness: float, residual: float, y: Array) -> None:
         self.design, self.u, self.stiffness, self.residual = design, design.u, stiffness, residual
@@ -149,58 +149,58 @@ class Posterior:
 
     @property
     def log_likelihood(self) -> float:
-        """Of the data, the quadratic integrated over; up to a constant."""
+        """Log-likelihood of the data, marginalised over the quadratic, up to a constant."""
         misfit = self._y @ self._y - self._beta @ self._beta
-        return float(sum(np.log(np.diag(each)).sum() for each in (self._whitener, self._basis_whitener)) - misfit / 2)
+        return float(sum(np.log(np.diag(factor)).sum() for factor in (self._whitener, self._basis_whitener)) - misfit / 2)
 
     def mean(self, places: Array) -> Array:
-        """At some places, (n,)."""
+        """Return the posterior mean at places, (n,)."""
         process = self.stiffness**2 * wiener_covariance(places, self.u)
         return multiplied(process, self._weights) + multiplied(quadratic(places), self._coefficients)
 
     def covariance(self, places: Array) -> Array:
-        """Between some places, (n, n)."""
+        """Return the posterior covariance between places, (n, n)."""
         known = self._whitener @ (self.stiffness**2 * wiener_covariance(self.u, places))
         unknown = self._basis_whitener @ (quadratic(places).T - self._basis.T @ known)
         return self.stiffness**2 * wiener_covariance(places, places) - known.T @ known + unknown.T @ unknown
 
 
 def wiener_covariance(one: Array, other: Array) -> Array:
-    """Of a Wiener process integrated twice from 0, (one, other): ∫ (a - w)² (b - w)²/4 dw up to the lesser of a and b."""
+    """Return the covariance of a Wiener process integrated twice from 0, (one, other): ∫ (a - w)² (b - w)²/4 dw to min(a, b)."""
     least, apart = np.minimum(one[:, None], other), np.abs(one[:, None] - other)
     return np.asarray(least**3 * (least**2 / 5 + apart * least / 2 + apart**2 / 3) / 4)
 
 
 def quadratic(places: Array) -> Array:
-    """1, x and x² at some places, (n, 3)."""
+    """Return x², x and 1 at places, (n, 3)."""
     return np.vander(places, 3)
 
 
 def inverse_factor(covariance: Array) -> Array:
-    """Inverse of the lower Cholesky factor, which makes white noise of noise with such a covariance.
+    """Return the inverse of the lower Cholesky factor, which whitens noise of that covariance.
 
-    Not a triangular solve: LAPACK starts threads for one of any size, which take far longer than these few numbers do.
+    Not a triangular solve: LAPACK starts threads for one of any size, which takes far longer than these small matrices do.
     """
     inverse, _ = dtrtri(cholesky(covariance, lower=True, check_finite=False), lower=1)
     return np.asarray(inverse)
 
 
 def multiplied(matrix: Array, vectors: Array) -> Array:
-    """A matrix (n, m) times vectors (…, m), (…, n). Not @: BLAS adds in another order on another number of threads."""
+    """Return a matrix (n, m) times vectors (…, m), (…, n). Not @: the order of BLAS sums depends on the number of threads."""
     return np.asarray(np.einsum("ij,...j->...i", matrix, vectors))
 
 
 def places_of(pitch_um: Array, first_um: float, width_um: Widths) -> Array:
-    """Logarithms of the photodiode widths of pitches over that of the first one, (n,)."""
+    """Return the logarithms of the photodiode widths of pitches over that of the first one, (n,)."""
     return np.asarray(np.log(width_um(np.asarray(pitch_um, float)) / width_um(np.array([first_um]))[0]))
 
 
 def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -> FittedCurve:
     """Fit mean ΔE against pitch and find its minimum.
 
-    pitch_um : (P,) rising, at least 5
-    delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. Two sensors at some pitch at least
-    width_um : photodiode width of pixel pitches; None takes it in proportion to the pitch
+    pitch_um : (P,) increasing, at least 5
+    delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. At least one pitch has two sensors
+    width_um : photodiode width as a function of the pitch; None means proportional to it
 
     Source: the regression of Wahba (1978), as this module's docstring describes it.
     """
@@ -210,7 +210,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     fits, weights = posteriors(design, mean / scale, degrees)
 
     fine_um = np.geomspace(pitch_um[0], pitch_um[-1], FINE_PLACES)
-    fine_um[[0, -1]] = pitch_um[[0, -1]]  # but for rounding they are
+    fine_um[[0, -1]] = pitch_um[[0, -1]]  # exact, without rounding errors
     fine = places_of(fine_um, first_um, width_um)
     curve = np.zeros(fine.size)
     for fit, weight in zip(fits, weights, strict=True):
@@ -219,14 +219,14 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     curves = scale * drawn_curves(fits, weights, places)
     minima_um = np.exp(np.interp(minima(places, curves), fine, np.log(fine_um)))
 
-    slopes = bool(np.ptp(mean) > ROUNDING * scale)  # else there is no minimum anywhere
+    slopes = bool(np.ptp(mean) > ROUNDING * scale)  # else there is no minimum
     best = int(np.argmin(curve)) if slopes else 0
     inside = slopes and 0 < best < fine_um.size - 1
     offsets = np.quantile(curves, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - curves.mean(axis=0)
-    low, high = (curve + np.interp(fine, places, each) for each in offsets)
+    low, high = (curve + np.interp(fine, places, offset) for offset in offsets)
     tail = (1 - CREDIBILITY) / 2
     within_range = np.clip(np.quantile(minima_um, (tail, 1 - tail)), pitch_um[0], pitch_um[-1])
-    ends: list[float | None] = [float(each) for each in within_range]
+    ends: list[float | None] = within_range.tolist()
     for end, lowest in ((0, curves[:, 0]), (1, curves[:, -1])):
         if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail:
             ends[end] = None
@@ -247,22 +247,22 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
 
 
 def measured(u: Array, delta_e: Array) -> tuple[Array, float, Design, int]:
-    """Mean of each pitch (P,), their scale, the design in units of it, and the degrees of freedom of its noise.
+    """Return the mean of each pitch (P,), their scale, the design in units of it, and the degrees of freedom of its noise.
 
-    The scatter of a sensor is taken in proportion to the mean ΔE, and pooled over pitches.
+    The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over pitches.
     """
-    there = np.isfinite(delta_e)
-    sensors = there.sum(axis=1)
+    valid = np.isfinite(delta_e)
+    sensors = valid.sum(axis=1)
     mean = np.nanmean(delta_e, axis=1)
     scale = float(mean.min()) or float(mean.max()) or 1.0
-    off = np.where(there, delta_e - mean[:, None], 0.0)
+    off = np.where(valid, delta_e - mean[:, None], 0.0)
     expected = float(((sensors - 1) * mean**2).sum())
     relative = float((off**2).sum()) / expected if expected else 0.0
     return mean, scale, Design(u, relative * (mean / scale) ** 2, sensors), int((sensors - 1).sum())
 
 
 def posteriors(design: Design, y: Array, degrees: int) -> tuple[list[Posterior], list[float]]:
-    """Those of the likely stiffnesses, residuals and noises, with their weights, which add up to 1; the likeliest first."""
+    """Return posteriors at the likely stiffnesses, residuals and noises, the likeliest first, and their weights, of sum 1."""
     fits, logs = [], []
     for quantile in NOISE_QUANTILES:
         variance = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))  # degrees/χ²
@@ -275,12 +275,12 @@ def posteriors(design: Design, y: Array, degrees: int) -> tuple[list[Posterior],
     weights = np.exp(np.array(logs) - max(logs))
     weights /= weights.sum()
     order = np.argsort(-weights, kind="stable")
-    kept = order[: int(np.searchsorted(np.cumsum(weights[order]), WEIGHT_KEPT)) + 1]
-    return [fits[each] for each in kept], (weights[kept] / weights[kept].sum()).tolist()
+    used = order[: int(np.searchsorted(np.cumsum(weights[order]), WEIGHT_USED)) + 1]
+    return [fits[index] for index in used], (weights[used] / weights[used].sum()).tolist()
 
 
 def drawn_curves(fits: list[Posterior], weights: list[float], places: Array) -> Array:
-    """Curves from the posterior, (`DRAWS`, places), in units of the scale; the same ones for the same data."""
+    """Return curves drawn from the posterior, (`DRAWS`, places), in units of the scale; the same for the same data."""
     ends = np.rint(np.cumsum(weights) * DRAWS).astype(int)
     normal = np.random.default_rng(0).standard_normal((DRAWS, places.size))
     curves = np.empty_like(normal)
@@ -294,18 +294,18 @@ def drawn_curves(fits: list[Posterior], weights: list[float], places: Array) -> 
 
 
 def minima(places: Array, curves: Array) -> Array:
-    """Place of the minimum of each curve (n, places), (n,): of the parabola through the least value and its neighbours."""
+    """Return the position of the minimum of each curve (n, places), (n,), by a parabola through the lowest three points."""
     least = curves.argmin(axis=1)
     inner = np.clip(least, 1, places.size - 2)
     left, middle, right = (np.take_along_axis(curves, (inner + step)[:, None], axis=1)[:, 0] for step in (-1, 0, 1))
     bend = np.maximum(left - 2 * middle + right, np.finfo(float).tiny)
-    with np.errstate(over="ignore"):  # a straight line has its minimum at an end, as far away as one likes
+    with np.errstate(over="ignore"):  # a straight line's vertex is infinitely far away
         between = places[inner] + (places[1] - places[0]) * np.clip((left - right) / (2 * bend), -1, 1)
     return np.where(inner == least, between, places[least])
 
 
 def close_to_least(pitch_um: Array, curve: Array, share: float) -> tuple[float | None, float | None]:
-    """Ends of the pitches whose mean ΔE exceeds the least one by no more than a share of it; None at an end of the curve."""
+    """Return the range of pitches with mean ΔE within a relative share of the minimum; None for an end of the curve."""
     least = float(curve.min())
     near = np.flatnonzero(curve <= least + share * abs(least))
     low, high = int(near[0]), int(near[-1])
@@ -313,9 +313,9 @@ def close_to_least(pitch_um: Array, curve: Array, share: float) -> tuple[float |
 
 
 def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
-    """Mean over sensors, (P,), and half width of its 95 % interval, for (P, R) ΔE with NaN where there is no sensor.
+    """Return the mean over sensors, (P,), and half the width of its 95 % interval, of (P, R) ΔE with NaN for missing sensors.
 
-    The scatter of sensors is pooled over pitches, in proportion to the mean ΔE: two sensors of one pitch alone tell little.
+    The scatter of sensors, relative to the mean ΔE, is pooled over pitches: two sensors of one pitch alone say little.
     """
     mean, scale, design, degrees = measured(np.arange(float(len(delta_e))), delta_e)
     return mean, scale * float(stdtrit(degrees, (1 + CONFIDENCE) / 2)) * np.sqrt(design.noise / design.sensors)

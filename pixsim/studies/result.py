@@ -1,4 +1,4 @@
-"""What a study found: curves of mean ΔE against pitch, their optima, and how they show themselves."""
+"""Results of a study: curves of mean ΔE against pitch with their optima, as tables, figures and text."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
-from pixsim.show.pages import Column, Plate, _cell, rows_csv
+from pixsim.show.pages import Column, Plate, html_cell, rows_csv
 from pixsim.studies.evaluations import (
     DELTA_E_STATISTICS,
-    REPEATS_A_TASK,
+    REPEATS_PER_TASK,
     Fingerprints,
     Row,
     block_key,
@@ -30,7 +30,7 @@ from pixsim.studies.evaluations import (
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.viewer.display import white_rate
-from pixsim.viewer.score import Lights, Score, dark_clip
+from pixsim.viewer.score import SceneCache, Score, dark_clip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,13 +41,13 @@ if TYPE_CHECKING:
 class Curve:
     """Mean ΔE against pitch for one technology.
 
-    technology : its name, or the path of its file
+    technology : name, or path of its file
     feature_size_um : of the process
-    pitch_um : (pitches,) rising
+    pitch_um : (pitches,) increasing
     fill_factor : (pitches,) photodiode area over pixel area
     statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
-    fit : the curve through them, with its minimum
-    label : the technology's name for readers; in a study no other curve has it
+    fit : the fitted curve with its minimum
+    label : the technology's name for readers, unique in a study
     """
 
     technology: str
@@ -69,12 +69,12 @@ class Curve:
 
     @property
     def optimum_features(self) -> float | None:
-        """The optimum in feature sizes; None for a data sheet, which has no process."""
+        """The optimum in units of the feature size; None for a sensor given by its data sheet, which has no process."""
         return None if self.technology == NO_TECHNOLOGY else self.optimum.pitch_um / self.feature_size_um
 
     @property
     def optimum(self) -> Optimum:
-        """The pitch with the least mean ΔE, with its interval."""
+        """The pitch of minimum mean ΔE, with its interval."""
         return self.fit.optimum
 
     @property
@@ -83,7 +83,7 @@ class Curve:
         return self.statistics["mean_delta_e"]
 
     def mean(self, statistic: str = "mean_delta_e") -> Array:
-        """Mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
+        """Return the mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
         return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
 
     @property
@@ -93,11 +93,11 @@ class Curve:
 
     @property
     def optimum_fill_factor(self) -> float:
-        """Photodiode area over pixel area at the optimum, linear between pitches."""
+        """Fill factor at the optimum, interpolated linearly between pitches."""
         return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
 
     def as_dict(self) -> dict[str, Any]:
-        """For summary.json."""
+        """Return the curve as in summary.json."""
         mean, ci95 = mean_and_ci95(self.delta_e)
         return {
             "technology": self.technology,
@@ -114,13 +114,13 @@ class Curve:
 
 @dataclass(frozen=True)
 class StudyResult:
-    """What a study found, and what its report needs.
+    """The result of a study, with everything that its report needs.
 
     study : as it was run
     curves : one for each technology
-    irradiance : that all of its pictures are made from
-    camera : that it was rendered with
-    budget : errors of the first curve, where a tolerance of ΔE was asked for
+    irradiance : on the sensor plane, from which all frames are simulated
+    camera : with which it was rendered
+    budget : error budget of the first curve, if a tolerance of ΔE was requested
     """
 
     study: Study
@@ -135,17 +135,17 @@ class StudyResult:
         object.__setattr__(self, "curves", labelled)
 
     @cached_property
-    def lights(self) -> Lights:
-        """The light behind the lens for each response, kept for `scores`."""
-        return Lights(self.irradiance, self.camera, self.study.display)
+    def scenes(self) -> SceneCache:
+        """The light behind the lens for each spectral response, stored for `scores`."""
+        return SceneCache(self.irradiance, self.camera, self.study.display)
 
     @cached_property
-    def content(self) -> Fingerprints:
-        """What its frames and rows are known by."""
+    def fingerprints(self) -> Fingerprints:
+        """Keys of its frames and rows."""
         return Fingerprints(self.study, self.camera, self.irradiance)
 
     def as_dict(self) -> dict[str, Any]:
-        """As summary.json tells it."""
+        """Return the result as in summary.json."""
         budget = {"error_budget": self.budget} if self.budget else {}
         return budget | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
@@ -154,7 +154,7 @@ class StudyResult:
         }
 
     def dark(self, curve: Curve) -> dict[str, list[float]]:
-        """`pixsim.viewer.score.dark_clip` of a curve's pitches, a list for each of its numbers."""
+        """Return `pixsim.viewer.score.dark_clip` for the pitches of a curve, a list for each of its numbers."""
         clips = []
         for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True):
             physics = physics_of(self.study, curve.technology, pitch_um)
@@ -163,23 +163,23 @@ class StudyResult:
         return {name: [clip[name] for clip in clips] for name in clips[0]}
 
     def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
-        """Pictures of the study again, for showing: the first `repeats` sensors of a `technology` at a pitch.
+        """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a pitch.
 
-        repeats : None takes as many as the study has there, or began with
+        repeats : None means as many as the study has at this pitch, or started with
 
-        Raises PixsimError for a pitch that the technology cannot have.
+        Raises PixsimError for a pitch that is impossible in the technology.
         """
-        bench = chain_at(self.study, light_of(self.study, self.lights, technology), self.camera, technology, pitch_um)
+        chain = chain_at(self.study, light_of(self.study, self.scenes, technology), self.camera, technology, pitch_um)
         count = self.sensors_at(technology, pitch_um) if repeats is None else repeats
-        frames = self.content.frames(technology, pitch_um)
-        blocks = [list(range(first, min(count, first + REPEATS_A_TASK))) for first in range(0, count, REPEATS_A_TASK)]
-        each = (scores_of(bench, self.study, own, block_key(frames, block)) for block, own in enumerate(blocks))
-        return [score for block in each for _, score in block]
+        frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
+        blocks = [list(range(first, min(count, first + REPEATS_PER_TASK))) for first in range(0, count, REPEATS_PER_TASK)]
+        parts = (scores_of(chain, self.study, repeats, block_key(frames, block)) for block, repeats in enumerate(blocks))
+        return [score for part in parts for _, score in part]
 
     def sensors_at(self, technology: str, pitch_um: float) -> int:
-        """Number of sensors that the study has of a pitch; at others, the number that it began with.
+        """Return the number of sensors of a pitch; for a pitch not in the study, the number that each pitch started with.
 
-        technology : a name or path as in `Study.technologies`
+        technology : name or path as in `Study.technologies`
         """
         for curve in self.curves:
             if curve.technology == technology and pitch_um in curve.pitch_um:
@@ -187,11 +187,11 @@ class StudyResult:
         return self.study.repeats
 
     def plot(self) -> Figure:
-        """Mean ΔE against pixel size, a curve for each technology, a Matplotlib figure."""
+        """Return a Matplotlib figure of mean ΔE against pixel size, a curve for each technology."""
         return delta_e_against_pitch(self, self.curves).figure
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """A row for each technology, pitch and sensor, as CSV; also into a file where a `path` is given."""
+        """Return a row for each technology, pitch and sensor as CSV, and write it to `path` if given."""
         rows = [
             {
                 "technology": curve.technology,
@@ -214,28 +214,29 @@ class StudyResult:
             within = within_words(best.within_1_percent_um, curve)
             rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
-        return _cell(self.study.title or self.study.name, head, rows, self.plot())
+        return html_cell(self.study.title or self.study.name, head, rows, self.plot())
 
     def __repr__(self) -> str:
         words = []
         for curve in self.curves:
             best = curve.optimum
-            found = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
-            ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
-            at_the_end = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
-            words.append(f"{curve.label}: {found if best.inside else at_the_end}")
+            text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
+            if not best.inside:
+                ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+                text = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
+            words.append(f"{curve.label}: {text}")
         return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
 
 
 def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
-    """The rows of one technology of a study as a curve with its optimum."""
-    own = [row for row in rows if row["technology"] == technology]
-    pitches = np.array(sorted({float(row["pitch_um"]) for row in own}))
+    """Return the curve of one technology, with its optimum, from the rows of a study."""
+    rows = [row for row in rows if row["technology"] == technology]
+    pitches = np.array(sorted({float(row["pitch_um"]) for row in rows}))
     place = {pitch: index for index, pitch in enumerate(pitches.tolist())}
-    repeats = 1 + max(int(row["repeat"]) for row in own)
+    repeats = 1 + max(int(row["repeat"]) for row in rows)
     statistics = {name: np.full((pitches.size, repeats), np.nan) for name in ("integration_s", *DELTA_E_STATISTICS)}
     fill_factor = np.zeros(pitches.size)
-    for row in own:
+    for row in rows:
         index = place[float(row["pitch_um"])]
         for name, values in statistics.items():
             values[index, int(row["repeat"])] = float(row[name])
@@ -245,7 +246,7 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
 
 
 def interval_words(curve: Any) -> str:
-    """The 95 % interval of a curve's optimum; an end that the tried pitches leave open is named."""
+    """Return the 95 % interval of a curve's optimum as text, naming an open end."""
     low, high = curve.optimum.interval_um
     first, last = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
     if low is None and high is None:
@@ -260,22 +261,22 @@ def interval_words(curve: Any) -> str:
 
 
 def within_words(ends: tuple[float | None, float | None], curve: Any) -> str:
-    """A range of pitches of a curve; an end at the smallest or the largest tried pitch says so."""
+    """Return a range of pitches as text, naming an end at the smallest or the largest pitch tried."""
     low, high = ends
     first = f"≤ {curve.pitch_um[0]:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
     last = f"≥ {curve.pitch_um[-1]:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
     return f"{first} to {last}"
 
 
-ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # words that lines may pass behind
-ROOM_ABOVE = 1.12  # over the highest point, for the legend
-ROOM_BELOW = 0.25  # of the height of an axis, for the words under an optimum and those at the foot
-MARK_SPACING = 0.04  # of an axis, between the marks of fill factors
+ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # background of text over lines
+HEADROOM = 1.12  # of the axis over the highest point, for the legend
+LABEL_SPACE = 0.25  # of the axis height, for the labels below an optimum and at the bottom
+MARK_SPACING = 0.04  # of an axis, between fill-factor ticks
 OTHER_STATISTICS = DELTA_E_STATISTICS[1:]
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
-    """Mean ΔE of each pitch with its 95 % interval, the fitted curve with its own, and the optimum with its own."""
+    """Draw the mean ΔE of each pitch, the fitted curve and the optimum, all with their 95 % intervals."""
     colour = look.colour
     mean, ci95 = mean_and_ci95(curve.delta_e)
     best = curve.optimum
@@ -295,20 +296,20 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
 
 
 def with_ends(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:
-    """A range of pitches whose open ends are drawn at the smallest and the largest tried."""
+    """Return a range of pitches with open ends replaced by the smallest and the largest pitch tried."""
     low, high = range_um
     return float(curve.pitch_um[0]) if low is None else low, float(curve.pitch_um[-1]) if high is None else high
 
 
 def annotate_curve(axes: Axes, curve: Curve) -> None:
-    """What a stranger asks of a single curve: where the best is, and what is wrong on either side."""
+    """Label the optimum of a single curve, the dominant error on either side, and the fill factors."""
     best = curve.optimum
     if best.inside:
         at = (best.pitch_um, best.mean_delta_e)
-        told = f"best: {best.pitch_um:.2f} µm"
-        below = best.mean_delta_e > ROOM_BELOW * axes.get_ylim()[1]  # else the words would lie on the axis and its numbers
+        label = f"best: {best.pitch_um:.2f} µm"
+        below = best.mean_delta_e > LABEL_SPACE * axes.get_ylim()[1]  # else the label would overlap the axis
         offset, side = ((0, -14), "top") if below else ((0, 14), "bottom")
-        axes.annotate(told, at, offset, textcoords="offset points", ha="center", va=side, bbox=ON_WHITE)
+        axes.annotate(label, at, offset, textcoords="offset points", ha="center", va=side, bbox=ON_WHITE)
         for across, side, words in ((0.02, "left", "← more noise"), (0.98, "right", "more blur →")):
             axes.text(across, 0.03, words, transform=axes.transAxes, color="0.3", ha=side, bbox=ON_WHITE)
     if np.ptp(curve.fill_factor) > 0:
@@ -316,13 +317,13 @@ def annotate_curve(axes: Axes, curve: Curve) -> None:
 
 
 def fill_factor_axis(axes: Axes, curve: Curve) -> None:
-    """The fill factor of each pitch on top, as many marks as there is room for."""
+    """Add a fill-factor axis on top, with as many ticks as fit."""
     marks: dict[float, str] = {}
-    for each in (0.05, *np.arange(0.1, 1.0, 0.1)):
-        at_um = float(np.interp(each, curve.fill_factor, curve.pitch_um))
+    for value in (0.05, *np.arange(0.1, 1.0, 0.1)):
+        at_um = float(np.interp(value, curve.fill_factor, curve.pitch_um))
         apart_um = at_um - max(marks, default=-np.inf)
-        if curve.fill_factor.min() <= each <= curve.fill_factor.max() and apart_um > MARK_SPACING * np.ptp(curve.pitch_um):
-            marks[at_um] = f"{100 * each:.0f}"
+        if curve.fill_factor.min() <= value <= curve.fill_factor.max() and apart_um > MARK_SPACING * np.ptp(curve.pitch_um):
+            marks[at_um] = f"{100 * value:.0f}"
     if not marks:
         return
     top = axes.secondary_xaxis("top")
@@ -336,35 +337,35 @@ def delta_e_against_pitch(result: StudyResult, curves: Sequence[Curve], name: st
     for curve, look in zip(curves, cycle(LOOKS), strict=False):
         draw_curve(axes, curve, look)
     axes.set(xlabel="pixel size (µm)", ylabel="mean ΔE, S-CIELAB")
-    axes.set_ylim(0, axes.get_ylim()[1] * (ROOM_ABOVE if len(curves) == 1 else 1))
+    axes.set_ylim(0, axes.get_ylim()[1] * (HEADROOM if len(curves) == 1 else 1))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
     if len(curves) == 1:
         annotate_curve(axes, curves[0])
-    counts = sorted({int(each) for curve in curves for each in curve.sensors})
+    counts = sorted({int(count) for curve in curves for count in curve.sensors})
     sensors = f"{counts[0]} sensors" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} sensors"
     caption = (
         f"Mean S-CIELAB error of the picture against pixel size. Points: means of {sensors} with their 95 % "
         "intervals; line: the fitted curve with its 95 % interval; triangle and bar: the optimum with its 95 % interval; vertical "
-        "band: sizes within 1 % of the least error."
+        "band: sizes whose error is within 1 % of the minimum."
     )
     return Plate(name, caption, figure, curve_table(curves))
 
 
 def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
-    """A row for each curve and pitch."""
-    whole: dict[str, list[float | str]] = {}
+    """Return a table with a row for each curve and pitch."""
+    table: dict[str, list[float | str]] = {}
     for curve in curves:
         mean, ci95 = mean_and_ci95(curve.delta_e)
         columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
         columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} | {name: curve.mean(name) for name in OTHER_STATISTICS}
         for name, values in columns.items():
-            whole.setdefault(name, []).extend(values.tolist())
-    return dict(whole)
+            table.setdefault(name, []).extend(values.tolist())
+    return dict(table)
 
 
 def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
-    """Ends of the optima's 95 % intervals, for a table; empty where the tried pitches leave an end open."""
+    """Return columns with the ends of the optima's 95 % intervals; empty for an open end."""
     ends = ([curve.optimum.interval_um[end] for curve in curves] for end in (0, 1))
-    low, high = (["" if each is None else each for each in own] for own in ends)
+    low, high = (["" if end is None else end for end in column] for column in ends)
     return {"interval_low_um": low, "interval_high_um": high}

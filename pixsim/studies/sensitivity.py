@@ -1,4 +1,4 @@
-"""Which assumption decides: a study repeated with one assumption moved at a time over its plausible range."""
+"""Sensitivity analysis: a study repeated with one assumption at a time varied over its plausible range."""
 
 from __future__ import annotations
 
@@ -27,51 +27,49 @@ from pixsim.studies.study import check_pitches, load_study, render_for, scene_fo
 
 
 class Setting(Record):
-    """One value of an assumption: a label, and what it changes in the study."""
+    """One value of an assumption: a label, and the study values that it changes."""
 
     label: str
     set: dict[str, Any]
 
 
 class Variation(Record):
-    """An assumption and the values that it may plausibly have."""
+    """An assumption and its plausible values."""
 
     name: str
     settings: Annotated[tuple[Setting, ...], Field(min_length=1)]
 
 
 class Sensitivity(Record):
-    """A base study and the assumptions to move, one at a time."""
+    """A base study and the assumptions to vary, one at a time."""
 
     name: Annotated[str, Field(pattern=r"^[\w.\-]+$")]
     title: str = ""
     base: str = Field("chen2000", description="a packaged study or a TOML file")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = ("0.35um",)
-    repeats: Annotated[int, Field(ge=2, le=10000)] | None = Field(
-        None, description="number of sensors for each pitch; None: as in the base"
-    )
-    pitch: PitchRange | None = Field(None, description="pixel sizes; None: as in the base")
+    repeats: Annotated[int, Field(ge=2, le=10000)] | None = Field(None, description="sensors per pitch; None: those of the base")
+    pitch: PitchRange | None = Field(None, description="pixel sizes; None: those of the base")
     vary: Annotated[tuple[Variation, ...], Field(min_length=1)]
     ranges: dict[str, str] = Field(
         default_factory=dict,
         description=(
-            "name -> number in the technologies' files that is set to both ends of its range, in all technologies and in one alone"
+            "name -> technology parameter that is set to both ends of its range, in all technologies together and in each alone"
         ),
     )
     quick: dict[str, Any] = Field(default_factory=dict, description="values that --quick uses instead")
 
     def base_study(self) -> Study:
-        """The base with this record's technologies, sensors and pitches. All cases share its random streams, and its target."""
+        """Return the base study with this record's technologies, sensors and pitches; all cases share its random streams."""
         given = {"repeats": self.repeats, "pitch": self.pitch.model_dump() if self.pitch else None}
-        own = {"technologies": self.technologies} | {name: each for name, each in given.items() if each is not None}
+        changes = {"technologies": self.technologies} | {name: value for name, value in given.items() if value is not None}
         table = load_study(self.base).model_dump(mode="json", exclude={"quick"})
-        own["process"] = {name: numbers for name, numbers in table["process"].items() if name in self.technologies}
-        return Study.model_validate(table | own | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
+        changes["process"] = {name: numbers for name, numbers in table["process"].items() if name in self.technologies}
+        return Study.model_validate(table | changes | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
 
 
 @dataclass(frozen=True)
 class Move:
-    """A number of one technology at an end of its range."""
+    """A parameter of one technology at an end of its range."""
 
     variation: str
     number: str
@@ -80,10 +78,10 @@ class Move:
     value: float
 
     def study(self, base: Study) -> Study:
-        """The base with that technology alone."""
+        """Return the base study with that technology only, and the number changed."""
         table = base.model_dump(mode="json") | {"technologies": [self.technology], "paper": False}
-        own = base.process.get(self.technology, {}) | {self.number: self.value}
-        return Study.model_validate(table | {"process": {self.technology: own}})
+        numbers = base.process.get(self.technology, {}) | {self.number: self.value}
+        return Study.model_validate(table | {"process": {self.technology: numbers}})
 
     def __str__(self) -> str:
         return f"{self.technology} {self.value:g}"
@@ -91,11 +89,11 @@ class Move:
 
 @dataclass(frozen=True)
 class Case:
-    """One setting and what came out of it.
+    """One setting and its result.
 
     curves : one for each technology
-    rows : what it makes of the paper's statements; of another base, of those on scaling only
-    alone : the technology that was moved while the others stayed, or nothing
+    rows : the paper's statements compared with it; without the paper's process, those on scaling only
+    alone : the only technology that was changed, or empty
     """
 
     variation: str
@@ -106,7 +104,7 @@ class Case:
 
     @property
     def reference(self) -> Curve:
-        """The curve of the paper's own process, or the first."""
+        """The curve of the paper's process, or the first one."""
         return next((curve for curve in self.curves if curve.technology == REFERENCE_TECHNOLOGY), self.curves[0])
 
     @property
@@ -115,7 +113,7 @@ class Case:
         return {row.statement: row.agrees for row in self.rows}
 
     def differing(self, base: Case) -> list[str]:
-        """The statements of the paper whose verdict is not the base's."""
+        """Return the statements of the paper whose verdict differs from the base's."""
         return [statement for statement, agrees in self.agrees.items() if agrees != base.agrees.get(statement, agrees)]
 
     def as_dict(self) -> dict[str, Any]:
@@ -125,7 +123,7 @@ class Case:
             "alone": self.alone,
             "agrees": self.agrees,
             "technologies": [
-                {name: each for name, each in curve.as_dict().items() if name in ("technology", "optimum", "optimum_fill_factor")}
+                {name: value for name, value in curve.as_dict().items() if name in ("technology", "optimum", "optimum_fill_factor")}
                 for curve in self.curves
             ],
         }
@@ -133,7 +131,7 @@ class Case:
 
 @dataclass(frozen=True)
 class SensitivityResult:
-    """The base case and all others, in the order of the file."""
+    """The base case and all others, in file order."""
 
     sensitivity: Sensitivity
     base: StudyResult
@@ -141,12 +139,12 @@ class SensitivityResult:
     cases: tuple[Case, ...]
 
     def turning(self, statement: str) -> list[Case]:
-        """The cases whose verdict on a statement is not the base's."""
-        # A setting may change what a statement is about, an iso level say: such a case has another statement.
+        """Return the cases whose verdict on a statement differs from the base's."""
+        # A setting may change the statement itself, such as its iso level: such a case is not counted.
         return [case for case in self.cases if statement in case.differing(self.base_case)]
 
     def by_variation(self) -> dict[str, list[Case]]:
-        """Variation -> its cases but those of one technology alone; the widest range of the reference's optimum comes first."""
+        """Return the cases of each variation but those of one technology, the widest range of the reference's optimum first."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             if not case.alone:
@@ -159,7 +157,7 @@ class SensitivityResult:
         return dict(sorted(groups.items(), key=lambda item: -width(item[1])))
 
     def as_dict(self) -> dict[str, Any]:
-        """summary.json."""
+        """Return the result as in summary.json."""
         claims = [
             row.as_dict()
             | {"turned_by": [{"variation": case.variation, "label": case.label} for case in self.turning(row.statement)]}
@@ -174,7 +172,7 @@ class SensitivityResult:
 
 
 def cases_of(sensitivity: Sensitivity) -> Iterator[tuple[str, str, Study]]:
-    """(variation, label, study) of every setting."""
+    """Yield (variation, label, study) for every setting."""
     base = sensitivity.base_study().model_dump(mode="json")
     for variation in sensitivity.vary:
         for setting in variation.settings:
@@ -182,9 +180,9 @@ def cases_of(sensitivity: Sensitivity) -> Iterator[tuple[str, str, Study]]:
 
 
 def moves_of(sensitivity: Sensitivity) -> list[Move]:
-    """Every number of `ranges` at both ends, in each technology whose file has a range for it.
+    """Return every number of `ranges` at both ends, for each technology whose file has a range for it.
 
-    Raises PixsimError for a number that no technology has.
+    Raises PixsimError if no technology has a number.
     """
     processes = {name: load_technology(name) for name in sensitivity.technologies}
     moves = []
@@ -194,7 +192,7 @@ def moves_of(sensitivity: Sensitivity) -> list[Move]:
             raise invalid(f"ranges.{variation}", f"'{number}'", ", ".join(known), did_you_mean(number, known))
         for end in (0, 1):
             for name, process in processes.items():
-                # An A-grade number has no range, and one at the end of its range stays.
+                # A number of grade A has no range; a number already at this end of its range is not a move.
                 value = process.ranges.get(number, (process.numbers.get(number),) * 2)[end]
                 if value is not None and value != process.numbers[number]:
                     moves.append(Move(variation, number, end, name, value))
@@ -211,9 +209,9 @@ def run_sensitivity(
     variant: str | None = None,
     progress: Stage | None = None,
 ) -> SensitivityResult:
-    """Run the base and every case; each keeps its rows in `out`/cases/, so an interrupted run goes on.
+    """Run the base and every case, with their rows in `out`/cases/, so that an interrupted run can be resumed.
 
-    Raises PixsimError or ValidationError for input that cannot be used, before anything is rendered.
+    Raises PixsimError or ValidationError for invalid input, before anything is rendered.
     """
     if quick:
         table = merge(sensitivity.model_dump(mode="json", exclude={"quick"}), sensitivity.quick)
@@ -221,10 +219,11 @@ def run_sensitivity(
     base, moves = sensitivity.base_study(), moves_of(sensitivity)
     moved = [move.study(base) for move in moves]
     cases = list(cases_of(sensitivity))
-    for each in (base, *(study for _, _, study in cases), *moved):
-        check_pitches(each)
-    for each in (base, *(study for _, _, study in cases)):
-        scene_for(each, variant)
+    studies = [base, *(study for _, _, study in cases)]
+    for study in (*studies, *moved):
+        check_pitches(study)
+    for study in studies:
+        scene_for(study, variant)
     stage = progress or (lambda _: lambda *_: None)
     renders: dict[str, tuple[SpectralImage, Camera]] = {}
 
@@ -239,11 +238,11 @@ def run_sensitivity(
 
     def run(study: Study, name: str, light: tuple[SpectralImage, Camera]) -> StudyResult:
         result = sweep_pitches(study, *light, folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
-        return StudyResult(study, result.curves, *light)  # without its lights: many results stay until the end
+        return StudyResult(study, result.curves, *light)  # without prepared scenes, since many results stay in memory
 
     with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         (folder / "cases").mkdir(exist_ok=True)
-        # A process moves no light: the base's render, so that a technology that stays has the base's rows.
+        # A process does not change the light: with the base's render, an unchanged technology has the base's rows.
         results = [run(base, "base", render(base))]
         results += [run(study, file_name(n, name, label), render(study)) for n, (name, label, study) in enumerate(cases)]
         results += [
@@ -257,31 +256,31 @@ def run_sensitivity(
 
 
 def claims(results: list[StudyResult], workers: Workers, progress: Progress) -> list[tuple[Finding, ...]]:
-    """What each result says of the paper's own process; nothing where it does not have it."""
-    found: list[tuple[Finding, ...]] = [()] * len(results)
-    # Each has its own maker: what a worker shares with no other.
+    """Return the statements on the paper's process for each result; none if the result does not have that process."""
+    findings: list[tuple[Finding, ...]] = [()] * len(results)
+    # Each call has its own `make`, since the calls share no data.
     calls = [
         (number, partial(StudyResult, result.study, result.curves, result.irradiance, result.camera))
         for number, result in enumerate(results)
         if any(curve.technology == REFERENCE_TECHNOLOGY for curve in result.curves)
     ]
     for done, (number, rows) in enumerate(results_of(claims_task, calls, workers), 1):
-        found[number] = rows
+        findings[number] = rows
         progress(done / len(calls))
-    return found
+    return findings
 
 
 def claims_task(number: int, result: StudyResult) -> tuple[int, tuple[Finding, ...]]:
-    """The rows of one result, with its number."""
+    """Return the number and the rows of one result."""
     return number, tuple(reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves})))
 
 
 def assemble(
     sensitivity: Sensitivity, results: list[StudyResult], rows: list[tuple[Finding, ...]], moves: list[Move]
 ) -> SensitivityResult:
-    """The cases from results and their rows, each the base's, then those of `vary`, then one for each of `moves`.
+    """Return the cases from results and rows, in the order base, settings of `vary`, `moves`.
 
-    Technologies do not depend on each other, so that a case of several that are moved is put together from those of one.
+    Technologies are independent, so a case with several changed technologies is assembled from results of one each.
     """
     base, base_rows = results[0], rows[0]
 
@@ -290,26 +289,26 @@ def assemble(
 
     named = [(variation.name, setting.label) for variation in sensitivity.vary for setting in variation.settings]
     cases = [
-        Case(*names, result.curves, (*own, *trends(result.curves)))
-        for names, result, own in zip(named, results[1:], rows[1:], strict=False)
+        Case(*names, result.curves, (*findings, *trends(result.curves)))
+        for names, result, findings in zip(named, results[1:], rows[1:], strict=False)
     ]
     ends: dict[tuple[str, int], list[tuple[Move, Curve, tuple[Finding, ...]]]] = {}
-    for move, result, own in zip(moves, results[1 + len(named) :], rows[1 + len(named) :], strict=True):
-        ends.setdefault((move.variation, move.end), []).append((move, result.curves[0], own))
+    for move, result, findings in zip(moves, results[1 + len(named) :], rows[1 + len(named) :], strict=True):
+        ends.setdefault((move.variation, move.end), []).append((move, result.curves[0], findings))
     for (variation, end), group in ends.items():
         together = [(f"all {('low', 'high')[end]}", "", group)] if len(group) > 1 else []
-        alone = [(str(each[0]), each[0].technology if together else "", [each]) for each in group]
+        alone = [(str(member[0]), member[0].technology if together else "", [member]) for member in group]
         for label, technology, part in (*together, *alone):
-            own_curves = {move.technology: curve for move, curve, _ in part}
-            curves = tuple(own_curves.get(curve.technology, curve) for curve in base.curves)
-            own_rows = next((found for move, _, found in part if move.technology == REFERENCE_TECHNOLOGY), base_rows)
-            cases.append(Case(variation, label, curves, (*own_rows, *trends(curves)), technology))
+            moved = {move.technology: curve for move, curve, _ in part}
+            curves = tuple(moved.get(curve.technology, curve) for curve in base.curves)
+            findings = next((rows for move, _, rows in part if move.technology == REFERENCE_TECHNOLOGY), base_rows)
+            cases.append(Case(variation, label, curves, (*findings, *trends(curves)), technology))
     base_case = Case("base", sensitivity.base, base.curves, (*base_rows, *trends(base.curves)))
     return SensitivityResult(sensitivity, base, base_case, tuple(cases))
 
 
 def turned_words(settings: Sequence[tuple[str, str]]) -> str:
-    """(variation, label) of each setting that turns a verdict, by variation, for people."""
+    """Return settings (variation, label) as text, grouped by variation."""
     groups: dict[str, list[str]] = {}
     for variation, label in settings:
         groups.setdefault(variation, []).append(label)
@@ -317,12 +316,12 @@ def turned_words(settings: Sequence[tuple[str, str]]) -> str:
 
 
 def file_name(number: int, variation: str, label: str) -> str:
-    """Numbered, since different labels may clean to the same name."""
+    """Return a file name of allowed characters, numbered so that it is unique."""
     return re.sub(r"[^\w.\-]+", "_", f"{number:02d}-{variation}-{label}")
 
 
 def tornado(result: SensitivityResult) -> Plate:
-    """Range of the optimum and of the best mean ΔE of each assumption, widest first."""
+    """Plot the range of the optimum and of its mean ΔE for each assumption, widest first."""
     groups = result.by_variation()
     reference = result.base_case.reference
     base = reference.optimum
@@ -341,14 +340,14 @@ def tornado(result: SensitivityResult) -> Plate:
     left.set_yticks(range(len(groups)), list(groups))
     left.invert_yaxis()
     caption = (
-        f"Each assumption moved alone from the base ({base.pitch_um:.2f} µm, ΔE {base.mean_delta_e:.3f}: vertical lines) over its "
-        "plausible range. The wider the bar, the more it decides. A hollow point: the optimum is at the end of the pitches."
+        f"Each assumption varied alone over its plausible range; vertical lines: the base ({base.pitch_um:.2f} µm, "
+        f"ΔE {base.mean_delta_e:.3f}). A wider bar means a stronger influence. Hollow point: minimum at an end of the pitches."
     )
     return Plate("tornado", caption, figure, case_table(result))
 
 
 def draw_bar(axes: Any, row: int, base: float, points: list[tuple[str, float, bool]]) -> None:
-    """A bar from the lowest to the highest value, the base among them, with a labelled point for each setting."""
+    """Draw a bar from the lowest to the highest value, including the base, with a labelled point for each setting."""
     values = [base, *(value for _, value, _ in points)]
     axes.barh(row, max(values) - min(values), left=min(values), height=0.55, color=COLOURS[0], alpha=0.25)
     for index, (label, value, solid) in enumerate(sorted(points, key=lambda point: point[1])):
@@ -357,7 +356,7 @@ def draw_bar(axes: Any, row: int, base: float, points: list[tuple[str, float, bo
 
 
 def case_table(result: SensitivityResult) -> dict[str, Column]:
-    """One row for each case and technology."""
+    """Return a table with a row for each case and technology."""
     rows = [(case, curve) for case in (result.base_case, *result.cases) for curve in case.curves]
     return {
         "variation": [case.variation for case, _ in rows],
@@ -372,7 +371,7 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
 
 
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
-    """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; returns the report's path."""
+    """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; return the report's path."""
     (drawn,) = write_figures(folder, [tornado(result).drawn()])
     write_json(folder / "summary.json", result.as_dict())
     provenance = {"versions": versions(), "seconds": seconds}

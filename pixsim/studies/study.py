@@ -1,4 +1,4 @@
-"""Studies: mean ΔE for many pixel sizes, technologies and individual sensors; resumable, the same on any number of workers."""
+"""Run a study: mean ΔE for many pixel sizes, technologies and sensors; resumable, and independent of the number of workers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, Sampling, first_sampling, study_pitches_um
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import white_cd_per_m2
-from pixsim.viewer.score import Lights
+from pixsim.viewer.score import SceneCache
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -31,30 +31,30 @@ if TYPE_CHECKING:
 
 
 def read_study(name: str | os.PathLike[str]) -> Layer:
-    """The table of a packaged study by name, or of a TOML file; files that it names may lie beside it."""
+    """Return the table of a packaged study by name, or of a TOML file; the files that it names may lie next to it."""
     known = packaged("data/studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
         raise invalid("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
     table = read_toml(path)
     if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
-        mend = f"Give it to a study: pixsim study pixel-size --config {path}"
-        raise invalid("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", mend)
-    for own in (table, table.get("quick", {})):
-        if isinstance(own, dict):
-            _name_files(own, path)
+        hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
+        raise invalid("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", hint)
+    for part in (table, table.get("quick", {})):
+        if isinstance(part, dict):
+            _resolve_files(part, path)
     return Layer(table, str(path))
 
 
-def _name_files(table: dict[str, Any], path: Path) -> None:
-    """Technologies, scene and quantum efficiency of a study's table as files beside it, where there are such."""
+def _resolve_files(table: dict[str, Any], path: Path) -> None:
+    """Replace file names in a study's table by their paths, for files that lie next to the study's file."""
     if isinstance(names := table.get("technologies"), list):
-        table["technologies"] = [beside(path, each) for each in names]
-    if isinstance(numbers := table.get("process"), dict):
-        table["process"] = {beside(path, each): own for each, own in numbers.items()}
-    for room, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
-        if isinstance(own := table.get(room), dict) and key in own:
-            own[key] = beside(path, own[key])
+        table["technologies"] = [beside(path, name) for name in names]
+    if isinstance(processes := table.get("process"), dict):
+        table["process"] = {beside(path, name): numbers for name, numbers in processes.items()}
+    for group, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
+        if isinstance(values := table.get(group), dict) and key in values:
+            values[key] = beside(path, values[key])
 
 
 def load_study(
@@ -63,32 +63,33 @@ def load_study(
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
 ) -> Study:
-    """A packaged study by name, or a TOML file. PixsimError with all that is wrong with it.
+    """Return a packaged study by name, or one from a TOML file. Raises PixsimError listing all of its errors.
 
-    config : a TOML file, or several, of a sensor, its camera, exposure and display, as `pixsim run` takes them; later files
-        win. The well and the dark current of a data sheet go with the photodiode's area.
-    parameters : of the scene, over those of the study
-    pixel : fields of the study's pixels, over those of the study and of the files, each in its unit; no pitch, no technology
+    config : one or more TOML files with a sensor, its camera, exposure and display, as for `pixsim run`; later files take
+        precedence. The well and dark current of a data sheet scale with the photodiode's area.
+    parameters : of the scene; they override those of the study
+    pixel : fields of the pixels, each in its unit, which override those of the study and the files; not pitch or technology
     """
     paths = [config] if isinstance(config, str | os.PathLike) else config
-    own: dict[str, Any] = {"scene": {"parameters": dict(parameters)}} if parameters else {}
-    own |= {"pixel": dict(pixel)} if pixel else {}
-    return checked_study(study_layers(read_study(name), [Path(each) for each in paths], own))
+    options: dict[str, Any] = {"scene": {"parameters": dict(parameters)}} if parameters else {}
+    options |= {"pixel": dict(pixel)} if pixel else {}
+    return checked_study(study_layers(read_study(name), [Path(path) for path in paths], options))
 
 
 def checked_study(layers: Sequence[Layer]) -> Study:
-    """A study's table, and options over it, as a record; its `quick` table is checked too, whether or not it will be used."""
+    """Return a study from its table and overriding options; its `quick` table is checked too, even if unused."""
     study: Study = checked(Study, layers)
     if study.quick:
-        bare = [Layer({key: value for key, value in each.table.items() if key != "quick"}, each.source) for each in layers]
-        checked(Study, [*bare, *(Layer(each.table["quick"], f"{each.source} [quick]") for each in layers if "quick" in each.table)])
+        full = [Layer({key: value for key, value in layer.table.items() if key != "quick"}, layer.source) for layer in layers]
+        quick = [Layer(layer.table["quick"], f"{layer.source} [quick]") for layer in layers if "quick" in layer.table]
+        checked(Study, [*full, *quick])
     return study
 
 
 def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sampling:
-    """The sampling after another round of additions to each curve whose interval is wider than the target; the same at a limit.
+    """Return the sampling after a round of additions to each curve whose interval misses the target; unchanged at a limit.
 
-    The choice follows from what is in the curves alone, so that it is the same on any workers and in a study that goes on.
+    The choice depends on the curves alone, so it is the same on any workers and in a resumed study.
     """
     chosen = dict(sampling)
     for curve in curves:
@@ -96,18 +97,19 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sam
         if study.target_ci_um is None or curve.optimum.half_width_um <= study.target_ci_um:
             continue
         more = next_sensors(curve.fit, sensors, max(study.repeats, study.max_repeats))
-        own, everything = sum(more.values()), sum(sum(each.values()) for each in (chosen | {curve.technology: more}).values())
         if study.max_evaluations is None:
-            within = own <= len(study_pitches_um(study, curve.technology)) * max(study.repeats, study.max_repeats)
+            limit = len(study_pitches_um(study, curve.technology)) * max(study.repeats, study.max_repeats)
+            within = sum(more.values()) <= limit
         else:
-            within = everything <= study.max_evaluations
+            evaluations = sum(sum(counts.values()) for counts in (chosen | {curve.technology: more}).values())
+            within = evaluations <= study.max_evaluations
         if within:
             chosen[curve.technology] = more
     return chosen
 
 
 def check_pitches(study: Study) -> None:
-    """PixsimError for a pitch that a technology cannot have, before any work is done."""
+    """Raise PixsimError for an impossible pitch, technology or limit, before anything is computed."""
     processes: dict[str, str] = {}
     for name in study.process:
         if name not in study.technologies:
@@ -115,19 +117,19 @@ def check_pitches(study: Study) -> None:
     for name in study.technologies:
         content = content_hash(technology_of(study, name).content)
         if content in processes:
-            raise invalid("technologies", f"{name} beside {processes[content]}, the same process", "each process once")
+            raise invalid("technologies", f"{name} and {processes[content]}, which are the same process", "each process once")
         processes[content] = name
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
             physics_of(study, technology, pitch_um)
-    begins = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
-    if study.max_evaluations is not None and study.max_evaluations < begins:
-        allowed = f"at least {begins}, which the study begins with"
-        raise invalid("max_evaluations", study.max_evaluations, allowed, "Raise it, or lower repeats or pitch.count.")
+    first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
+    if study.max_evaluations is not None and study.max_evaluations < first:
+        expected = f"at least {first}, with which the study starts"
+        raise invalid("max_evaluations", study.max_evaluations, expected, "Raise it, or lower repeats or pitch.count.")
 
 
 def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
-    """The study's scene and camera; PixsimError for what cannot be, before any render."""
+    """Return the study's scene and camera. Raises PixsimError for invalid input, before any render."""
     from pixsim.scene.scene import load_scene
 
     parameters: dict[str, Any] = dict(study.scene.parameters)
@@ -139,10 +141,10 @@ def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
 
 
 def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
-    """The study's irradiance, and the camera that it was rendered with.
+    """Return the study's irradiance, and the camera that it was rendered with.
 
-    Its noise is right for the largest pixel that the study allows, the least noisy one, whatever pitches are asked for: a
-    row does not depend on the others.
+    Its noise is adequate for the largest pixel that the study allows, the least noisy one. It does not depend on the pitches
+    chosen, so a row does not depend on the others.
     """
     from pixsim.scene.convergence import render_until
     from pixsim.scene.plan import make_render_plan
@@ -173,13 +175,13 @@ def sweep_pitches(
     workers: Workers,
     progress: Callable[[], Progress | None],
 ) -> StudyResult:
-    """Evaluate what is missing in results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
-    white_cd_per_m2(irradiance, study.display)  # refuse an unknown white before any file is made
-    lights, sampling = Lights(irradiance, camera, study.display), first_sampling(study)
-    evaluations = Evaluations(study, lights, results, workers)
-    with evaluations.alone():
+    """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
+    white_cd_per_m2(irradiance, study.display)  # raises for an unknown white before any file is made
+    scenes, sampling = SceneCache(irradiance, camera, study.display), first_sampling(study)
+    evaluations = Evaluations(study, scenes, results, workers)
+    with evaluations.locked():
         while True:
-            rows = evaluations.of(sampling, progress())
+            rows = evaluations.rows(sampling, progress())
             curves = tuple(curve_of(study, technology, rows) for technology in study.technologies)
             more = next_round(study, curves, sampling)
             if more == sampling:
@@ -187,7 +189,7 @@ def sweep_pitches(
             sampling = more
         evaluations.finish(rows)
     result = StudyResult(study, curves, irradiance, camera)
-    result.__dict__["lights"] = lights  # they were dear
+    result.__dict__["scenes"] = scenes  # expensive to prepare again
     return result
 
 
@@ -204,21 +206,21 @@ def study(
     variant: str | None = None,
     progress: Stage | None = None,
 ) -> StudyResult:
-    """Run a study, or go on with an interrupted one, and keep its rows in `out`/results.csv.
+    """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
 
     plan : a Study, the name of a packaged one, or a TOML file
-    out : folder, made if need be
-    config : a TOML file, or several, of a sensor, its camera, exposure and display, over a named study; later ones win
-    parameters : of the scene, over those of a named study, each in its unit
-    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, over those of a named study, each in its unit
-    quick : with the study's `quick` table
-    jobs : processes; None takes one a core. The results do not depend on it.
-    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers take the place of
-        processes here; on one kind of processor their results are the same bits
-    variant : Mitsuba's; None takes the fastest that works here
-    progress : gives a callback for each named stage
+    out : folder, created if missing
+    config : one or more TOML files with a sensor, its camera, exposure and display for a named study; later ones take precedence
+    parameters : of the scene, each in its unit; they override those of a named study
+    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they override a named study's
+    quick : use the values of the study's `quick` table
+    jobs : processes; None means one per core. The results do not depend on it.
+    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes;
+        on the same kind of processor their results are bitwise equal
+    variant : Mitsuba variant; None means the fastest that works
+    progress : returns a callback for each named stage
 
-    Raises PixsimError for input that cannot be used.
+    Raises PixsimError for invalid input.
 
     >>> import tempfile
     >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
@@ -229,10 +231,11 @@ def study(
     ((5, 2), True)
     """
     if isinstance(plan, Study) and (config or parameters or pixel):
-        raise invalid("config, parameters, pixel", "with a Study", "the name or the file of one", "Put them into the Study.")
+        hint = "Set these values in the Study instead."
+        raise invalid("config, parameters, pixel", "with a Study", "the name or the file of a study", hint)
     chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
     if quick and not chosen.quick:
-        warnings.warn(f"the study {chosen.name} has no [quick] table: it is done in full", stacklevel=2)
+        warnings.warn(f"the study {chosen.name} has no [quick] table: running it in full", stacklevel=2)
     chosen = chosen.quickened if quick else chosen
     check_pitches(chosen)
     stage = progress or (lambda _: lambda *_: None)

@@ -1,4 +1,4 @@
-"""What a viewer sees of a frame: `Frame` and irradiance in, shown pictures, ΔE map and statistics out.
+"""What a viewer sees of a sensor frame: `Frame` and irradiance in; shown pictures, ΔE map and statistics out.
 
 In the order of the flow: `display` (electrons to light on the display's dots), `scielab` (S-CIELAB), `score` (all of it, from
 irradiance to mean ΔE).

@@ -1,7 +1,7 @@
-"""What the viewer sees: electrons → relative luminance on the display's dots → digital counts → light → XYZ.
+"""The display: electrons → relative luminance on the display's dots → digital counts → light → XYZ.
 
-Relative luminance is 1 for the scene's white. It is electrons over the on-axis mean electrons that white gives: one
-known number, never a measured maximum.
+Relative luminance is electrons over the mean electrons of the scene's white on axis: 1 for white, and never scaled to a
+measured maximum.
 """
 
 from __future__ import annotations
@@ -19,74 +19,64 @@ from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
-from pixsim.sensor.integration import (
-    M2_PER_UM2,
-    MAX_PIXELS,
-    electrons_per_joule,
-    ideal_rate,
-    integrate_axis,
-    pixels_along,
-)
+from pixsim.sensor.integration import M2_PER_UM2, MAX_PIXELS, electrons_per_joule, ideal_rate, integrate_axis, pixels_along
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
-WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # so that pictures over white, of any sensor and exposure, stay in the range of float64
-SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # no display has the last: cubic ones are compared with it
+WHITE_E_PER_S_UM2 = (1e-200, 1e200)  # pictures divided by white stay within float64 for any sensor and exposure
+SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}  # quintic is only the reference for cubic displays
 B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}  # degree -> at 0, ±1, ±2
-WHITE_PERCENTILE = 99.0  # of a scene that tells no white
-WHITE_DIGITS = 2  # so that the noise of a render does not move the white
+WHITE_PERCENTILE = 99.0  # of the luminance of a scene whose white is unknown
+WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 
 
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
-    """Scene luminance that is shown as display white: the display's own number, else that of texel value 1.
+    """Return the scene luminance shown as display white: `display.white_cd_per_m2`, else the luminance of the scene's chart.
 
-    Raises PixsimError where neither tells it.
+    Raises PixsimError if neither is known.
     """
     white = display.white_cd_per_m2 or irradiance.header.get("luminance_cd_per_m2")
     if not white:
         raise invalid(
             "display.white_cd_per_m2",
-            "nothing, and the scene has no emissive chart that tells it",
-            "the luminance in cd/m² that the display shows as white",
+            "no value, and the scene has no emissive chart that defines it",
+            "the scene luminance in cd/m² that the display shows as white",
             "Set --display.white-cd-per-m2.",
         )
     return float(white)
 
 
-def measured_white(irradiance: SpectralImage, camera: Camera) -> dict[str, Any]:
-    """A white for a scene that tells none: the 99th percentile of its luminance, to two digits; with a warning.
+def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
+    """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
 
-    Raises PixsimError for a picture too dark to tell.
+    The white is the 99th percentile of the scene's luminance, to two digits, with a warning.
+    Raises PixsimError if the picture is black up to that percentile.
     """
+    if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
+        return {}
     factor = field_factor(irradiance.shape, irradiance.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
     luminance = irradiance.illuminance_lx()
     luminance /= factor
     luminance /= camera.transmittance
     white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")
     if not white > 0:
-        raise invalid("display.white_cd_per_m2", "nothing, and a picture too dark to tell", "the luminance shown as white, cd/m²")
+        raise invalid(
+            "display.white_cd_per_m2",
+            "no value, and the picture is too dark to estimate it",
+            "the scene luminance in cd/m² shown as white",
+        )
     warnings.warn(
-        f"the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
-        f"set --display.white-cd-per-m2 {white:g} to keep it",
+        f"the scene does not define its white: using {white:g} cd/m², the 99th percentile of its luminance; "
+        f"set --display.white-cd-per-m2 {white:g} to fix this value",
         stacklevel=2,
     )
     return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
-def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
-    """What the header lacks for a white: nothing where the display or the scene tells it, else `measured_white`.
-
-    Raises PixsimError as that does.
-    """
-    if display.white_cd_per_m2 or "luminance_cd_per_m2" in irradiance.header:
-        return {}
-    return measured_white(irradiance, camera)
-
-
 def white_spectrum(irradiance: SpectralImage) -> Array | None:
-    """Spectrum of the scene's white in the image's bands, (B,) in any unit: that of its lamps where they share one, else None."""
+    """Return the spectrum that all lamps of the scene share, in the image's bands, (B,) in any unit; None if they share none."""
     lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
     if lamp:
         return np.asarray(lamp, float)
@@ -94,11 +84,11 @@ def white_spectrum(irradiance: SpectralImage) -> Array | None:
 
 
 def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
-    """Photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
+    """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
-    Its spectrum is that of the scene's lamps where they share one, else D65.
+    The white has the spectrum of the scene's lamps if they share one, else that of D65.
 
-    Raises PixsimError where the eye or the sensor sees nothing of it: no picture can be shown over it.
+    Raises PixsimError if the eye or the sensor does not respond to that spectrum.
     """
     factor_sr = irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
     white_lx = white_cd_per_m2(irradiance, display) * float(factor_sr)
@@ -112,26 +102,26 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     if not low < rate < high:
         raise invalid(
             "the scene's white",
-            f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx of its light in all bands)",
-            f"light that both the sensor and the eye see, {low:g} to {high:g}",
-            "Take a lamp within the sensor's response and within 360-830 nm, or another technology, infrared cut or white.",
+            f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx from its light in all bands)",
+            f"light to which both the sensor and the eye respond, {low:g} to {high:g}",
+            "Choose a lamp within the sensor's response and 360-830 nm, or another technology, infrared cut or white.",
         )
     return rate
 
 
 def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display, border_um: float) -> tuple[Array, Array]:
-    """Edges of the dots that are shown and scored, rows and columns, measured from the top left corner of the picture.
+    """Return the edges of the dots that are shown and scored, rows and columns, measured from the picture's top left corner.
 
-    `fixed_size`: `dots` span the width of the die, and the frame is the die less `border_um` on each side, whole dots only.
-    `one_to_one`: a dot is a pixel of the centred array, all of it.
+    `fixed_size`: `dots` span the width of the die; a border of `border_um` on each side, rounded up to whole dots, is left out.
+    `one_to_one`: each dot is one pixel of the centred array.
 
     size_um : (height, width) of the picture on the sensor
     pitch_um : of the pixels; used by `one_to_one` only
-    border_um : the largest pitch that shares the frame. Half of it holds the strip that whole pixels do not fill, the other
-        half the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
+    border_um : the largest pitch among pixels scored on the same dots. Half of it covers the strip that whole pixels do not
+        fill, half the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
 
-    Returns ((rows + 1,), (columns + 1,)). Raises PixsimError where not one whole pixel fits or not one whole dot is left, and for
-    more dots than memory holds.
+    Returns ((rows + 1,), (columns + 1,)). Raises PixsimError if no whole pixel fits, no whole dot is left, or there are more
+    than 2^26 dots.
     """
     pixels = [pixels_along(length_um, pitch_um) for length_um in size_um]
     if display.raster == "one_to_one":
@@ -139,43 +129,43 @@ def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display
         return rows, columns
     counts = [max(1, round(display.dots * length_um / size_um[1])) for length_um in size_um]
     if math.prod(counts) > MAX_PIXELS:
-        found = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {math.prod(counts):.3g} dots"
-        raise invalid("display.dots", found, f"at most {MAX_PIXELS:.3g} dots in all")
+        got = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {math.prod(counts):.3g} dots"
+        raise invalid("display.dots", got, f"at most {MAX_PIXELS:.3g} dots in all")
     edges = []
     for length_um, count in zip(size_um, counts, strict=True):
         cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
         if 2 * cut >= count:
             raise invalid(
                 "pixel.pitch_um",
-                f"{border_um:g} µm: its border on either side leaves none of the {count} dots of {length_um / count:.3g} µm",
+                f"{border_um:g} µm: a border this wide on each side leaves none of the {count} dots of {length_um / count:.3g} µm",
                 f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die",
-                "Take smaller pixels, a larger die, or display.raster = 'one_to_one'.",
+                "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'.",
             )
         edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
     return edges[0], edges[1]
 
 
 def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:
-    """Borders of a centred line of `count` pixels, (count + 1,), measured from the picture's border."""
+    """Return the edges of a centred line of `count` pixels, (count + 1,), measured from the picture's edge."""
     return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
 
 
 def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
-    """(height, width) of the picture on the sensor."""
+    """Return the (height, width) of the picture on the sensor."""
     height, width = irradiance.shape
     return height * irradiance.pitch_um, width * irradiance.pitch_um
 
 
 def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
-    """Means, over the intervals between `edges_um`, of lines of equal cells interpolated through their centres, along an axis.
+    """Return the means, over intervals along an axis, of cells interpolated through their centres.
 
-    The cells start at `low_um`; beyond the outermost centres a line goes on constant.
+    The cells start at `low_um`; beyond the outermost centres the interpolation is constant.
 
-    values : (n, ...) or (..., n), any unit; the result has a mean for each interval there
+    values : (n, ...) or (..., n), any unit; n becomes the number of intervals
     pitch_um : of the cells
-    edges_um : (intervals + 1,) rising
-    degree : 0 is piecewise constant, 1 linear, 3 the cubic and 5 the quintic spline
-    axis : 0 or 1, along which
+    edges_um : (intervals + 1,) increasing
+    degree : of the interpolating spline: 0 (piecewise constant), 1, 3 or 5
+    axis : 0 or 1
     """
     edges = (edges_um - low_um) / pitch_um - 0.5
     lines = np.moveaxis(values, axis, 0)
@@ -183,7 +173,7 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     if degree < 2:
         means = _mean_weights(len(lines), edges, degree) @ np.ascontiguousarray(lines)
     else:
-        from scipy.interpolate import make_interp_spline  # 0.3 s, for cubic displays only
+        from scipy.interpolate import make_interp_spline  # takes 0.3 s, needed for cubic displays only
 
         running = make_interp_spline(np.arange(float(len(lines))), lines, k=degree).antiderivative()
         column = edges.reshape(-1, *[1] * (lines.ndim - 1))
@@ -193,10 +183,10 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
 
 
 def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
-    """What n values at 0 … n - 1 weigh in the mean between neighbouring edges, (edges - 1, n).
+    """Return the weights of n values at 0 … n - 1 in the means between neighbouring edges, sparse (edges - 1, n).
 
-    A value belongs to a box (degree 0) or to a hat (degree 1) around its place; the outermost ones go on for ever. Its
-    integral up to an edge has a closed form, and few values reach into an interval.
+    The basis function of a value is a box (degree 0) or a hat (degree 1) around its position; the outermost ones extend to
+    infinity. Their integral up to an edge has a closed form, and few of them overlap an interval.
     """
     reach = 0.5 if degree == 0 else 1.0
     first = np.clip(np.floor(edges[:-1] - reach), 0, n - 1).astype(int)
@@ -210,25 +200,25 @@ def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
         return np.where(((value == 0) & (at < 0)) | ((value == n - 1) & (at > 0)), at + 0.5, part)
 
     weight = (part_below(edges[1:]) - part_below(edges[:-1])) / np.diff(edges)[:, None]
-    kept = (value <= last[:, None]) & (weight != 0)
-    rows = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
-    return csr_array((weight[kept], value[kept], rows), shape=(edges.size - 1, n))
+    used = (value <= last[:, None]) & (weight != 0)
+    rows = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
+    return csr_array((weight[used], value[used], rows), shape=(edges.size - 1, n))
 
 
 def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpolation: str) -> Array:
-    """MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
+    """Return the MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
 
     With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline sinc⁴ x · 3/(2 + cos 2πx). In
-    general the transform of the B-spline over that of its samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal
-    Process. 41 (1993) 821.
+    general it is the transform of the B-spline over that of its samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans.
+    Signal Process. 41 (1993) 821.
 
-    A component below the pixels' Nyquist frequency is shown with this contrast, its images around each multiple of 1/pitch
-    with that of their own frequencies.
+    A component below the Nyquist frequency of the pixels is shown with this contrast. Its images around each multiple of
+    1/pitch are shown with the contrast at their own frequencies.
 
     pitch_um : of the pixels
     interpolation : nearest, linear, cubic or quintic
 
-    Raises PixsimError for another interpolation.
+    Raises PixsimError for any other interpolation.
 
     >>> interpolation_mtf(50.0, 10.0, "linear").round(6).item()  # at the Nyquist frequency: (2/π)²
     0.405285
@@ -238,18 +228,18 @@ def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpola
     degree = SPLINE_DEGREE[interpolation]
     x = np.asarray(frequency_cy_per_mm, float) * pitch_um * 1e-3
     middle, *others = B_SPLINE_SAMPLES[degree]
-    samples = middle + sum(2 * each * np.cos(2 * np.pi * k * x) for k, each in enumerate(others, 1))
+    samples = middle + sum(2 * sample * np.cos(2 * np.pi * k * x) for k, sample in enumerate(others, 1))
     return np.asarray(np.abs(np.sinc(x)) ** (degree + 1) / samples)
 
 
 def ideal_luminance(
     irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Array, Array]
 ) -> Array:
-    """Relative luminance of each dot from a sensor without pixels, noise or quantisation behind a lens without diffraction.
+    """Return the relative luminance of each dot for an ideal sensor: no pixels, noise or quantisation, and no diffraction.
 
-    A dot shows the mean of the light over itself: what the image of ever smaller pixels tends to.
+    A dot shows the mean of the light over its area: the limit of the image as pixels become smaller.
 
-    edges_um : of the dots' rows and columns, as `dot_edges_um` gives them
+    edges_um : of the dots' rows and columns, from `dot_edges_um`
 
     Returns (H, W) dots, 1 for the scene's white.
 
@@ -266,20 +256,20 @@ def ideal_luminance(
 def frame_luminance(
     frame: Frame, size_um: tuple[float, float], white_e: float, display: Display, edges_um: tuple[Array, Array]
 ) -> Array:
-    """Relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
+    """Return the relative luminance of a frame on the display's dots, (H, W), mapped by position on the die.
 
-    A dot shows the mean over itself of the picture interpolated between pixel centres. (Reading the picture at the dots'
-    centres would make noise depend on how pixels and dots register: mean ΔE jumps by a quarter where the pitches agree.)
+    A dot shows the mean, over its area, of the picture interpolated between pixel centres. (Sampling at the dots' centres
+    would make noise depend on how pixels and dots register: mean ΔE jumps by a quarter where the pitches agree.)
 
     size_um : (height, width) of the picture on the sensor
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
-    edges_um : of the dots' rows and columns, as `dot_edges_um` gives them
+    edges_um : of the dots' rows and columns, from `dot_edges_um`
     """
     picture = frame.electrons
     picture /= white_e
     if display.raster == "one_to_one":
         return picture
-    # The shorter way: what is transposed is small.
+    # In the order in which the transposed array is the smaller one.
     for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
         low_um = size_um[axis] / 2 - picture.shape[axis] / 2 * frame.pitch_um
         degree = SPLINE_DEGREE[display.interpolation]
@@ -288,7 +278,7 @@ def frame_luminance(
 
 
 def shown_luminance(relative_luminance: Array, display: Display) -> Array:
-    """What a display of finite bits and range shows of `relative_luminance` (...), in the same shape, 1 for white.
+    """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
 
     Encode (count = luminance^(1/γ)), round, decode; clipped to 0 … 1.
 
@@ -304,5 +294,5 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
 
 
 def to_xyz(luminance: Array) -> Array:
-    """Grey light of a D65 display, (H, W, 3), white at Y = 100, from relative luminance (H, W). CIE 15, 2-degree observer."""
+    """Return the XYZ of grey light on a D65 display, (H, W, 3) with white at Y = 100, for relative luminance (H, W). CIE 15."""
     return luminance[:, :, None] * WHITE_XYZ

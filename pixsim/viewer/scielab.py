@@ -2,9 +2,9 @@
 
 XYZ -> three opponent channels -> the eye's blur of each -> XYZ -> CIELAB -> a difference per sample.
 
-A kernel that is even in x and in y is diagonal in the DCT-II, whose basis is the image reflected at its edges (half a
-sample outside the outermost centres). So each filter is one product with its transfer function: exact, no padding, and
-an image may be smaller than the kernel, which then meets repeated reflections.
+A kernel even in x and y is diagonal in the DCT-II, whose basis extends the image by reflection at its edges (half a
+sample outside the outermost centres). Each filter is thus one product with its transfer function: exact, without padding.
+An image smaller than the kernel is reflected repeatedly.
 
 [ZW] X. Zhang & B. A. Wandell, "A spatial extension of CIELAB for digital color-image reproduction", J. SID 5 (1997) 61.
 [1996] the authors' first public code, SCIELAB-1996; what it computes, not its text (tests/data/scielab/README.md).
@@ -26,7 +26,7 @@ import scipy.fft
 from pixsim.base.arrays import dct, empty_planes, inverse_dct, strips_of
 from pixsim.base.errors import invalid
 
-# What the reference shows; the rest is for pixsim itself.
+# The public interface, as docs/reference lists it.
 __all__ = ["delta_e", "delta_e_map", "filtered_grey_lab", "filtered_lab", "grey_delta_e_map", "xyz_to_lab"]
 
 Floats = npt.NDArray[np.float64]
@@ -41,12 +41,12 @@ def checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = N
         finite = np.isfinite(array)
         first = np.argwhere(~finite)[0]
         got = f"{array[tuple(first)]} at {first.tolist()} ({np.count_nonzero(~finite)} such of {array.size})"
-        raise invalid(name, got, "finite numbers", "Mend them where they arise: a filter would spread them.")
+        raise invalid(name, got, "finite numbers", "Remove them at their source: a filter would spread them.")
     return array
 
 
 def is_finite(values: Floats) -> bool:
-    """NaN goes through both extremes: two readings, and no array of truths."""
+    """Return whether all values are finite; min and max propagate NaN, which avoids a Boolean array."""
     return math.isfinite(values.min()) and math.isfinite(values.max())
 
 
@@ -54,15 +54,15 @@ def checked_pair(dimensions: int | None = None, **arrays: npt.ArrayLike) -> tupl
     first, second = (checked_triples(name, values, dimensions) for name, values in arrays.items())
     if first.shape != second.shape:
         shapes = f"shapes {first.shape} and {second.shape}"
-        raise invalid(" and ".join(arrays), shapes, "equal ones", "Resample one image to the raster of the other.")
+        raise invalid(" and ".join(arrays), shapes, "equal shapes", "Resample one image to the raster of the other.")
     return first, second
 
 
 def checked_white(white_xyz: npt.ArrayLike) -> Floats:
     white = np.asarray(white_xyz, np.float64)
     if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
-        mend = "Give X, Y, Z in the image's unit; D65 is (95.047, 100, 108.883) times its luminance over 100."
-        raise invalid("white_xyz", white.tolist(), "three finite numbers above 0", mend)
+        hint = "Give X, Y, Z in the image's unit; D65 is (95.047, 100, 108.883) times its luminance over 100."
+        raise invalid("white_xyz", white.tolist(), "three finite numbers above 0", hint)
     return white
 
 
@@ -85,15 +85,15 @@ ZHANG1996_GAUSSIANS = (
     ((0.567885, 0.092), (0.432115, 0.6451)),
 )
 ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
-ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)  # its kernels are a degree long: beyond, they are one sample, or fill the memory
+ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)  # its kernels are a degree long: outside this range they are one sample, or fill the memory
 
 
 @dataclass(frozen=True)
 class ViewingConditions:
     """A viewer's white, distance and filters, checked.
 
-    white : XYZ over a power of two that brings its Y to 0.5 … 1
-    exponent : of that power. Powers of two round nothing, and sums over an image neither overflow nor vanish, whatever the unit.
+    white : XYZ divided by the power of two that brings Y to 0.5 … 1
+    exponent : of that power. A power of two rounds nothing, and sums over an image neither overflow nor vanish in any unit.
     """
 
     white: tuple[float, float, float]
@@ -106,11 +106,13 @@ class ViewingConditions:
         check_choice("filters", filters, get_args(Filters))
         white = checked_white(white_xyz)
         if not (np.ndim(samples_per_deg) == 0 and 0 < samples_per_deg < math.inf):
-            mend = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
-            raise invalid("samples_per_deg", repr(samples_per_deg), "one finite number above 0", mend)
+            hint = "Dots of d metres seen from D metres are D tan(1°) / d samples per degree."
+            raise invalid("samples_per_deg", repr(samples_per_deg), "one finite number above 0", hint)
         low, high = ZHANG1996_SAMPLES_PER_DEG
         if filters == "zhang1996" and not low <= samples_per_deg <= high:
-            raise invalid("samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or take 'published'.")
+            raise invalid(
+                "samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or choose 'published'."
+            )
         exponent = math.frexp(white[1])[1]
         x, y, z = np.ldexp(white, -exponent).tolist()
         return cls((x, y, z), exponent, float(samples_per_deg), filters)
@@ -123,9 +125,9 @@ class ViewingConditions:
 
 @lru_cache(maxsize=1)  # as large as a picture
 def filter_transfer(view: ViewingConditions, height: int, width: int, grey: bool = False) -> Floats:
-    """Factor of each opponent channel for each DCT-II coefficient, (3, height, width); all calls share it.
+    """Return the factor of each DCT-II coefficient in each opponent channel, (3, height, width), read-only since it is cached.
 
-    grey : from a picture of relative luminance to X/Xn, Y/Yn and Z/Zn as they are seen instead
+    grey : return instead the factors from relative luminance to the filtered X/Xn, Y/Yn and Z/Zn
     """
     terms = _published_terms if view.filters == "published" else _zhang1996_terms
     factors = np.zeros((3, height, width))
@@ -143,16 +145,16 @@ def filter_transfer(view: ViewingConditions, height: int, width: int, grey: bool
 
 
 def _published_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
-    """(weight, transfer (samples,) on an axis) of each Gaussian: exp(-x²/s²) becomes exp(-π²s²f²), f in cycles/deg."""
+    """Return (weight, transfer function (samples,)) of each Gaussian along an axis: exp(-π²s²f²), f in cy/deg, for exp(-x²/s²)."""
     frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
     gaussians = PUBLISHED_GAUSSIANS[channel]
     gain = sum(weight for weight, _ in gaussians)
-    with np.errstate(over="ignore"):  # exp(-infinity): from so far away only the mean is seen
+    with np.errstate(over="ignore"):  # exp(-infinity) = 0: from so far away only the mean is visible
         return [(weight / gain, np.exp(-((np.pi * s_deg * frequency_cy_per_deg) ** 2))) for weight, s_deg in gaussians]
 
 
 def _zhang1996_terms(channel: int, samples: int, samples_per_deg: float) -> list[tuple[float, Floats]]:
-    """The same for [1996]: an even kernel, wrapped on the reflected image's period 2·samples, has a real spectrum."""
+    """Return the same for [1996]. An even kernel, wrapped at the reflected image's period of 2·samples, has a real spectrum."""
     position = _centred_positions(samples_per_deg).astype(int) % (2 * samples)
     kernels = [(weight, zhang1996_kernel(w_deg, samples_per_deg)) for weight, w_deg in ZHANG1996_GAUSSIANS[channel]]
     wrapped = [(weight, np.bincount(position, kernel, 2 * samples)) for weight, kernel in kernels]
@@ -160,7 +162,7 @@ def _zhang1996_terms(channel: int, samples: int, samples_per_deg: float) -> list
 
 
 def zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
-    """One Gaussian of [1996], one degree long: its sum is 1 as built, but not after thinning to the image's density."""
+    """Return one Gaussian of [1996], one degree long. Its sum is 1 before, but not after thinning to the image's density."""
     upsampling = max(1, math.ceil(ZHANG1996_BUILD_SAMPLES_PER_DEG / samples_per_deg))
     position = _centred_positions(samples_per_deg * upsampling)
     alpha = 2 * math.sqrt(math.log(2)) / (width_deg * samples_per_deg * upsampling - 1)
@@ -168,8 +170,8 @@ def zhang1996_kernel(width_deg: float, samples_per_deg: float) -> Floats:
     dense /= dense.sum()
     if upsampling == 1:
         return dense
-    kept = _centred_positions(samples_per_deg) * upsampling
-    triangle = np.maximum(0, 1 - np.abs(position - kept[:, np.newaxis]) / upsampling)
+    centre = _centred_positions(samples_per_deg) * upsampling
+    triangle = np.maximum(0, 1 - np.abs(position - centre[:, np.newaxis]) / upsampling)
     return np.asarray((triangle * dense).sum(axis=1))
 
 
@@ -200,10 +202,10 @@ def delta_e_map(
     formula: Formula = "1976",
     workers: int = 1,
 ) -> Floats:
-    """S-CIELAB difference of a test image from its reference, (H, W), in units of ΔE.
+    """Return the S-CIELAB difference between a test image and its reference, (H, W), in units of ΔE. [ZW]
 
-    Zhang & Wandell [ZW]. Multiplying both images and the white by one number changes nothing, whatever its size. XYZ slightly
-    below zero, as noise leaves it, is kept: CIELAB's linear branch goes on through zero, with no clipping and no step.
+    Scaling both images and the white by one number changes nothing. XYZ slightly below zero, as noise leaves it, is not
+    clipped: CIELAB's linear branch continues through zero without a step.
 
     reference_xyz, test_xyz : (H, W, 3) CIE XYZ in any unit, the same for both and for the white
     white_xyz : (3,) XYZ of the white that the viewer is adapted to
@@ -211,40 +213,35 @@ def delta_e_map(
     filters, workers : as of `filtered_lab`
     formula : as of `delta_e`
 
-    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    Raises PixsimError (a ValueError) for invalid shapes, values or names.
 
     >>> white = np.array([95.047, 100.0, 108.883])
     >>> light, half = np.ones((8, 8, 1)) * white, 0.5 * np.ones((8, 8, 1)) * white
-    >>> delta_e = delta_e_map(light, half, white_xyz=white, samples_per_deg=23)  # even pictures have their plain CIELAB
+    >>> delta_e = delta_e_map(light, half, white_xyz=white, samples_per_deg=23)  # uniform pictures keep their CIELAB
     >>> round(float(delta_e.mean()), 6), round(116 * (1 - 0.5 ** (1 / 3)), 6)
     (23.930739, 23.930739)
     """
     reference, test = checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
-    seen = partial(filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters, workers=workers)
-    return delta_e(seen(reference), seen(test), formula)
+    lab = partial(filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters, workers=workers)
+    return delta_e(lab(reference), lab(test), formula)
 
 
 def filtered_lab(
-    xyz: npt.ArrayLike,
-    *,
-    white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
-    filters: Filters = "published",
-    workers: int = 1,
+    xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
 ) -> Floats:
-    """CIELAB of an image as the eye blurs it, (H, W, 3): filter a study's ideal image once, compare many with it. [ZW]
+    """Return the CIELAB of an image blurred by the eye's filters, (H, W, 3), for comparison with many others. [ZW]
 
-    XYZ below zero (noise, the filters' negative lobe) follows CIELAB's linear branch on, so L* may be negative: clipping
-    before the eye's blur would make noise around black brighter on average than it is.
+    XYZ below zero (noise, the filters' negative lobe) continues CIELAB's linear branch, so L* may be negative: clipping
+    before the eye's blur would brighten noise around black on average.
 
     xyz : (H, W, 3)
     white_xyz : (3,), in the same unit
-    samples_per_deg : samples per degree of visual angle
-    filters : "published" is [ZW] as defined in frequency, with unit gain at zero, so that a uniform image has its plain
-        CIELAB; "zhang1996" follows [1996], sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg
+    samples_per_deg : image samples per degree of visual angle
+    filters : "published" is [ZW] in the frequency domain, with unit gain at zero, so that a uniform image keeps its CIELAB;
+        "zhang1996" is [1996], with sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg
     workers : threads of the transforms; the result does not depend on it
 
-    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
     planes = np.moveaxis(checked_triples("xyz", xyz, dimensions=3), -1, 0)
@@ -258,20 +255,15 @@ def filtered_lab(
 
 
 def filtered_grey_lab(
-    luminance: npt.ArrayLike,
-    *,
-    white_xyz: npt.ArrayLike,
-    samples_per_deg: float,
-    filters: Filters = "published",
-    workers: int = 1,
+    luminance: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
 ) -> Floats:
-    """`filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white: (H, W, 3). [ZW]
+    """Return `filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white: (H, W, 3). [ZW]
 
-    Its opponent channels are multiples of one picture, so that one transform serves all three on the way in; each is
-    blurred in its own way, so grey gains chroma. The transfer functions also turn them into X/Xn, Y/Yn and Z/Zn.
+    Its opponent channels are multiples of one picture, so one forward transform serves all three. Each is blurred
+    differently, so grey gains chroma. The transfer functions include the conversion to X/Xn, Y/Yn and Z/Zn.
     `filters` and `workers` are those of `filtered_lab`.
 
-    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
     spectrum = _grey_spectrum(luminance, view, workers)
@@ -287,13 +279,15 @@ def grey_delta_e_map(
     filters: Filters = "published",
     workers: int = 1,
 ) -> Floats:
-    """`delta_e` (1976) of `filtered_grey_lab` from a picture that was filtered once, (H, W), without the grey one's CIELAB. [ZW]
+    """Return `delta_e` (1976) between a filtered reference and `filtered_grey_lab` of a luminance, (H, W). [ZW]
+
+    Faster than the two steps, since the CIELAB image of the second is never stored.
 
     reference_lab : (H, W, 3)
     luminance : (H, W) relative, 1 for white
     white_xyz, samples_per_deg, filters, workers : as of `filtered_lab`
 
-    Raises PixsimError (a ValueError) for shapes, values or names that cannot be meant.
+    Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
     spectrum = _grey_spectrum(luminance, view, workers)
@@ -310,17 +304,20 @@ def grey_delta_e_map(
 
 
 def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, workers: int) -> Floats:
-    """DCT-II of X/Xn, Y/Yn and Z/Zn of a grey picture as they are seen, (3, H, W)."""
+    """Return the DCT-II of the filtered X/Xn, Y/Yn and Z/Zn of a grey picture, (3, H, W)."""
     grey = np.asarray(luminance, np.float64)
     if grey.ndim != 2 or grey.size == 0 or not is_finite(grey):
-        raise invalid("luminance", f"shape {grey.shape}", "(H, W), finite, not empty")
+        raise invalid("luminance", f"shape {grey.shape}", "(H, W), not empty, all values finite")
     picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
     picture[...] = grey
     return np.multiply(filter_transfer(view, *grey.shape, grey=True), dct(picture, workers), out=spectrum)
 
 
 def _iter_lab_strips(spectrum: Floats, view: ViewingConditions, workers: int, grey: bool = False) -> Strips:
-    """Planes of CIELAB, in one memory, from the filtered DCT-II (3, H, W) of the opponent channels; `grey`: of X/Xn, Y/Yn, Z/Zn."""
+    """Yield strips of CIELAB planes, in a reused buffer, from the filtered DCT-II (3, H, W).
+
+    grey : the spectrum is that of X/Xn, Y/Yn, Z/Zn instead of the opponent channels
+    """
     planes = inverse_dct(spectrum, workers)
     constants = CIE_LAB if view.filters == "published" else ZHANG1996_LAB
     for (rows, strip), (_, lab) in zip(strips_of(planes.shape), strips_of(planes.shape), strict=True):
@@ -333,7 +330,7 @@ def _iter_lab_strips(spectrum: Floats, view: ViewingConditions, workers: int, gr
 
 
 def _assemble_strips(strips: Strips, shape: tuple[int, ...]) -> Floats:
-    """(H, W, 3) from strips of planes (3, H, W)."""
+    """Return an image (H, W, 3) from strips of its planes; `shape` is (3, H, W)."""
     planes = np.empty(shape)
     for rows, strip in strips:
         planes[:, rows] = strip
@@ -341,13 +338,13 @@ def _assemble_strips(strips: Strips, shape: tuple[int, ...]) -> Floats:
 
 
 def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
-    """Colour difference of each sample, (...), from two CIELAB arrays (..., 3).
+    """Return the colour difference of each sample, (...), between two CIELAB arrays (..., 3).
 
     lab_reference, lab_test : (..., 3)
     formula : "1976" Euclidean [CIE]; "1994" CIE 116-1995, graphic arts (kL 1, K1 .045, K2 .015), weighted by the chroma
-        of the reference, so not symmetric; "2000" CIE 142-2001, kL = kC = kH = 1. The last two by colour-science.
+        of the reference, hence not symmetric; "2000" CIE 142-2001, kL = kC = kH = 1. The last two by colour-science.
 
-    Raises PixsimError (a ValueError) for shapes that differ, values that are not finite, an unknown formula.
+    Raises PixsimError (a ValueError) if shapes differ, values are not finite or the formula is unknown.
 
     >>> float(delta_e([50.0, 0.0, 0.0], [53.0, 4.0, 0.0]))
     5.0
@@ -358,7 +355,7 @@ def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Form
         distance = np.empty(reference.shape[:-1])
         _distance(np.moveaxis(reference, -1, 0), np.moveaxis(test, -1, 0).copy(), distance)
         return distance[()]
-    import colour  # 2.6 s to import: only for those who ask
+    import colour  # takes 2.6 s, needed for these formulas only
 
     compare = colour.difference.delta_E_CIE1994 if formula == "1994" else colour.difference.delta_E_CIE2000
     with colour.domain_range_scale("reference"):  # else a caller's global setting would change the result
@@ -366,7 +363,7 @@ def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Form
 
 
 def _distance(first: Floats, second: Floats, out: Floats) -> None:
-    """Euclidean distance of planes (3, ...); the second ones are overwritten."""
+    """Write the Euclidean distance of planes (3, ...) to `out`; overwrites `second`."""
     np.square(np.subtract(first, second, out=second), out=second)
     np.add(second[0], second[1], out=out)
     out += second[2]
@@ -374,9 +371,9 @@ def _distance(first: Floats, second: Floats, out: Floats) -> None:
 
 
 def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
-    """CIELAB [CIE], unfiltered, (..., 3), of xyz (..., 3) under white_xyz (3,), of one unit; below zero: see `filtered_lab`.
+    """Return the CIELAB [CIE], (..., 3), of unfiltered xyz (..., 3) under white_xyz (3,) in the same unit.
 
-    Raises PixsimError (a ValueError) for shapes or values that cannot be meant.
+    Negative XYZ is treated as in `filtered_lab`. Raises PixsimError (a ValueError) for invalid shapes or values.
     """
     planes = np.moveaxis(checked_triples("xyz", xyz), -1, 0)
     white = checked_white(white_xyz)
@@ -384,7 +381,7 @@ def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
 
 
 def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) -> Floats:
-    """(3, ...) planes of X/Xn, Y/Yn, Z/Zn to CIELAB (..., 3)."""
+    """Return the CIELAB (..., 3) of planes (3, ...) of X/Xn, Y/Yn, Z/Zn."""
     planes = np.array(relative).reshape(3, -1)
     lab = np.empty_like(planes)
     _lab_planes(planes, threshold, slope, dark_slope, out=lab)
@@ -392,7 +389,10 @@ def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) ->
 
 
 def _lab_planes(relative: Floats, threshold: float, slope: float, dark_slope: float, out: Floats) -> None:
-    """Planes of X/Xn, Y/Yn, Z/Zn (3, ...), which are overwritten, to planes of L*, a*, b*. Only dark samples pay for darkness."""
+    """Write L*, a*, b* planes to `out`; overwrites the planes of X/Xn, Y/Yn, Z/Zn (3, ...).
+
+    The linear branch is evaluated only if a sample lies at or below the threshold.
+    """
     linear = relative.copy() if relative.min() <= threshold else None
     f = np.cbrt(relative, out=relative)
     if linear is not None:
@@ -407,5 +407,5 @@ def _lab_planes(relative: Floats, threshold: float, slope: float, dark_slope: fl
 
 
 def _apply_matrix(matrix: Floats, planes: Floats, out: Floats) -> None:
-    """3x3 matrix times planes (3, H, W), by einsum's own loop: a BLAS product rounds differently with more threads."""
+    """Write a 3×3 matrix times planes (3, H, W) to `out`; not by BLAS, whose rounding depends on the number of threads."""
     np.einsum("ij,jyx->iyx", matrix, planes, out=out, optimize=False)

@@ -1,4 +1,4 @@
-"""One picture taken, shown and compared: irradiance + camera + pixel → frame, images and the ΔE map."""
+"""The imaging chain from irradiance to ΔE: irradiance + camera + pixel → frame, shown images and ΔE map."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
-from pixsim.show.pages import _cell, rows_csv
+from pixsim.show.pages import html_cell, rows_csv
 from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
 from pixsim.viewer import display as displays
 from pixsim.viewer.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map, xyz_to_lab
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
 CLIPPED_WARNING = 0.01
 HISTOGRAM_BINS = 1 << 14
 PANEL_IN = 3.1  # width of each picture of a figure
-LIGHTS_BYTES = 1 << 28  # of lights that are made at once
-MAX_KEPT_SAMPLES = 1 << 22  # of a running integral, 32 MiB: a film of 2048²
+SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
+MAX_STORED_SAMPLES = 1 << 22  # of a running integral that is stored, 32 MiB: a film of 2048²
 
 
 @dataclass(frozen=True)
 class Score:
-    """What a viewer sees of a sensor's picture, next to what an ideal camera would have shown.
+    """A sensor's picture as shown to a viewer, and its S-CIELAB difference from the ideal image.
 
     delta_e : (H, W) S-CIELAB difference on the display's dots
     ideal, image : (H, W) shown luminance, 1 for white
-    frame : behind the image
+    frame : the sensor frame that the image shows
     physics : of the pixel
-    border_um : (above and below, left and right) width of the edge of the picture that is neither shown nor scored
+    border_um : (above and below, left and right) width of the border that is neither shown nor scored
     """
 
     delta_e: Array = field(repr=False)
@@ -55,11 +55,11 @@ class Score:
 
     @property
     def mean_delta_e(self) -> float:
-        """Over all dots: what a study makes least."""
+        """Mean ΔE over all dots, which a study minimises."""
         return float(self.delta_e.mean())
 
     def statistics(self) -> dict[str, float]:
-        """The numbers that stand in score.json and in a study's rows, each with its unit in its name."""
+        """Return the numbers of score.json and of a study's rows, with the unit in each name."""
         p, frame = self.physics, self.frame
         median, p90, p99 = percentiles(self.delta_e, (50, 90, 99))
         return {
@@ -77,27 +77,27 @@ class Score:
         }
 
     def plot(self) -> Figure:
-        """Ideal picture, sensor's picture and ΔE map on the fixed scale, a dot of the display a sample; a Matplotlib figure."""
+        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map on the fixed scale."""
         figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
         axes = figure.subplots(1, 3, sharex=True, sharey=True)
-        for each, picture, title in zip(axes, (self.ideal, self.image), ("ideal", "sensor"), strict=False):
-            each.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
-            each.set_title(title)
-        shown = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, interpolation="nearest")
+        for panel, picture, title in zip(axes, (self.ideal, self.image), ("ideal", "sensor"), strict=False):
+            panel.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+            panel.set_title(title)
+        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, interpolation="nearest")
         axes[2].set_title(f"S-CIELAB ΔE, mean {self.mean_delta_e:.3f}")
-        figure.colorbar(shown, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
-        for each in axes:
-            each.set_xlabel("display dots")
+        figure.colorbar(delta_e_map, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
+        for panel in axes:
+            panel.set_xlabel("display dots")
         return figure
 
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """`statistics` as CSV, also into a file where a `path` is given."""
+        """Return `statistics` as CSV, and write it to `path` if given."""
         return rows_csv([self.statistics()], path)
 
     def _repr_html_(self) -> str:
         rows = [(name, f"{value:.6g}") for name, value in self.statistics().items()]
         title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.mean_delta_e:.3f}"
-        return _cell(title, ("", ""), rows, self.plot())
+        return html_cell(title, ("", ""), rows, self.plot())
 
     def __repr__(self) -> str:
         return (
@@ -106,46 +106,46 @@ class Score:
 
 
 def percentiles(values: Array, percent: tuple[float, ...]) -> list[float]:
-    """`np.percentile` of finite values of 0 and more, in a third of the time: a histogram tells where they are."""
+    """Return `np.percentile` of finite non-negative values, in a third of its time by way of a histogram."""
     scale = (HISTOGRAM_BINS - 1) / max(float(values.max()), np.finfo(float).tiny * HISTOGRAM_BINS)
     bins = (values * scale).astype(np.uint16).ravel()
     up_to = np.bincount(bins, minlength=HISTOGRAM_BINS).cumsum()
-    inside: dict[int, Array] = {}
+    sorted_bins: dict[int, Array] = {}
 
-    def smallest(rank: int) -> float:
-        """The value that `rank` others come before."""
+    def ranked(rank: int) -> float:
+        """Return the value at a rank, 0 for the smallest."""
         at = int(np.searchsorted(up_to, rank, "right"))
-        if at not in inside:
-            inside[at] = np.sort(values.ravel()[bins == at])
-        return float(inside[at][rank - (up_to[at - 1] if at else 0)])
+        if at not in sorted_bins:
+            sorted_bins[at] = np.sort(values.ravel()[bins == at])
+        return float(sorted_bins[at][rank - (up_to[at - 1] if at else 0)])
 
-    found = []
-    for each in percent:
-        below, part = divmod(each / 100 * (values.size - 1), 1)
-        low, high = smallest(int(below)), smallest(min(int(below) + 1, values.size - 1))
-        found.append(low + part * (high - low))
-    return found
+    result = []
+    for percentage in percent:
+        below, part = divmod(percentage / 100 * (values.size - 1), 1)
+        low, high = ranked(int(below)), ranked(min(int(below) + 1, values.size - 1))
+        result.append(low + part * (high - low))
+    return result
 
 
 def perceived_lab(shown: Array, display: Display, full: bool = False) -> Array:
-    """CIELAB of a shown grey image as the viewer's eye blurs it, (H, W, 3). `full` takes it for a coloured one."""
+    """Return the CIELAB of a shown grey image after the eye's blur, (H, W, 3); `full` computes it as a colour image."""
     view = viewing_conditions(display)
     return filtered_lab(displays.to_xyz(shown), **view) if full else filtered_grey_lab(shown, **view)
 
 
 def viewing_conditions(display: Display) -> dict[str, Any]:
-    """What S-CIELAB has to know of a display."""
+    """Return the S-CIELAB arguments for a display."""
     return {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg, "filters": display.filters}
 
 
 @dataclass(frozen=True)
 class Screen:
-    """What a viewer looks at: a display, the part of the die that is shown on it, and the ideal image of that part.
+    """A display, the part of the die that it shows, and the ideal image of that part.
 
     size_um : (height, width) of the whole picture on the sensor
     dot_edges_um : of the rows and columns of dots that are shown and scored
-    ideal, ideal_lab : shown luminance on those dots, and its CIELAB as the eye blurs it
-    full : leave out no transform
+    ideal, ideal_lab : shown luminance on those dots, and its CIELAB after the eye's blur
+    full : use no shortcut for grey images
     """
 
     display: Display
@@ -156,11 +156,11 @@ class Screen:
     full: bool = False
 
     def luminance(self, frame: Frame, white_e: float) -> Array:
-        """`displays.frame_luminance` on these dots."""
+        """Return `displays.frame_luminance` on these dots."""
         return displays.frame_luminance(frame, self.size_um, white_e, self.display, self.dot_edges_um)
 
     def delta_e_of(self, image: Array) -> Array:
-        """S-CIELAB difference of a shown picture from the ideal one, (H, W)."""
+        """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
         if self.display.delta_e == "1976" and not self.full:
             return grey_delta_e_map(self.ideal_lab, image, **viewing_conditions(self.display))
         return delta_e(self.ideal_lab, perceived_lab(image, self.display, self.full), self.display.delta_e)
@@ -168,7 +168,7 @@ class Screen:
 
 @dataclass(frozen=True)
 class ImagingChain:
-    """What all pictures of one pixel type share: its mean signal, and what the viewer looks at."""
+    """Everything that the frames of one pixel type share: its mean signal, exposure and screen."""
 
     signal_e_per_s: Array
     physics: PixelPhysics
@@ -176,21 +176,21 @@ class ImagingChain:
     white_e_per_s: float
     screen: Screen
 
-    def score(self, *key: object) -> Score:
-        """Another sensor and another frame for each key."""
-        return self.view(self.capture(*key))
+    def simulate(self, *key: object) -> Score:
+        """Return the score of a new sensor and a new frame for each key."""
+        return self.score_frame(self.capture(*key))
 
     def capture(self, *key: object) -> Frame:
-        """The frame behind `score`."""
+        """Return the frame that `simulate` scores."""
         return self.capture_with(stream(*key, "sensor"), stream(*key, "frame"))
 
     def capture_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Frame:
-        """The frame of the sensor that one generator draws, with the temporal noise of the other."""
+        """Return a frame whose fixed pattern and temporal noise come from two generators."""
         sensor = sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
         return capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
 
-    def view(self, frame: Frame) -> Score:
-        """What a viewer sees of a frame."""
+    def score_frame(self, frame: Frame) -> Score:
+        """Return the score of a frame as shown on the screen."""
         screen = self.screen
         image = displays.shown_luminance(screen.luminance(frame, self.white_e_per_s * frame.integration_s), screen.display)
         border_um = float(screen.dot_edges_um[0][0]), float(screen.dot_edges_um[1][0])
@@ -199,7 +199,7 @@ class ImagingChain:
 
 @dataclass(frozen=True)
 class PreparedScene:
-    """What pixels of one response share, whatever their pitch: the light behind the lens, and what the viewer looks at.
+    """The light behind the lens, and the screen, for pixels of one spectral response and any pitch.
 
     rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
     white_e_per_s_um2 : of the scene's white, on axis
@@ -212,8 +212,8 @@ class PreparedScene:
 
     @cached_property
     def running_integral(self) -> Array | None:
-        """Down the picture: it takes longer than all that a pitch adds. None where it is too large to be kept."""
-        return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_KEPT_SAMPLES else None
+        """Running integral down the picture, which takes longer than all steps of a pitch; None if too large to store."""
+        return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES else None
 
 
 def prepare_scene(
@@ -225,16 +225,16 @@ def prepare_scene(
     *,
     border_um: float | None = None,
 ) -> PreparedScene:
-    """Everything up to the pixels. Only the one_to_one raster, whose dots are pixels, makes it depend on the pitch.
+    """Return the light behind the lens and the screen. They depend on the pitch only if the raster is one_to_one.
 
-    border_um : the largest pitch that shares the frame, as `displays.dot_edges_um` takes it; None takes the pixel's own
+    border_um : largest pitch scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's pitch
 
-    PixsimError for light that is negative or not finite.
+    Raises PixsimError if the irradiance is negative or not finite.
     """
     irradiance.validate()
     size_um = displays.picture_size_um(irradiance)
-    own_um = physics.pitch_um
-    edges_um = displays.dot_edges_um(size_um, own_um, display, own_um if border_um is None else border_um)
+    border_um = physics.pitch_um if border_um is None else border_um
+    edges_um = displays.dot_edges_um(size_um, physics.pitch_um, display, border_um)
     luminance = displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
     if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
         warnings.warn(
@@ -247,36 +247,36 @@ def prepare_scene(
     return PreparedScene(rate, irradiance.pitch_um, white, screen)
 
 
-# What the pitches of a technology share. Dots that are pixels (one_to_one) leave the irradiance alone to share.
-Light = PreparedScene | SpectralImage
+# What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
+SharedLight = PreparedScene | SpectralImage
 
 
-class Lights:
-    """What the pixels that look at one picture share, made when first asked for, and kept while there is room."""
+class SceneCache:
+    """Prepared scenes of one irradiance, camera and display, made on first use and stored while memory allows."""
 
     def __init__(self, irradiance: SpectralImage, camera: Camera, display: Display) -> None:
         self.irradiance, self.camera, self.display = irradiance, camera, display
-        self._kept: dict[object, PreparedScene] = {}
+        self._scenes: dict[object, PreparedScene] = {}
 
-    def of(self, key: object, physics: PixelPhysics, border_um: float) -> Light:
-        """For pixels of one response that share a frame, known by any key; `border_um` as `prepare_scene` takes it."""
+    def get(self, key: object, physics: PixelPhysics, border_um: float) -> SharedLight:
+        """Return the prepared scene of a key, which stands for a spectral response and a border."""
         if self.display.raster == "one_to_one":
             return self.irradiance
-        if key not in self._kept:
-            if len(self._kept) >= self.room:
-                self._kept.clear()
-            self._kept[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, border_um=border_um)
-        return self._kept[key]
+        if key not in self._scenes:
+            if len(self._scenes) >= self.capacity:
+                self._scenes.clear()
+            self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, border_um=border_um)
+        return self._scenes[key]
 
     @property
-    def room(self) -> int:
-        """How many may be there at once."""
+    def capacity(self) -> int:
+        """Number of prepared scenes that are stored at once."""
         planes = 2 * math.prod(self.irradiance.shape) + 4 * self.display.dots**2  # light, spline; ideal image, its CIELAB
-        return max(1, LIGHTS_BYTES // (8 * planes))
+        return max(1, SCENE_CACHE_BYTES // (8 * planes))
 
 
 def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposure) -> ImagingChain:
-    """A pixel of any pitch under a projection for its response."""
+    """Return the imaging chain of a pixel of any pitch, from light prepared for its spectral response."""
     grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
     signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral)
     np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s)
@@ -286,10 +286,10 @@ def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposu
 def make_imaging_chain(
     irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display, full: bool = False
 ) -> ImagingChain:
-    """Everything up to the noise. Warns where the camera is not the render's, or the display cannot show the scene."""
+    """Return the imaging chain up to the noise. Warns if the render used another camera, or the display clips the scene."""
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
-        warnings.warn("the irradiance was rendered with another camera than the one it is sensed with", stacklevel=3)
+        warnings.warn("the irradiance was rendered with another camera than the one given", stacklevel=3)
     physics = derive(pixel)
     return chain_at_pitch(prepare_scene(irradiance, camera, physics, display, full), physics, exposure)
 
@@ -304,14 +304,14 @@ def evaluate(
     seed: int = 0,
     full: bool = False,
 ) -> Score:
-    """Sense an irradiance with one individual sensor, show it, and compare it with the ideal image by S-CIELAB.
+    """Simulate one frame of one sensor, show it on a display, and compare it with the ideal image by S-CIELAB.
 
     camera : the one that the irradiance was rendered with
-    exposure, display : None takes the default ones
-    seed : of the individual sensor and of its temporal noise
-    full : leave out no transform (the result differs by rounding only)
+    exposure, display : None means the defaults
+    seed : of the sensor's fixed pattern and its temporal noise
+    full : use no shortcut for grey images (the result differs by rounding only)
 
-    Raises PixsimError for a pitch that is too small or larger than the die, or an unknown scene white.
+    Raises PixsimError if the pitch is too small or larger than the die, or the scene's white is unknown.
 
     >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
     >>> pixel, display = Pixel(pitch_um=84.8, prnu=0, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
@@ -319,37 +319,37 @@ def evaluate(
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
     ((30, 30), 1.0)
     """
-    bench = make_imaging_chain(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
-    return bench.score("evaluate", seed)
+    chain = make_imaging_chain(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
+    return chain.simulate("evaluate", seed)
 
 
 DSNU_NODES = 64  # of equal weight
-FEW_E = 100.0  # dark charge up to which its Poisson law is summed; above it, 10 σ from 0, a normal one clips nothing by itself
+FEW_E = 100.0  # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing by itself
 POISSON_TERMS = 200  # 10 σ above `FEW_E`
-NO_NOISE_DN = 1e-9  # a σ that stands for 0
+NO_NOISE_DN = 1e-9  # σ used in place of 0
 COARSE_DN = 8.0  # σ above which a sum over codes is the integral within 1/(24 σ²), 7e-4
 
 
 def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> dict[str, float]:
-    """What the clip at 0 DN does to the dark, and the black level that avoids it; as score.json holds it.
+    """Return the effect of clipping dark pixels at 0 DN, and the black level that avoids it, as in score.json.
 
-    A dark level is the black level, dark charge (gamma-distributed by DSNU, Poisson), which is never negative, and a normal
-    law of reset noise, read noise and offsets. Of a normal level of mean µ and deviation σ (DN), Φ((½ - µ)/σ) stands at 0 DN,
-    and rounded, clipped levels have a mean larger than unclipped ones by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is
-    σφ(µ/σ) - µΦ(-µ/σ) for a σ of many DN.
+    A dark level is the sum of the black level, dark charge (gamma-distributed by DSNU, Poisson, never negative), and normal
+    reset noise, read noise and offsets. Of normal levels of mean µ and deviation σ (DN), the fraction Φ((½ - µ)/σ) is at 0 DN.
+    Rounding and clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ) if σ is
+    many DN.
 
     white_e : mean electrons of the scene's white in this time
 
     spread_e, spread_dn : `dark_spread_e`
-    at_zero_fraction : of the dark pixels, those at 0 DN
-    too_bright_e : what the clip adds to the mean of a dark frame
-    of_display_white, lightness : the same as luminance over display white (at most 1) and as CIE L*, before the display clips
-        and rounds; black has 0, so L* is the ΔE of an even black area
+    at_zero_fraction : fraction of dark pixels at 0 DN
+    too_bright_e : increase of the mean of a dark frame
+    of_display_white, lightness : that increase as luminance over display white (at most 1) and as CIE L*, before the display
+        clips and rounds; L* is the ΔE of an even black area
     least_black_level_dn : `pixsim.sensor.least_black_level_dn`
 
     >>> from pixsim.pixel import derive
     >>> from pixsim.parameters import Pixel
-    >>> clip = dark_clip(derive(Pixel()), 0.03, white_e=5e4)  # no black level: half of the dark, σ of 209 e-
+    >>> clip = dark_clip(derive(Pixel()), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
     >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
     (0.54, 71, 15)
     """
@@ -380,7 +380,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
 
 
 def clipped_at_zero(mean_dn: Array, sigma_dn: Array) -> tuple[Array, Array]:
-    """P(0) of normal levels (n,) that are rounded and clipped at 0, and by how much the clip raises their mean (DN)."""
+    """Return P(0) of normal levels (n,) rounded and clipped at 0, and the increase of their mean (DN)."""
     sigma = np.maximum(sigma_dn, NO_NOISE_DN)
     reach = mean_dn / sigma
     excess = sigma * np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi) - mean_dn * ndtr(-reach)

@@ -344,7 +344,7 @@ def test_run_scene_without_white_meets_tolerance(tmp_path):
     source = edited(tmp_path, "macbeth", *WHITELESS)
     result = run(source, "-D resolution=32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
     assert "error_budget" in result
-    assert result["err"].count("does not tell its white") == 1
+    assert result["err"].count("does not define its white") == 1
 
 
 WHITELESS = (('<default name="white_cd_per_m2"', '<default name="unused_white"'),)

@@ -119,7 +119,7 @@ def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
     with warnings.catch_warnings(action="always"):
         code, out, err = command(line)
     assert code == 0, err
-    assert "warning: the study own has no [quick] table: it is done in full" in err
+    assert "warning: the study own has no [quick] table: running it in full" in err
     assert out.startswith("data sheet: ")
     assert len(read(tmp_path / "out/results.csv").splitlines()) == 1 + 5 * 2
     assert json.loads(read(tmp_path / "out/summary.json"))["irradiance"]["luminance_cd_per_m2"] == 50
@@ -269,18 +269,18 @@ def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
     ("options", "told"),
     [
         # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
-        ("", "cuts off dark noise: 72 % of dark pixels stand at 0 DN and darkness reads 0.93 e- too bright"),
+        ("", "clips dark noise: 72 % of dark pixels are at 0 DN, which raises the dark mean by 0.93 e-"),
         ("black_level_dn = 7", ""),
         # Offsets count: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
         (
             "black_level_dn = 7\noffset_fpn = 0.002",
-            "21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright",
+            "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-",
         ),
         ("black_level_dn = 50\noffset_fpn = 0.002", ""),
         # So do kTC and offsets of a process.
-        ('technology = "0.35um"', "pixel.black_level_dn = 15 keeps it"),
+        ('technology = "0.35um"', "set pixel.black_level_dn = 15 to avoid this"),
         ('technology = "0.35um"\nblack_level_dn = 15', ""),
-        ("offset_fpn = 0.2", "to keep it takes more bits (pixel.bits)"),
+        ("offset_fpn = 0.2", "avoiding this takes more bits (pixel.bits)"),
     ],
 )
 def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, tmp_path: Path) -> None:
@@ -293,7 +293,7 @@ def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, t
     assert len(notes) == bool(told)
     assert out.startswith("mean ΔE ")
     page = read(tmp_path / "out/report.html")
-    assert ("cuts off dark noise" in page) == bool(told)
+    assert ("clips dark noise" in page) == bool(told)
     if told:
         assert told in notes[0]
         assert notes[0] in page
@@ -318,14 +318,14 @@ bits = 14
         assert code == 0, err
         told = [line for line in out.splitlines() if line.startswith("note: ")]
         page = read(tmp_path / "out/report.html")
-        assert len(told) == notes == page.count("cuts off dark noise")
+        assert len(told) == notes == page.count("clips dark noise")
         curves = json.loads(read(tmp_path / "out/summary.json"))["curves"]
         for line, curve in zip(told, curves, strict=bool(notes)):
             dark = curve["dark"]
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"
-            assert line.startswith(f"note: {curve['technology']}: a black level of 0 DN cuts off dark noise {where}: ")
+            assert line.startswith(f"note: {curve['technology']}: the black level of 0 DN clips dark noise {where}: ")
             assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
-            assert line.endswith(f"pixel.black_level_dn = {max(dark['least_black_level_dn'])} keeps it")
+            assert line.endswith(f"set pixel.black_level_dn = {max(dark['least_black_level_dn'])} to avoid this")
             assert f"<p>{line.removeprefix('note: ')}." in page
         assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())
 

@@ -46,7 +46,7 @@ def chart_run(resolution: int, spp: int | None = None) -> dict[str, float]:
         rendered = time.perf_counter()
         chain = make_imaging_chain(image, camera, pixel, exposure, pixsim.Display())
         prepared = time.perf_counter()
-        chain.score("growth")
+        chain.simulate("growth")
         seconds = {
             "plan": planned - start,
             "render": rendered - planned,

@@ -153,7 +153,7 @@ def targets() -> None:
     light = prepare_scene(film, CAMERA, physics, DISPLAY)
     chain = chain_at_pitch(light, physics, EXPOSURE)
     shape, signal = chain.signal_e_per_s.shape, chain.signal_e_per_s
-    frame = chain.score(0).frame
+    frame = chain.simulate(0).frame
     white_e = chain.white_e_per_s * frame.integration_s
 
     def noise() -> None:
@@ -165,7 +165,7 @@ def targets() -> None:
     row("display of a frame, 512² on 512 dots", None, show, partial(plain_display, frame.electrons, DISPLAY.dots))
 
     def evaluation() -> None:
-        chain_at_pitch(light, physics, EXPOSURE).score(1).statistics()
+        chain_at_pitch(light, physics, EXPOSURE).simulate(1).statistics()
 
     plain = partial(plain_evaluation, chain, frame.mean_e, white_e, frame.integration_s)
     row("sense, display, score of a 512² frame", 0.08, evaluation, plain)
@@ -174,7 +174,7 @@ def targets() -> None:
 def unavoidable(chain: ImagingChain) -> dict[str, float]:
     """Seconds of random numbers, transforms and cube roots of one evaluation."""
     p, rng = chain.physics, np.random.default_rng(0)
-    mean_e = chain.score(0).frame.mean_e
+    mean_e = chain.simulate(0).frame.mean_e
     dots = chain.screen.ideal.shape
     grey, planes = empty_planes(*dots), empty_planes(3, *dots)
     grey[...] = planes[...] = chain.screen.ideal
@@ -195,7 +195,7 @@ def parts() -> None:
     for pitch_um in PITCHES_UM:
         chain = chain_at_pitch(light, derive(Pixel(pitch_um=pitch_um)), EXPOSURE)
         seconds = unavoidable(chain)
-        whole, sum_ = median_s(lambda chain=chain: chain.score(1).statistics(), 21), sum(seconds.values())
+        whole, sum_ = median_s(lambda chain=chain: chain.simulate(1).statistics(), 21), sum(seconds.values())
         text = ", ".join(f"{name} {1e3 * time_s:.1f}" for name, time_s in seconds.items())
         print(f"{pitch_um:15.1f} µm: {1e3 * whole:8.1f} {1e3 * sum_:8.1f} {whole / sum_:6.2f}  {text}", flush=True)
 

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/study_engine.py [--repeats 2000] [--scheduler tcp://host:8786]
 
-The work is `ImagingChain.score(...).statistics()` in a loop in this process. The overhead is the study's additional time per
+The work is `ImagingChain.simulate(...).statistics()` in a loop in this process. The overhead is the study's additional time per
 evaluation: keys, tasks, workers, frames and rows, and the start of the processes.
 """
 
@@ -21,7 +21,7 @@ from helpers.timing import seconds_of
 import pixsim
 from pixsim.studies.evaluations import chain_at, light_of, stream_key
 from pixsim.studies.study import render_for
-from pixsim.viewer.score import Lights
+from pixsim.viewer.score import SceneCache
 
 PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
 TIMED = 100  # evaluations of each pitch, to time the work
@@ -43,13 +43,13 @@ def small_study(repeats: int) -> pixsim.Study:
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
     irradiance, camera = render_for(study)
-    light = light_of(study, Lights(irradiance, camera, study.display), "0.35um")
+    light = light_of(study, SceneCache(irradiance, camera, study.display), "0.35um")
 
     def evaluations() -> None:
         for pitch_um in PITCHES_UM:
             chain = chain_at(study, light, camera, "0.35um", pitch_um)
             for repeat in range(TIMED):
-                chain.score(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
+                chain.simulate(*stream_key(study, "0.35um", pitch_um, repeat)).statistics()
 
     return seconds_of(evaluations) / (TIMED * len(PITCHES_UM))
 

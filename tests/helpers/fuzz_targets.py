@@ -78,7 +78,7 @@ def rows(path: Path) -> None:
 def read_rows(path: Path) -> object:
     ledger = ResultsFile(path)
     ledger.read()
-    return ledger.begin(lambda row: row["key"] == "key1" and float(row["pitch_um"]) == 1.5)
+    return ledger.resume(lambda row: row["key"] == "key1" and float(row["pitch_um"]) == 1.5)
 
 
 def read_picture(path: Path) -> object:

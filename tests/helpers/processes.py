@@ -10,18 +10,18 @@ HANG_S = 600
 SIGNALLED = """
 import signal
 from pixsim.cli import command
-from pixsim.viewer.score import Bench
+from pixsim.viewer.score import ImagingChain
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-view, begun = Bench.view, []
+score_frame, begun = ImagingChain.score_frame, []
 
 def counted(self, frame):
     begun.append(frame)
     if len(begun) == {count}:
         signal.raise_signal({signal})
-    return view(self, frame)
+    return score_frame(self, frame)
 
-Bench.view = counted
+ImagingChain.score_frame = counted
 command()
 """
 

@@ -1,4 +1,4 @@
-"""The figures: what is drawn is what stands in the table, and both are the same bytes each time."""
+"""Figures: the drawn values equal their tables, and both are reproducible byte for byte."""
 
 from __future__ import annotations
 
@@ -36,13 +36,8 @@ OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}
 
 
 @pytest.fixture(scope="module")
-def result(tiny_result: StudyResult) -> StudyResult:
-    return tiny_result
-
-
-@pytest.fixture(scope="module")
-def evidence(result: StudyResult) -> Evidence:
-    return Evidence(result, {curve.technology: curve for curve in result.curves})
+def evidence(tiny_result: StudyResult) -> Evidence:
+    return Evidence(tiny_result, {curve.technology: curve for curve in tiny_result.curves})
 
 
 def optimum(size_um: float, least: float, inside: bool = True) -> Optimum:
@@ -95,7 +90,7 @@ def saved(plates: dict[str, Plate]) -> dict[str, str]:
     return {name: svg_text(plate.figure) for name, plate in plates.items()}
 
 
-def test_the_paper_s_figures_come_in_its_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
+def test_paper_plates_are_in_order(evidence: Evidence, plates: dict[str, Plate]) -> None:
     names = [plate.name for plate in paper_plates(evidence)]
     numbered = [name.split("_")[1] for name in names if name.startswith("figure_")]
     assert numbered == ["2a", "2b", "4", "5", "6"]
@@ -112,7 +107,7 @@ WITHOUT_UNIT = re.compile(
 )
 
 
-def test_every_table_is_whole_and_names_its_units(plates: dict[str, Plate]) -> None:
+def test_plate_csv_is_complete_with_units(plates: dict[str, Plate]) -> None:
     for name, plate in plates.items():
         header, *rows = csv.reader(io.StringIO(plate.csv))
         assert header == list(plate.table)
@@ -127,7 +122,7 @@ def test_every_table_is_whole_and_names_its_units(plates: dict[str, Plate]) -> N
                 assert not np.isnan(read).any()
 
 
-def test_columns_of_unequal_length_are_not_written() -> None:
+def test_plate_csv_unequal_columns_raise() -> None:
     with pytest.raises(ValueError, match="shorter"):
         _ = Plate("odd", "", new_figure(1, 1), {"a": [1.0, 2.0], "b": [1.0]}).csv
 
@@ -145,8 +140,8 @@ def is_drawn(plate: Plate, x: np.ndarray, y: np.ndarray, panel: int = 0) -> bool
     return any(len(a) == len(x) and np.array_equal(a, x) and np.array_equal(b, y) for a, b in lines(plate, panel))
 
 
-def test_figure_2a_is_equations_1_and_2(result: StudyResult) -> None:
-    plate = figure_2a(result)
+def test_figure_2a_draws_equations(tiny_result: StudyResult) -> None:
+    plate = figure_2a(tiny_result)
     pitch_um = column(plate, "pitch_um")
     assert pitch_um[[0, -1]] == pytest.approx([5.3, 15.0])
     for capacitance in ("paper", "mosis"):
@@ -157,15 +152,15 @@ def test_figure_2a_is_equations_1_and_2(result: StudyResult) -> None:
     assert growth_exponent(pitch_um, column(plate, "dr_paper_db")) == pytest.approx(1.2, abs=0.05)
 
 
-def test_figure_2b_is_the_system_mtf_up_to_83_lp_per_mm(result: StudyResult) -> None:
-    plate = figure_2b(result)
+def test_figure_2b_draws_system_mtf(tiny_result: StudyResult) -> None:
+    plate = figure_2b(tiny_result)
     relative = column(plate, "frequency_over_6um_nyquist")
     assert relative[[0, -1]] == pytest.approx([0, 1])
     curves = []
     for pitch_um in (6, 8, 10, 12):
-        physics = pixsim.derive(pixel_of(result.study, "0.35um", pitch_um))
+        physics = pixsim.derive(pixel_of(tiny_result.study, "0.35um", pitch_um))
         mtf = column(plate, f"mtf_{pitch_um}um")
-        np.testing.assert_allclose(mtf, system_mtf(result, physics, relative * 1e3 / 12), rtol=1e-12)
+        np.testing.assert_allclose(mtf, system_mtf(tiny_result, physics, relative * 1e3 / 12), rtol=1e-12)
         assert is_drawn(plate, relative, mtf)
         curves.append(mtf)
     assert (np.diff(curves, axis=0)[:, 1:] < 0).all(), "a larger photodiode blurs more"
@@ -174,9 +169,9 @@ def test_figure_2b_is_the_system_mtf_up_to_83_lp_per_mm(result: StudyResult) -> 
 TERMS = ("lens", "photodiode", "interpolation", "dot")
 
 
-def test_figure_2b_draws_every_term_and_their_product(result: StudyResult) -> None:
+def test_figure_2b_draws_terms_and_product(tiny_result: StudyResult) -> None:
     """At the Nyquist frequency of 6.5 µm pixels the linear interpolation leaves (2/π)²; a dot here is 2713.6/120 µm."""
-    plate = figure_2b(result)
+    plate = figure_2b(tiny_result)
     frequency = column(plate, "frequency_lp_per_mm")
     assert frequency[[0, -1]] == pytest.approx([0, 1e3 / 12])
     terms = {name: column(plate, f"{name}_mtf_6.5um") for name in TERMS}
@@ -184,18 +179,18 @@ def test_figure_2b_draws_every_term_and_their_product(result: StudyResult) -> No
     for values in (*terms.values(), shown):
         assert is_drawn(plate, frequency, values, panel=1)
     np.testing.assert_allclose(shown, np.prod(list(terms.values()), axis=0), rtol=1e-12)
-    physics = pixsim.derive(pixel_of(result.study, "0.35um", 6.5))
-    np.testing.assert_allclose(terms["lens"] * terms["photodiode"], system_mtf(result, physics, frequency), rtol=1e-12)
+    physics = pixsim.derive(pixel_of(tiny_result.study, "0.35um", 6.5))
+    np.testing.assert_allclose(terms["lens"] * terms["photodiode"], system_mtf(tiny_result, physics, frequency), rtol=1e-12)
     # Drawn lines between 101 points of a curve whose second derivative is at most 5e-4 mm²: 5e-5.
     assert np.interp(1e3 / 13, frequency, terms["interpolation"]) == pytest.approx((2 / np.pi) ** 2, abs=1e-4)
     np.testing.assert_allclose(terms["dot"], np.abs(np.sinc(frequency * 1e-3 * DIE_MM * 1e3 / 120)), atol=1e-9)
 
 
-def test_a_display_of_one_dot_a_pixel_blurs_nothing(result: StudyResult) -> None:
-    display = result.study.display.model_copy(update={"raster": "one_to_one"})
-    as_is = replace(result, study=result.study.model_copy(update={"display": display}))
+def test_figure_2b_one_to_one_has_no_display_terms(tiny_result: StudyResult) -> None:
+    display = tiny_result.study.display.model_copy(update={"raster": "one_to_one"})
+    as_is = replace(tiny_result, study=tiny_result.study.model_copy(update={"display": display}))
     assert not {name for name in figure_2b(as_is).table if name.startswith(("interpolation", "dot"))}
-    plate = light_against_detail(as_is, result.curves[0])
+    plate = light_against_detail(as_is, tiny_result.curves[0])
     np.testing.assert_allclose(column(plate, "shown_mtf50_lp_per_mm"), column(plate, "mtf50_lp_per_mm"), rtol=1e-12)
 
 
@@ -207,18 +202,18 @@ def test_a_display_of_one_dot_a_pixel_blurs_nothing(result: StudyResult) -> None
         ("delta_e_by_frequency_and_contrast", "contrast", 118, (8, 6)),
     ],
 )
-def test_coarse_tables_keep_the_mean_of_their_picture(
+def test_coarse_table_conserves_mean(
     name: str, index: str, dots: int, cells: tuple[int, int], plates: dict[str, Plate], evidence: Evidence
 ) -> None:
-    """Cells of one or two dots, or of 14 or 15 by 19 or 20, so that their own sum is weighed by their sizes."""
+    """Cells of one or two dots, or of 14 or 15 by 19 or 20, so the sum is weighted by their sizes."""
     picture = evidence.result.irradiance.illuminance_lx() if name == "figure_4_scene" else evidence.maps[8.0]
-    table = np.stack([column(plates[name], each) for each in plates[name].table if each != index], axis=1)
+    table = np.stack([column(plates[name], item) for item in plates[name].table if item != index], axis=1)
     assert table.shape == cells
-    sizes = [[each.size for each in np.array_split(np.arange(dots), parts)] for parts in cells]
+    sizes = [[item.size for item in np.array_split(np.arange(dots), parts)] for parts in cells]
     assert (table * np.outer(*sizes)).sum() / dots**2 == pytest.approx(picture.mean(), rel=1e-12)
 
 
-def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evidence: Evidence) -> None:
+def test_figure_6_points_lie_on_level(plates: dict[str, Plate], evidence: Evidence) -> None:
     plate = plates["figure_6_iso_delta_e"]
     pitch_um, frequency, contrast = (column(plate, name) for name in ("pitch_um", "frequency_lp_per_mm", "contrast"))
     assert set(pitch_um) <= {5.3, 6.0, 8.0, 15.0}
@@ -236,27 +231,25 @@ def test_the_points_of_figure_6_lie_on_the_level(plates: dict[str, Plate], evide
     np.testing.assert_allclose(level, TINY["iso_delta_e"], rtol=0.02)
 
 
-def test_light_and_detail_are_bought_with_each_other(plates: dict[str, Plate], result: StudyResult) -> None:
+def test_light_against_detail_values(plates: dict[str, Plate], tiny_result: StudyResult) -> None:
     plate = plates["light_against_detail"]
     mtf50, mpe30 = column(plate, "mtf50_lp_per_mm"), column(plate, "mpe30_lx_s")
     assert column(plate, "pitch_um").tolist() == PITCHES_UM
     assert (np.diff(mtf50) < 0).all()
     assert (np.diff(mpe30) < 0).all()
-    physics = pixsim.derive(pixel_of(result.study, "0.35um", 7.0))
-    assert mtf50[2] == pytest.approx(mtf50_cy_per_mm(result, physics), rel=1e-12)
+    physics = pixsim.derive(pixel_of(tiny_result.study, "0.35um", 7.0))
+    assert mtf50[2] == pytest.approx(mtf50_cy_per_mm(tiny_result, physics), rel=1e-12)
     shown50 = column(plate, "shown_mtf50_lp_per_mm")
     # MTF50 is read off lines between frequencies 0.01 lp/mm apart: far less than 1e-6 off.
     for at, mtf in ((mtf50[2], system_mtf), (shown50[2], shown_mtf)):
-        assert mtf(result, physics, np.array(at)) == pytest.approx(0.5, abs=1e-6)
+        assert mtf(tiny_result, physics, np.array(at)) == pytest.approx(0.5, abs=1e-6)
     assert (shown50 < mtf50).all()
     for values in (mtf50, shown50):
         assert is_drawn(plate, np.array(PITCHES_UM), values)
-    assert mpe30[2] == pytest.approx(mpe30_lx_s(result, physics), rel=1e-12)
+    assert mpe30[2] == pytest.approx(mpe30_lx_s(tiny_result, physics), rel=1e-12)
 
 
-def test_light_against_detail_draws_what_each_term_leaves_at_the_chart_s_highest_frequency(
-    plates: dict[str, Plate], result: StudyResult
-) -> None:
+def test_light_against_detail_draws_terms(plates: dict[str, Plate], tiny_result: StudyResult) -> None:
     plate = plates["light_against_detail"]
     terms = [column(plate, f"{name}_mtf_at_33.3_lp_per_mm") for name in TERMS]
     shown = column(plate, "shown_mtf_at_33.3_lp_per_mm")
@@ -265,31 +258,31 @@ def test_light_against_detail_draws_what_each_term_leaves_at_the_chart_s_highest
         assert is_drawn(plate, np.array(PITCHES_UM), values, panel=1)
     np.testing.assert_allclose(terms[2], np.sinc(np.array(PITCHES_UM) / 30) ** 2, rtol=1e-12)  # f p at 1000/30 lp/mm
     assert np.ptp(terms[0]) == np.ptp(terms[3]) == 0, "neither the lens nor the dots know the pixel"
-    light = result.irradiance
+    light = tiny_result.irradiance
     header = light.header | {"scene": "mine.xml"}
     mine = SpectralImage(light.wavelength_nm, light.band_width_nm, light.pitch_um, factors=light.factors, header=header)
-    elsewhere = replace(result, irradiance=mine)
-    curve = result.curves[0]
+    elsewhere = replace(tiny_result, irradiance=mine)
+    curve = tiny_result.curves[0]
     nyquist = 1e3 / (2 * curve.optimum.pitch_um)
     assert f"lens_mtf_at_{nyquist / 2:.3g}_lp_per_mm" in light_against_detail(elsewhere, curve).table
 
 
-def test_the_line_is_proportional_to_technology_through_the_largest(plates: dict[str, Plate]) -> None:
+def test_optimum_against_technology_values(plates: dict[str, Plate]) -> None:
     plate = plates["optimum_against_technology"]
     feature_um = column(plate, "feature_size_um")
     assert feature_um.tolist() == sorted(OPTIMA_UM)
-    assert column(plate, "optimum_um").tolist() == [OPTIMA_UM[each] for each in feature_um]
+    assert column(plate, "optimum_um").tolist() == [OPTIMA_UM[item] for item in feature_um]
     np.testing.assert_allclose(column(plate, "proportional_um"), feature_um * 8.8 / 0.5, rtol=1e-12)
     np.testing.assert_allclose(column(plate, "optimum_features"), column(plate, "optimum_um") / feature_um, rtol=1e-12)
     assert is_drawn(plate, feature_um, column(plate, "proportional_um"))
     # From 2 % below to 5 % above.
     reach = [np.ptp([y for _, y in bar]) for group in plate.figure.axes[0].collections for bar in group.get_segments()]
-    sizes = np.array([OPTIMA_UM[each] for each in feature_um])
+    sizes = np.array([OPTIMA_UM[item] for item in feature_um])
     np.testing.assert_allclose(sorted(reach), sorted(0.07 * sizes), rtol=1e-9)
 
 
-def test_the_table_of_a_curve_is_the_study_s(plates: dict[str, Plate], result: StudyResult) -> None:
-    curve = result.curves[0]
+def test_curve_table_matches_study(plates: dict[str, Plate], tiny_result: StudyResult) -> None:
+    curve = tiny_result.curves[0]
     for plate in (plates["delta_e_against_pitch"], plates["other_statistics"]):
         assert column(plate, "pitch_um").tolist() == PITCHES_UM
         np.testing.assert_allclose(column(plate, "mean_delta_e"), curve.delta_e.mean(axis=1), rtol=1e-12)
@@ -307,7 +300,7 @@ def texts_of(plate: Plate) -> dict[str, tuple[float, float]]:
     """Text -> its place in px, across and up."""
     axes = plate.figure.axes[0]
     plate.figure.draw_without_rendering()
-    boxes = {each.get_text(): each.get_window_extent() for each in axes.texts}
+    boxes = {item.get_text(): item.get_window_extent() for item in axes.texts}
     return {text: ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2) for text, box in boxes.items()}
 
 
@@ -319,39 +312,39 @@ def curve_with(result: StudyResult, mean: Sequence[float], best: Optimum) -> Stu
 
 
 @pytest.mark.parametrize("least", [0.02, 0.6])
-def test_noise_is_on_the_side_of_small_pixels_and_the_best_over_the_axis(result: StudyResult, least: float) -> None:
-    found = curve_with(result, [1.0, 0.8, least, least, 0.7, 0.9], optimum(7.5, least))
-    plate = delta_e_against_pitch(found, found.curves)
+def test_delta_e_against_pitch_labels(tiny_result: StudyResult, least: float) -> None:
+    actual = curve_with(tiny_result, [1.0, 0.8, least, least, 0.7, 0.9], optimum(7.5, least))
+    plate = delta_e_against_pitch(actual, actual.curves)
     places, axes = texts_of(plate), plate.figure.axes[0]
     assert set(places) == {"← more noise", "more blur →", "best: 7.50 µm"}
     assert places["← more noise"][0] < places["best: 7.50 µm"][0] < places["more blur →"][0]
     low_px, high_px = (axes.transData.transform((7.5, at))[1] for at in axes.get_ylim())
-    (label,) = (each for each in axes.texts if each.get_text().startswith("best"))
-    words, foot = (each.get_window_extent() for each in (label, next(other for other in axes.texts if other is not label)))
+    (label,) = (item for item in axes.texts if item.get_text().startswith("best"))
+    words, foot = (item.get_window_extent() for item in (label, next(other for other in axes.texts if other is not label)))
     assert low_px < words.y0 < words.y1 < high_px
     assert words.y0 > foot.y1, "over the words at the foot"
-    assert [each.get_text() for each in axes.get_legend().get_texts()] == ["0.35um: 7.50 µm (95 %: 7.35 to 7.88 µm)"]
+    assert [item.get_text() for item in axes.get_legend().get_texts()] == ["0.35um: 7.50 µm (95 %: 7.35 to 7.88 µm)"]
 
 
-def test_without_an_optimum_nothing_is_said_of_its_sides(result: StudyResult) -> None:
-    found = curve_with(result, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], optimum(15.0, 0.5, inside=False))
-    plate = delta_e_against_pitch(found, found.curves)
+def test_delta_e_against_pitch_without_optimum_has_no_labels(tiny_result: StudyResult) -> None:
+    actual = curve_with(tiny_result, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], optimum(15.0, 0.5, inside=False))
+    plate = delta_e_against_pitch(actual, actual.curves)
     assert texts_of(plate) == {}
-    assert [each.get_text() for each in plate.figure.axes[0].get_legend().get_texts()] == ["0.35um"]
+    assert [item.get_text() for item in plate.figure.axes[0].get_legend().get_texts()] == ["0.35um"]
 
 
 @pytest.mark.parametrize(("fill_factor", "there"), [((0.05, 0.73), True), ((0.712, 0.788), False), ((1.0, 1.0), False)])
-def test_an_axis_of_fill_factors_has_marks(result: StudyResult, fill_factor: tuple[float, float], there: bool) -> None:
-    curve = replace(result.curves[0], fill_factor=np.linspace(*fill_factor, 6))
-    (axes,) = delta_e_against_pitch(result, [curve]).figure.axes
+def test_fill_factor_axis_has_ticks(tiny_result: StudyResult, fill_factor: tuple[float, float], there: bool) -> None:
+    curve = replace(tiny_result.curves[0], fill_factor=np.linspace(*fill_factor, 6))
+    (axes,) = delta_e_against_pitch(tiny_result, [curve]).figure.axes
     assert len(axes.child_axes) == there
-    assert all(each.get_xlabel() == "fill factor (%)" and len(each.get_xticks()) > 3 for each in axes.child_axes)
+    assert all(item.get_xlabel() == "fill factor (%)" and len(item.get_xticks()) > 3 for item in axes.child_axes)
 
 
-def test_the_darkest_bars_are_told_of_the_chart_that_has_them(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "darkest bars" in other_statistics(result, result.curves[0]).caption
-    monkeypatch.setitem(result.irradiance.header, "scene", "still_life.xml")
-    assert "darkest bars" not in other_statistics(result, result.curves[0]).caption
+def test_other_statistics_caption_by_chart(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "darkest bars" in other_statistics(tiny_result, tiny_result.curves[0]).caption
+    monkeypatch.setitem(tiny_result.irradiance.header, "scene", "still_life.xml")
+    assert "darkest bars" not in other_statistics(tiny_result, tiny_result.curves[0]).caption
 
 
 # --- axes -------------------------------------------------------------------------------------------------------------
@@ -365,31 +358,31 @@ def axes_for(width: int, height: int, pitch_um: float, header: dict[str, object]
 
 
 @pytest.mark.parametrize("die_mm", [DIE_MM, 1.0, 5.0])
-def test_frequencies_stand_where_the_chart_has_them(die_mm: float) -> None:
-    """The chart runs from f0 = 1 to f1 = 33.3 lp/mm over its own 2.7136 mm: x/width = ln(f/f0)/ln(f1/f0)."""
+def test_picture_axes_csf_frequencies(die_mm: float) -> None:
+    """The chart runs from f0 = 1 to f1 = 33.3 lp/mm over its 2.7136 mm: x/width = ln(f/f0)/ln(f1/f0)."""
     axes = axes_for(64, 64, 1e3 * die_mm / 64, {"scene": "csf.xml"})
     lowest, highest = DIE_MM / die_mm, DIE_MM / die_mm * 100 / 3
-    told = [label.get_text() for label in axes.get_xticklabels()]
-    assert told[0] == f"{lowest:.3g}"
-    assert told[-1] == f"{highest:.3g}"
-    assert len(told) >= 5
-    expected = np.log(np.array(told, float) / lowest) / np.log(highest / lowest) * die_mm
+    message = [label.get_text() for label in axes.get_xticklabels()]
+    assert message[0] == f"{lowest:.3g}"
+    assert message[-1] == f"{highest:.3g}"
+    assert len(message) >= 5
+    expected = np.log(np.array(message, float) / lowest) / np.log(highest / lowest) * die_mm
     assert axes.get_xticks() == pytest.approx(expected, abs=1e-3 * die_mm)  # labels have three digits
     assert "lp/mm" in axes.get_xlabel()
 
 
-def test_contrasts_stand_where_the_chart_has_them() -> None:
+def test_picture_axes_csf_contrasts() -> None:
     """A hundredth of the largest contrast on top, 0.951 below, at equal ratios."""
     axes = axes_for(64, 64, 42.4, {"scene": "csf.xml"})
-    told = np.array([label.get_text() for label in axes.get_yticklabels()], float)
-    expected = (1 + np.log(told / (975 / 1025)) / np.log(100)) * 64 * 0.0424
+    message = np.array([label.get_text() for label in axes.get_yticklabels()], float)
+    expected = (1 + np.log(message / (975 / 1025)) / np.log(100)) * 64 * 0.0424
     assert axes.get_yticks() == pytest.approx(expected, abs=1e-3)
-    assert told[-1] == 0.951
+    assert message[-1] == 0.951
     assert axes.get_ylabel() == "contrast, (max − min) / (max + min)"
 
 
 @pytest.mark.parametrize("header", [{"scene": "flat.xml"}, {"scene": "csf.xml", "parameters": {"chart": "mine.exr"}}, {}])
-def test_other_pictures_are_labelled_by_position(header: dict[str, object]) -> None:
+def test_picture_axes_other_scene_shows_position(header: dict[str, object]) -> None:
     axes = axes_for(32, 16, 10.0, header)
     assert "mm" in axes.get_xlabel()
     assert "lp/mm" not in axes.get_xlabel()
@@ -397,7 +390,7 @@ def test_other_pictures_are_labelled_by_position(header: dict[str, object]) -> N
 
 
 @pytest.mark.parametrize(("die_mm", "texts"), [(2.7136, "0 0.5 1 1.5 2 2.5"), (6.0, "0 1 2 3 4 5 6"), (0.0119, "0 0.002 0.004")])
-def test_other_marks_are_round_numbers(die_mm, texts):
+def test_picture_axes_ticks_are_round(die_mm, texts):
     axes = picture_axes(SpectralImage([550.0], 10.0, 1e3 * die_mm / 16, data=np.ones((8, 16, 1))))
     across, down = axes.across, axes.down
     assert " ".join(text for _, text in across.ticks).startswith(texts)
@@ -410,11 +403,11 @@ def test_other_marks_are_round_numbers(die_mm, texts):
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def test_figures_are_the_same_bytes_each_time(evidence: Evidence, saved: dict[str, str]) -> None:
+def test_svg_text_is_reproducible(evidence: Evidence, saved: dict[str, str]) -> None:
     assert {name: svg_text(plate.figure) for name, plate in every_plate(evidence).items()} == saved
 
 
-def test_every_reference_in_a_figure_has_its_target(saved: dict[str, str]) -> None:
+def test_svg_text_references_have_targets(saved: dict[str, str]) -> None:
     for name, svg in saved.items():
         targets = re.findall(r'\bid="([^"]+)"', svg)
         assert len(set(targets)) == len(targets), f"{name}: an id stands twice"
@@ -425,7 +418,7 @@ def test_every_reference_in_a_figure_has_its_target(saved: dict[str, str]) -> No
         assert not re.search(r'id="[^"]*[0-9a-f]{10}"', svg), name
 
 
-def test_numbering_leaves_the_pictures_alone(saved: dict[str, str]) -> None:
+def test_svg_text_keeps_images(saved: dict[str, str]) -> None:
     seen = 0
     for name, svg in saved.items():
         for kind, data in re.findall(r'href="data:image/(\w+);base64,\s*([^"]+)"', svg):
@@ -435,18 +428,18 @@ def test_numbering_leaves_the_pictures_alone(saved: dict[str, str]) -> None:
     assert seen >= 8  # the scene, three pictures of either kind, the cells
 
 
-def test_named_lines_of_every_figure_are_told_apart_in_grey(evidence: Evidence) -> None:
-    """All that a legend names; a figure of one line has nothing to tell apart."""
+def test_plates_lines_differ_in_grey(evidence: Evidence) -> None:
+    """All lines named in a legend differ."""
     compared = 0
     for name, plate in every_plate(evidence).items():
-        handles = [each for axes in plate.figure.axes if axes.get_legend() for each in axes.get_legend().get_lines()]
-        looks = [grey_look(each) for each in handles]
+        handles = [item for axes in plate.figure.axes if axes.get_legend() for item in axes.get_legend().get_lines()]
+        looks = [grey_look(item) for item in handles]
         assert len(set(looks)) == len(looks), name
         compared += len(looks)
     assert compared > 15
 
 
-def test_every_axis_of_a_figure_is_labelled(evidence: Evidence) -> None:
+def test_plates_axes_have_labels(evidence: Evidence) -> None:
     for name, plate in every_plate(evidence).items():
         for axes in plate.figure.axes:
             label = axes.get_xlabel() + axes.get_ylabel()

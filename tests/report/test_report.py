@@ -1,4 +1,4 @@
-"""The report of a study: one file that opens offline, tells the optimum, and fits a telephone."""
+"""The report of a study: self-contained, consistent with summary.json, and readable on a phone."""
 
 import html
 import json
@@ -15,7 +15,7 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.report.merit import blur_words
-from pixsim.report.settings import Light
+from pixsim.report.settings import LightLevel
 from pixsim.report.study import plates_of_curves, write_report
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import label_of
@@ -38,7 +38,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StudyResult
         yield result, folder / "out"
 
 
-def test_the_report_is_one_file_that_opens_offline(made: tuple[StudyResult, Path]) -> None:
+def words_of(folder: Path) -> str:
+    return " ".join("".join(Elements(text_of(folder)).words).split())
+
+
+def test_write_report_is_self_contained(made: tuple[StudyResult, Path]) -> None:
     page = text_of(made[1])
     elements = Elements(page)
     assert elements.links
@@ -49,37 +53,36 @@ def test_the_report_is_one_file_that_opens_offline(made: tuple[StudyResult, Path
     assert str(made[1].parent) not in page, "a path of the machine it was made on"
 
 
-def test_words_from_files_stay_words(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_escapes_markup(made: tuple[StudyResult, Path]) -> None:
     """The title and a technology's name hold markup; a reader sees them letter by letter."""
-    words = "".join(Elements(text_of(made[1])).words)
-    assert words.count(TITLE) == 2  # <title> and <h1>
-    assert "<b>&process" in words
+    assert words_of(made[1]).count(TITLE) == 2  # <title> and <h1>
+    assert "<b>&process" in words_of(made[1])
 
 
-def test_the_report_tells_what_summary_json_holds(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_matches_summary(made: tuple[StudyResult, Path]) -> None:
     result = made[0]
-    words = " ".join("".join(Elements(text_of(made[1])).words).split())
+    words = words_of(made[1])
     for curve in json.loads((made[1] / "summary.json").read_text(encoding="utf-8"))["curves"]:
         best = curve["optimum"]
         assert best["inside"]
         physics = physics_of(result.study, curve["technology"], best["pitch_um"])
         blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
-        assert f"What blurs with {best['pitch_um']:.2f} µm pixels, {label_of(curve['technology'])}. {blur}" in words
+        assert f"Blur of {best['pitch_um']:.2f} µm pixels, {label_of(curve['technology'])}. {blur}" in words
         (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
         assert f"{best['pitch_um']:.2f} µm, 95 % interval {low:.2f} to {high:.2f} µm." in words
-        assert f"within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
+        assert f"Sizes within 1 % of its error: {from_um:.2f} to {to_um:.2f} µm." in words
         assert f"Mean ΔE there: {best['mean_delta_e']:.3f}" in words
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
             assert f"{pitch_um:.3f}" in words
             assert f"{delta_e:.4f}" in words
 
 
-def test_a_minimum_at_the_end_is_not_sold_as_the_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_write_report_minimum_at_end_is_not_best(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     curve = result.curves[0]
     at_the_end = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, inside=False, pitch_um=15.0)))
     write_report(replace(result, curves=(at_the_end,)), tmp_path, {})
-    words = " ".join("".join(Elements(text_of(tmp_path)).words).split())
+    words = words_of(tmp_path)
     assert "No best pixel size, 0.35um, between 5.30 and 15.00 µm" in words
     assert "Best pixel size" not in words
 
@@ -88,7 +91,7 @@ def figures(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in (folder / "figures").glob("*.svg")}
 
 
-def test_figures_are_the_same_bytes_each_time_and_undated(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_write_report_figures_are_reproducible(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result, folder = made
     write_report(result, tmp_path, {"render": 99.0})
     assert figures(folder) == figures(tmp_path)
@@ -97,15 +100,13 @@ def test_figures_are_the_same_bytes_each_time_and_undated(made: tuple[StudyResul
         assert not re.search(rb"\d{4}-\d\d-\d\dT\d\d", svg)
 
 
-def test_each_technology_has_its_own_pictures(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_has_pictures_per_technology(made: tuple[StudyResult, Path]) -> None:
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg", "pictures_<b>&process.svg"} <= figures(made[1]).keys()
     assert len(set(figures(made[1]).values())) == len(figures(made[1]))
     assert text_of(made[1]).count('src="data:image/svg+xml;') == len(figures(made[1]))
 
 
-def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
-    made: tuple[StudyResult, Path], tmp_path: Path
-) -> None:
+def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     paths = [tmp_path / folder / "mine.toml" for folder in ("first", "second")]
     for path in paths:
@@ -124,7 +125,7 @@ def test_processes_of_one_file_name_keep_their_own_files_and_no_page_has_a_path(
     assert str(tmp_path) not in page
 
 
-def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, Path]) -> None:
+def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> None:
     curve = made[0].curves[0]
     best = curve.optimum
     low, high = best.interval_um
@@ -138,46 +139,42 @@ def test_a_curve_without_an_optimum_says_so_in_a_line(made: tuple[StudyResult, P
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
 
 
-def words_of(folder: Path) -> str:
-    return " ".join("".join(Elements(text_of(folder)).words).split())
-
-
-def test_the_page_tells_how_bright_the_scene_was(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in result.curves])
     assert (times_s == 0.1).all(), "so dim that all frames take the longest that is allowed"
     assert "Light: display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(made[1])
     table = text_of(made[1]).partition("<caption>scene</caption>")[2].partition("</table>")[0]
     cells = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
-    told = {cell[0]: cell[1:] for cell in cells}
-    assert told["file"][0] == "csf.xml"
-    assert told["resolution"][0] == "96"
-    assert told["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
-    assert told["integration_s"][0] == "100 ms"
+    message = {cell[0]: cell[1:] for cell in cells}
+    assert message["file"][0] == "csf.xml"
+    assert message["resolution"][0] == "96"
+    assert message["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
+    assert message["integration_s"][0] == "100 ms"
     brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
     write_report(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
     assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)
     assert "display.white_cd_per_m2</td>" in text_of(tmp_path)
 
 
-def test_light_is_told_from_the_shortest_to_the_longest_frame(made: tuple[StudyResult, Path]) -> None:
+def test_light_level_exposure_range(made: tuple[StudyResult, Path]) -> None:
     irradiance, display = made[0].irradiance, made[0].study.display
-    assert str(Light.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
-    assert str(Light.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
+    assert str(LightLevel.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
+    assert str(LightLevel.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
 
 
 @pytest.mark.parametrize(("fraction", "noisy"), [(0.19, False), (0.2, False), (0.31, True)])
-def test_a_render_noisier_than_asked_is_told(
+def test_write_report_warns_of_noisy_render(
     made: tuple[StudyResult, Path], fraction: float, noisy: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = made[0]
     monkeypatch.setitem(result.irradiance.header, "render_noise", {"fraction": fraction, "target": 0.2})
     write_report(result, tmp_path)
-    told = f"The light itself is noisy: the render ended with {fraction:.2g} of the sensor's noise, where 0.2 was asked for."
-    assert (told in words_of(tmp_path)) == noisy
+    message = f"The render is noisier than requested: its noise is {fraction:.2g} of the sensor's, the target was 0.2."
+    assert (message in words_of(tmp_path)) == noisy
 
 
-def test_descriptions_are_written_for_readers(made: tuple[StudyResult, Path]) -> None:
+def test_write_report_descriptions_are_formatted(made: tuple[StudyResult, Path]) -> None:
     page = re.sub(r'"data:[^"]*"', "", text_of(made[1]))
     assert "`" not in page
     assert "<code>dots</code>" in page
@@ -193,7 +190,7 @@ SHEET = {
 }
 
 
-def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> None:
+def test_write_report_data_sheet_omits_process(tmp_path: Path) -> None:
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
     result = pixsim.study(tiny(**more), tmp_path, jobs=1)
     write_report(result, tmp_path)
@@ -202,8 +199,8 @@ def test_a_data_sheet_s_report_lists_nothing_of_a_process(tmp_path: Path) -> Non
     assert {"full_well_e", "bits", "white_cd_per_m2"} <= set(rows)
     assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"} & set(rows)
     assert "curve of 3 points, 400 to 700 nm" in words
-    assert "What the data sheet does not tell is taken as none." in words
-    assert "comes from the technology" not in words
+    assert "Noise and non-uniformities that the data sheet does not state are zero." in words
+    assert "come from the technology" not in words
     assert "ill factor" not in words
     assert "fill_factor_law" in text_of_a_process(tmp_path)
 
@@ -214,7 +211,7 @@ def text_of_a_process(folder: Path) -> str:
     return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
 
 
-def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_turn_it(tmp_path: Path) -> None:
+def test_write_report_paper_comparison(tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
     own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}
     result = pixsim.study(tiny(**own), tmp_path, jobs=1)
@@ -223,27 +220,27 @@ def test_a_comparison_with_the_paper_says_what_contradicts_it_and_what_would_tur
     assert "read literally, as a quantum efficiency: it peaks at 0.0415. The process 0.35um states 0.37 (A: measured" in words
     assert "add --pixel.response scaled --out FOLDER to the command" in words
     table = text_of(tmp_path).partition('<h2 id="paper">')[2].partition("</table>")[0]
-    found = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
-    assert "what would turn it" in table
-    assert f'<td rowspan="{len(found)}"><code>pixsim study chen2000-sensitivity</code>' in table
+    actual = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
+    assert "settings that change the verdict" in table
+    assert f'<td rowspan="{len(actual)}"><code>pixsim study chen2000-sensitivity</code>' in table
     assert "peaks at" not in text_of_a_process(tmp_path)
 
 
 @needs_browser
-def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    found = assert_fits(made[1] / "report.html", tmp_path)
-    assert_sliders_move(found, pictures=3)
-    for seen in found:
+def test_study_page_fits_screens(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    actual = assert_fits(made[1] / "report.html", tmp_path)
+    assert_sliders_move(actual, pictures=3)
+    for seen in actual:
         assert len(seen.tiles) == sum(1 + curve.pitch_um.size + 9 for curve in made[0].curves)
         assert {tuple(tile) for tile in seen.tiles} == {(94, 94, 94, 94)}
         assert seen.headings[0][1] == TITLE
 
 
 @needs_browser
-def test_it_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_page_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     best = made[0].curves[0].optimum
     page = text_of(made[1])
-    headings = [html.unescape(each) for each in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
+    headings = [html.unescape(item) for item in re.findall(r"<h[23][^>]*>(.*?)</h[23]>", page)]
     assert len(headings) > 8
-    told = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "What was assumed"]
-    assert_prints(made[1] / "report.html", tmp_path, range(8, 16), told, headings, [each for each in headings if ": " in each])
+    message = [TITLE, f"{best.pitch_um:.2f} µm, 95 % interval", "smallest, 5.30 µm", "largest, 15.00 µm", "Assumptions"]
+    assert_prints(made[1] / "report.html", tmp_path, range(8, 16), message, headings, [item for item in headings if ": " in item])

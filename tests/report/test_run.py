@@ -1,4 +1,4 @@
-"""`pixsim run` through the command: pictures made before or elsewhere; and the page of one picture, which opens alone."""
+"""`pixsim run` by the command line: saved and foreign pictures, and the self-contained page of one picture."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
 
 
 @pytest.mark.parametrize("lens", ["", LENS])
-def test_a_runs_irradiance_gives_its_score_again(rendered, lens, tmp_path):
+def test_run_saved_irradiance_same_score(rendered, lens, tmp_path):
     folder, before = rendered
     after, err = scored(f"run {folder / 'irradiance.exr'} {lens} {OPTIONS} --json --out {tmp_path / 'again'}")
     assert err == ""
@@ -57,14 +57,14 @@ def test_a_runs_irradiance_gives_its_score_again(rendered, lens, tmp_path):
     assert before["camera"]["f_number"] == 2.8
 
 
-def test_another_pixel_or_seed_gives_another_score(rendered, tmp_path):
+def test_run_other_pixel_or_seed_other_score(rendered, tmp_path):
     folder, before = rendered
     for option, other in (("--seed 3", "--seed 4"), ("--pixel.pitch-um 21.2", "--pixel.pitch-um 42.4")):
         after, _ = scored(f"run {folder / 'irradiance.exr'} {OPTIONS.replace(option, other)} --json --out {tmp_path}")
         assert after["mean_delta_e"] != before["mean_delta_e"]
 
 
-def test_an_npz_gives_the_same_score(rendered, tmp_path):
+def test_run_npz_same_score(rendered, tmp_path):
     """Its bands are at their centres: at 400 and 800 nm, where the response begins and ends, that is half a band too much."""
     folder, before = rendered
     write_npz(tmp_path / "picture.npz", pixsim.read_exr(folder / "irradiance.exr"))
@@ -73,20 +73,18 @@ def test_an_npz_gives_the_same_score(rendered, tmp_path):
     assert after["irradiance"]["luminance_cd_per_m2"] == pytest.approx(1000, rel=1e-5)  # d65 at the digits of emitter_scale
     electrons = after["mean_electrons_e"] / after["integration_s"]
     assert electrons == pytest.approx(before["mean_electrons_e"] / before["integration_s"], rel=1e-2)
-    # Other noise, and D65 as white where the file tells no lamp.
+    # Other noise, and D65 as white, since the file states no lamp.
     assert after["mean_delta_e"] == pytest.approx(before["mean_delta_e"], rel=0.02)
 
 
-def test_a_camera_from_the_file_has_the_pictures_die(rendered):
-    folder, _ = rendered
-    image, camera = read_with_camera(folder / "irradiance.exr", CameraOptions())
+def test_read_with_camera_takes_die_from_file(rendered):
+    image, camera = read_with_camera(rendered[0] / "irradiance.exr", CameraOptions())
     assert camera == pixsim.Camera(f_number=2.8)
     assert camera.die_mm == pytest.approx(image.pitch_um * 64 / 1e3)
 
 
-def test_another_lens_than_the_files_is_warned_of(rendered, tmp_path):
-    folder, _ = rendered
-    _, err = scored(f"run {folder / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}")
+def test_run_other_lens_warns(rendered, tmp_path):
+    _, err = scored(f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}")
     assert err.startswith("warning: the irradiance was rendered with another camera")
 
 
@@ -103,20 +101,20 @@ def foreign_exr(path: Path, units: str | None, light: float = 0.01) -> Path:
     return path
 
 
-def test_light_without_units_is_refused_with_the_way_to_state_them(tmp_path):
+def test_run_missing_units_raises(tmp_path):
     path = foreign_exr(tmp_path / "bare.exr", None)
     out = tmp_path / "out"
     assert_refused(*command(f"run {path} {OPTIONS} --out {out}"), ["bare.exr", "none in the file", "--units", "W.m^-2.nm^-1"])
     assert not out.exists()
     stated, err = scored(f"run {path} --units W.m^-2.nm^-1 {OPTIONS} --json --out {out}")
-    assert "the scene does not tell its white" in err
-    told, _ = scored(f"run {foreign_exr(path, 'W.m^-2.nm^-1')} {OPTIONS} --json --out {out}")
-    assert told["mean_electrons_e"] == stated["mean_electrons_e"]
+    assert "the scene does not define its white" in err
+    message, _ = scored(f"run {foreign_exr(path, 'W.m^-2.nm^-1')} {OPTIONS} --json --out {out}")
+    assert message["mean_electrons_e"] == stated["mean_electrons_e"]
     micro, _ = scored(f"run {foreign_exr(path, None, 1.0)} --units uW/cm^2/nm {OPTIONS} --json --out {out}")
     assert micro["mean_electrons_e"] == pytest.approx(stated["mean_electrons_e"], rel=1e-6)  # 1 µW/cm² is 0.01 W/m²
 
 
-def test_radiance_is_seen_through_the_lens(tmp_path):
+def test_run_radiance_passes_lens(tmp_path):
     path = foreign_exr(tmp_path / "seen.exr", "W.m^-2.sr^-1.nm^-1", 0.1)
     exposure = "--exposure.integration-s 1e-4"
     rates = [
@@ -129,26 +127,26 @@ def test_radiance_is_seen_through_the_lens(tmp_path):
     assert rates[0] / rates[1] == pytest.approx(expected, rel=5e-3)
 
 
-def test_the_white_of_a_picture_that_tells_none_is_measured(tmp_path):
+def test_run_unknown_white_is_measured(tmp_path):
     path = foreign_exr(tmp_path / "ramp.exr", "W.m^-2.sr^-1.nm^-1")
-    told, err = scored(f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}")
+    message, err = scored(f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}")
     image, camera = read_with_camera(path, CameraOptions())
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
     luminance = image.illuminance_lx() / pixsim.optics.field_factor(image.shape, image.pitch_um, *lens)
     white = float(f"{np.percentile(luminance, 99):.2g}")
-    assert told["irradiance"]["luminance_cd_per_m2"] == white
-    assert told["irradiance"]["white_from"] == "99th percentile"
+    assert message["irradiance"]["luminance_cd_per_m2"] == white
+    assert message["irradiance"]["white_from"] == "99th percentile"
     # 683.002 ∫ ȳ L of the ramp's light end, even over bands of 100 nm, within the two digits.
     fine_nm = NM[:, None] + np.linspace(-49.5, 49.5, 100)
     bands = 683.002 * 0.01 * float(pixsim.spectral.photopic_efficiency(fine_nm).sum())
     assert white == pytest.approx(bands, rel=0.06)
     assert err == (
-        f"warning: the scene does not tell its white: {white:g} cd/m² is taken, the 99th percentile of its luminance; "
-        f"set --display.white-cd-per-m2 {white:g} to keep it\n"
+        f"warning: the scene does not define its white: using {white:g} cd/m², the 99th percentile of its luminance; "
+        f"set --display.white-cd-per-m2 {white:g} to fix this value\n"
     )
     kept, err = scored(f"run {path} --display.white-cd-per-m2 {white:g} {OPTIONS} --json --out {tmp_path / 'out'}")
     assert err == ""
-    assert kept["mean_delta_e"] == told["mean_delta_e"]
+    assert kept["mean_delta_e"] == message["mean_delta_e"]
     assert "white_from" not in kept["irradiance"]
 
 
@@ -166,14 +164,14 @@ def test_the_white_of_a_picture_that_tells_none_is_measured(tmp_path):
         ("gone.npz", ["gone.npz"]),
     ],
 )
-def test_what_does_not_go_together_is_refused(rendered, line, wanted, tmp_path, monkeypatch):
+def test_run_conflicting_options_raise(rendered, line, wanted, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(*command("run " + line.format(exr=rendered[0] / "irradiance.exr") + " --out out"), wanted)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_holds_one_run(rendered, tmp_path):
-    """What an earlier run wrote and this one leaves out is not of these pictures; the light that they are of stays."""
+def test_run_removes_files_of_earlier_run(rendered, tmp_path):
+    """Files of an earlier run are removed, except the irradiance that was read."""
     folder, _ = rendered
     light = tmp_path / "irradiance.exr"
     light.write_bytes((folder / "irradiance.exr").read_bytes())
@@ -195,13 +193,13 @@ LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 -
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("ran") / "out"
-    code, told, err = command(f"{LINE} {out}")
+    code, message, err = command(f"{LINE} {out}")
     assert code == 0, err
-    assert told.splitlines()[0].endswith(f"report: {out / 'report.html'}")
+    assert message.splitlines()[0].endswith(f"report: {out / 'report.html'}")
     return out
 
 
-def test_it_tells_what_score_json_holds(ran: Path) -> None:
+def test_run_page_matches_score_json(ran: Path) -> None:
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
     page = " ".join(text_of(ran).split())
     assert f"<b>{score['mean_delta_e']:.3f}</b>" in page
@@ -210,8 +208,11 @@ def test_it_tells_what_score_json_holds(ran: Path) -> None:
     assert "256 × 256 pixels of 10.6 µm (0.35um) on 2.714 × 2.714 mm" in page
     assert "3.86 mm at f/4" in page
     assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
+    assert "display white is 1000 cd/m² in the scene; exposed for" in page
+    assert "<td>white_cd_per_m2</td><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>" in page
+    assert "<td>resolution</td><td>128</td>" in page
     assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
-    assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the lens leaves 0.9" in page  # tests/studies/test_paper.py
+    assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the MTF of the lens is 0.9" in page  # tests/studies/test_paper.py
 
 
 def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
@@ -222,8 +223,8 @@ def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
     return path
 
 
-def test_it_tells_where_the_largest_errors_are(tmp_path: Path) -> None:
-    """The detail of 112 dots a side with the largest mean, on the map beside the page; fine stripes are up on the right."""
+def test_run_page_locates_largest_errors(tmp_path: Path) -> None:
+    """The detail of 112 dots a side with the largest mean, on the ΔE map; fine stripes are up on the right."""
     y, x = np.indices((128, 128))
     light = light_file(tmp_path / "stripes.npz", 1 + ((x // 2) % 2) * (x > 80) * (y < 40), 10.0)
     camera = "--camera.die-mm 1.28 --display.dots 256 --pixel.pitch-um 15"
@@ -237,31 +238,26 @@ def test_it_tells_where_the_largest_errors_are(tmp_path: Path) -> None:
     assert top < 40 < 100 < left
     x_mm, y_mm = ((3 + at + 56) / 256 * 1.28 for at in (left, top))
     page = text_of(tmp_path / "out")
-    assert f"its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
+    assert f"Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
 
 
-def test_it_tells_how_to_look_at_it(ran: Path) -> None:
+def test_run_page_states_viewing_distance(ran: Path) -> None:
     page = " ".join(text_of(ran).split())
     distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
-    assert f"look at 100 % zoom, from where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots" in page
+    assert (
+        f"view it at 100 % zoom, at a distance where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots"
+        in page
+    )
     # `assert_sliders_move` meets the pictures on those sides.
-    assert "Left of the border the ideal image, right of it the sensor's picture." in page
+    assert "Left: the ideal image. Right: the sensor's picture." in page
     assert 'alt="The sensor\'s picture (10.6 µm pixels)"' in page
-
-
-def test_it_tells_how_bright_the_scene_was(ran: Path) -> None:
-    page = " ".join(text_of(ran).split())
-    assert "display white is 1000 cd/m² in the scene; exposed for" in page
-    told = "<td>white_cd_per_m2</td><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>"
-    assert told in page
-    assert "<td>resolution</td><td>128</td>" in page
 
 
 SHEET = "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-per-s 10 --pixel.quantum-efficiency 0.6"
 
 
-def test_a_picture_from_elsewhere_and_a_sensor_of_a_data_sheet(tmp_path: Path) -> None:
-    """The page names the file, and lists no setting of a process, nor a fill factor that nobody told."""
+def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
+    """The page names the file, and lists no setting of a process, nor a fill factor, which was not given."""
     y, x = np.indices((6, 3000))
     light_file(tmp_path / "mine.npz", 1 + (x // 50 + y) % 2, 1.5)
     sensor = f"--pixel.technology none {SHEET} --pixel.pitch-um 1.5 --display.dots 4096"
@@ -272,15 +268,15 @@ def test_a_picture_from_elsewhere_and_a_sensor_of_a_data_sheet(tmp_path: Path) -
     assert "Irradiance: read from mine.npz." in page
     assert str(tmp_path) not in page
     assert "(data sheet)" in page
-    assert "What the data sheet does not tell is taken as none." in page
-    assert "comes from the technology" not in page
+    assert "Noise and non-uniformities that the data sheet does not state are zero." in page
+    assert "come from the technology" not in page
     rows = set(re.findall(r"<tr><td>([^<]+)</td>", page))
     assert {"full_well_e", "technology"} <= rows
     assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law", "photodiode area over pixel area"} & rows
     assert "Each dot of the whole pictures is the mean of 4 × 4 dots of the display." in page
 
 
-def test_a_picture_of_few_dots_is_enlarged_by_a_whole_number(tmp_path: Path) -> None:
+def test_run_page_enlarges_small_picture(tmp_path: Path) -> None:
     line = f"run csf --variant scalar_spectral -D resolution=64 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
     assert command(line)[0] == 0
     page = text_of(tmp_path)
@@ -288,29 +284,29 @@ def test_a_picture_of_few_dots_is_enlarged_by_a_whole_number(tmp_path: Path) -> 
     assert "(each dot enlarged 6 ×)" in page
 
 
-def test_its_pictures_are_the_files_beside_it(ran: Path) -> None:
-    embedded = {base64.b64decode(each) for each in re.findall(r'src="data:image/png;base64,([^"]+)"', text_of(ran))}
+def test_run_page_embeds_written_pictures(ran: Path) -> None:
+    embedded = {base64.b64decode(item) for item in re.findall(r'src="data:image/png;base64,([^"]+)"', text_of(ran))}
     for name in ("ideal.png", "image.png", "delta_e.png"):
         assert (ran / name).read_bytes() in embedded
 
 
-def test_it_links_to_every_file_and_fetches_none(ran: Path) -> None:
+def test_run_page_links_every_file(ran: Path) -> None:
     page = text_of(ran)
     links = set(re.findall(r'href="([^"]+)"', page))
     assert links == {path.name for path in ran.iterdir()} - {"report.html"}
     assert links == {*FILES, "raw.png"}
-    assert all(each.startswith("data:") for each in re.findall(r'src="([^"]+)"', page))
+    assert all(item.startswith("data:") for item in re.findall(r'src="([^"]+)"', page))
     assert "<script" not in page
     assert str(ran.parent) not in page
 
 
-def test_it_is_the_same_bytes_each_time(ran: Path, tmp_path: Path) -> None:
+def test_run_page_is_reproducible(ran: Path, tmp_path: Path) -> None:
     assert command(f"{LINE} {tmp_path}")[0] == 0
     assert (tmp_path / "report.html").read_bytes() == (ran / "report.html").read_bytes()
 
 
 @pytest.mark.parametrize(("shape", "small"), [((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))])
-def test_a_long_thin_picture_is_shown_whole_along_its_short_side(shape: tuple[int, int], small: tuple[int, int]) -> None:
+def test_reduced_thin_picture(shape: tuple[int, int], small: tuple[int, int]) -> None:
     rng = np.random.default_rng(3)
     whole = rng.random(shape)
     shown = reduced(whole)
@@ -320,7 +316,7 @@ def test_a_long_thin_picture_is_shown_whole_along_its_short_side(shape: tuple[in
 
 
 @pytest.mark.parametrize(("shape", "factor"), [((1024, 1024), 1), ((1025, 8), 2), ((700, 3000), 3)])
-def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], factor: int, tmp_path: Path) -> None:
+def test_shown_picture_large_is_reduced(shape: tuple[int, int], factor: int, tmp_path: Path) -> None:
     assert factor_for(np.zeros(shape)) == factor
     rng = np.random.default_rng(2)
     small = rng.random([n // factor for n in shape])
@@ -338,18 +334,18 @@ def test_large_pictures_are_shown_in_means_of_dots(shape: tuple[int, int], facto
 
 
 @needs_browser
-def test_a_browser_shows_it_on_a_telephone_and_on_a_desk(ran: Path, tmp_path: Path) -> None:
-    found = assert_fits(ran / "report.html", tmp_path)
-    assert_sliders_move(found, pictures=1)
-    for seen in found:
+def test_run_page_fits_screens(ran: Path, tmp_path: Path) -> None:
+    actual = assert_fits(ran / "report.html", tmp_path)
+    assert_sliders_move(actual, pictures=1)
+    for seen in actual:
         assert len(seen.tiles) == 3
         assert {tuple(tile) for tile in seen.tiles} == {(112,) * 4}
 
 
 @needs_browser
-def test_it_prints(ran: Path, tmp_path: Path) -> None:
+def test_run_page_prints(ran: Path, tmp_path: Path) -> None:
     headings = re.findall(r"<h2>(.*?)</h2>", text_of(ran))
     assert len(headings) == 6
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
-    told = [f"Mean ΔE {score['mean_delta_e']:.3f}", "score.json", "10.6 µm pixels"]
-    assert_prints(ran / "report.html", tmp_path, range(3, 6), told, headings, headings[:3])
+    message = [f"Mean ΔE {score['mean_delta_e']:.3f}", "score.json", "10.6 µm pixels"]
+    assert_prints(ran / "report.html", tmp_path, range(3, 6), message, headings, headings[:3])

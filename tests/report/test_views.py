@@ -1,4 +1,4 @@
-"""What people see: details at 1:1, chosen where the errors are, of the same pictures that were scored."""
+"""Pictures of a study: details at 1:1 of the scored pictures, where the errors are large."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError
 from pixsim.report import views
 from pixsim.report.pictures import crops
-from pixsim.report.views import best_place, called, detail_at, study_views
+from pixsim.report.views import best_place, detail_at, rank, study_views
 from pixsim.show import pictures as details
 from pixsim.show.pictures import (
     COLUMNS,
@@ -40,11 +40,6 @@ from pixsim.studies.result import StudyResult
 WHOLE = Window(0.0, 0.0, 1.0, 1.0)
 
 
-@pytest.fixture(scope="module")
-def result(tiny_result: StudyResult) -> StudyResult:
-    return tiny_result
-
-
 def decoded(png: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(png)))
 
@@ -53,7 +48,7 @@ def decoded(png: bytes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", [(512, 512), (300, 200), (112, 500), (40, 64), (1, 9)])
-def test_details_are_square_and_reach_every_dot(shape: tuple[int, int]) -> None:
+def test_windows_are_square_and_cover(shape: tuple[int, int]) -> None:
     side = min(DETAIL_DOTS, *shape)
     picture = np.arange(np.prod(shape)).reshape(shape)
     seen: set[int] = set()
@@ -68,14 +63,14 @@ CORNERS = [((0.0, 0.0), (0, 0)), ((1.0, 1.0), (400, 188)), ((0.5, 0.5), (200, 94
 
 
 @pytest.mark.parametrize(("centre", "corner"), CORNERS)
-def test_a_detail_is_where_it_is_asked_for(centre: tuple[float, float], corner: tuple[int, int]) -> None:
+def test_window_at_position(centre: tuple[float, float], corner: tuple[int, int]) -> None:
     window = window_at(centre, (512, 300))
     y, x = np.indices((512, 300))
     assert (window.of(y)[0, 0], window.of(x)[0, 0]) == corner
     assert window.of(y).shape == (112, 112)
 
 
-def test_the_same_part_of_pictures_with_more_or_fewer_dots() -> None:
+def test_window_of_scales_with_dots() -> None:
     window = Window(0.25, 0.5, 0.25, 0.25)
     for dots in (8, 64, 512):
         y, x = np.indices((dots, dots)) / dots
@@ -85,7 +80,7 @@ def test_the_same_part_of_pictures_with_more_or_fewer_dots() -> None:
 
 
 @pytest.mark.parametrize("coarse", [(1, 1), (2, 2), (5, 3)])
-def test_every_detail_of_a_much_coarser_picture_has_a_dot(coarse: tuple[int, int]) -> None:
+def test_window_of_coarse_picture_is_not_empty(coarse: tuple[int, int]) -> None:
     """With a dot for each pixel, the largest pixels' picture can be smaller than a detail's share of the finest."""
     seen: set[int] = set()
     picture = np.arange(coarse[0] * coarse[1]).reshape(coarse)
@@ -97,7 +92,7 @@ def test_every_detail_of_a_much_coarser_picture_has_a_dot(coarse: tuple[int, int
     assert worst_window([np.ones((512, 300)), np.zeros(coarse)]) in windows((512, 300))
 
 
-def test_the_detail_is_where_all_maps_are_bad_not_where_one_is_worst() -> None:
+def test_worst_window_is_bad_in_all_maps() -> None:
     noise, blur = np.ones((512, 512)), np.ones((512, 512))
     noise[:112, :112] = 100.0
     noise[300:412, 300:412], blur[300:412, 300:412] = 3.0, 4.0
@@ -112,22 +107,22 @@ def test_the_detail_is_where_all_maps_are_bad_not_where_one_is_worst() -> None:
 
 
 @pytest.mark.parametrize("how", ["kept", "not kept", "of another shape"])
-def test_a_picture_without_its_score_is_the_scored_one(result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_detail_at_equals_scored_picture(tiny_result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, with the frame from the cache and without it."""
-    curve = result.curves[0]
+    curve = tiny_result.curves[0]
     if how == "not kept":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
     elif how == "of another shape":
         monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
     else:
-        monkeypatch.setattr(views, "chain_at", None)  # the dear way is not taken
+        monkeypatch.setattr(views, "chain_at", None)  # the expensive way is not used
     for place in (0, 3):
-        picture = detail_at(result, curve, place, WHOLE)
-        expected = result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
+        picture = detail_at(tiny_result, curve, place, WHOLE)
+        expected = tiny_result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0].image
         np.testing.assert_array_equal(picture, expected)
 
 
-def test_a_study_with_a_dot_a_pixel_has_views_of_pixels_as_large_as_a_detail(tmp_path: Path) -> None:
+def test_study_views_one_to_one_large_pixels(tmp_path: Path) -> None:
     """Their pictures have one dot to 17: no window of the finest picture is empty in any."""
     more = {"display": {"raster": "one_to_one"}, "pitch": {"values_um": [20, 40, 400, 900, 2000]}}
     result = pixsim.study(tiny(**more, name="coarse"), tmp_path, jobs=1)
@@ -135,30 +130,30 @@ def test_a_study_with_a_dot_a_pixel_has_views_of_pixels_as_large_as_a_detail(tmp
     (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
     views = study_views(result, curve, best)
     assert len(views.tiles) == 6
-    assert all(min(each.width, each.height) >= 1 for each in views.tiles)
+    assert all(min(item.width, item.height) >= 1 for item in views.tiles)
 
 
-def test_whole_pictures_of_a_study_are_bounded_and_details_are_not(result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(details, "MAX_PICTURE_DOTS", 60)
-    curve = result.curves[0]
-    (best,) = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
-    views = study_views(result, curve, best)
+    curve = tiny_result.curves[0]
+    (best,) = tiny_result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
+    views = study_views(tiny_result, curve, best)
     assert views.factor == 2
     means = best.ideal.reshape(59, 2, 59, 2).mean(axis=(1, 3))
     np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(means))
-    assert {(each.width, each.height) for each in views.outputs} == {(59, 59)}
-    assert {(each.width, each.height) for each in views.tiles} == {(112, 112)}
+    assert {(item.width, item.height) for item in views.outputs} == {(59, 59)}
+    assert {(item.width, item.height) for item in views.tiles} == {(112, 112)}
 
 
 @pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
-def test_the_views_of_a_study(raster: str, tmp_path: Path) -> None:
+def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     study = tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9])
     result = pixsim.study(study, tmp_path, jobs=1)
     curve = result.curves[0]
     at = best_place(curve)
     scores = [result.scores(curve.technology, pitch_um, 1)[0] for pitch_um in curve.pitch_um.tolist()]
     views = study_views(result, curve, scores[at])
-    finest = max((score.ideal for score in scores), key=lambda each: each.size)
+    finest = max((score.ideal for score in scores), key=lambda item: item.size)
     window = window_at((0.9, 0.9), finest.shape)
     assert views.place == window.centre
     pictures = [finest, *(score.image for score in scores)]
@@ -172,27 +167,29 @@ def test_the_views_of_a_study(raster: str, tmp_path: Path) -> None:
     assert [tile.best for tile in views.tiles] == [index == at + 1 and (curve.optimum.inside or 0 < at < 5) for index in range(7)]
     np.testing.assert_array_equal(decoded(views.ideal.png), grey_codes(finest))
     for output, row, place in zip(views.outputs, views.crops, sorted({0, at, 5}), strict=True):
-        told = {0: "smallest", 5: "largest"}.get(place, "best of these")
-        told += ", best of these" if place == at and place in (0, 5) and curve.optimum.inside else ""
-        assert output.name == f"{told}, {curve.pitch_um[place]:.2f} µm"
-        assert (row[1].name, row[1].note) == (f"{curve.pitch_um[place]:.2f} µm", told)
+        message = {0: "smallest", 5: "largest"}.get(place, "best of these")
+        message += ", best of these" if place == at and place in (0, 5) and curve.optimum.inside else ""
+        assert output.name == f"{message}, {curve.pitch_um[place]:.2f} µm"
+        assert (row[1].name, row[1].note) == (f"{curve.pitch_um[place]:.2f} µm", message)
         np.testing.assert_array_equal(decoded(output.png), grey_codes(scores[place].image))
 
 
-def test_the_best_is_the_least_mean_of_those_tried_not_the_nearest_to_the_fit(result: StudyResult) -> None:
+def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
     delta_e = np.array([[3.0, 3.0], [1.0, 1.0], [1.2, 1.2], [1.1, 1.1], [2.0, 2.0], [3.0, 3.0]])
-    optimum = replace(result.curves[0].optimum, inside=True, pitch_um=8.4)
-    curve = replace(result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(result.curves[0].fit, optimum=optimum))
+    optimum = replace(tiny_result.curves[0].optimum, inside=True, pitch_um=8.4)
+    curve = replace(
+        tiny_result.curves[0], statistics={"mean_delta_e": delta_e}, fit=replace(tiny_result.curves[0].fit, optimum=optimum)
+    )
     assert best_place(curve) == 1
-    assert [called(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
+    assert [rank(curve, place) for place in (0, 1, 5)] == ["smallest", "best of these", "largest"]
     rising = replace(
         curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)}, fit=replace(curve.fit, optimum=replace(optimum, inside=False))
     )
-    assert [called(rising, place) for place in (0, 5)] == ["smallest", "largest"]
+    assert [rank(rising, place) for place in (0, 5)] == ["smallest", "largest"]
 
 
-def test_crops_are_the_same_part_of_ideal_output_and_map(result: StudyResult) -> None:
-    (score,) = result.scores("0.35um", 8.5, 1)
+def test_crops_show_the_same_part(tiny_result: StudyResult) -> None:
+    (score,) = tiny_result.scores("0.35um", 8.5, 1)
     window = window_at((0.3, 0.8), score.ideal.shape)
     ideal, output, map_ = crops(score, window, "sensor")
     np.testing.assert_array_equal(decoded(ideal.png), grey_codes(window.of(score.ideal)))
@@ -201,7 +198,7 @@ def test_crops_are_the_same_part_of_ideal_output_and_map(result: StudyResult) ->
     assert f"mean here {window.of(score.delta_e).mean():.2f}" in map_.note
 
 
-def test_the_bar_of_colours_is_the_maps_scale() -> None:
+def test_scale_matches_map_colours() -> None:
     bar = decoded(scale().png)
     expected = delta_e_colours((np.arange(bar.shape[1]) / bar.shape[1] * 10)[None])[0]
     np.testing.assert_array_equal(bar[0], expected)
@@ -210,7 +207,7 @@ def test_the_bar_of_colours_is_the_maps_scale() -> None:
 # --- the sheet as a file ----------------------------------------------------------------------------------------------
 
 
-def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
+def test_contact_sheet_png_holds_tiles() -> None:
     rng = np.random.default_rng(1)
     tiles = [Picture(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
     sheet = decoded(contact_sheet_png("a title", tiles))
@@ -224,29 +221,29 @@ def test_the_sheet_holds_each_tile_dot_for_dot() -> None:
 
 
 @pytest.mark.parametrize("title", ["two\nlines\tand \x1b[31m", "n" * 5000, "\u202e", ""])
-def test_no_title_breaks_a_sheet_or_widens_it_beyond_bounds(title: str) -> None:
+def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
     tiles = [Picture(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
     sheet = decoded(contact_sheet_png(title, tiles))
     assert sheet.shape[0] == decoded(contact_sheet_png("plain", tiles)).shape[0]
     assert sheet.shape[1] < 2500
 
 
-# --- the study's own place --------------------------------------------------------------------------------------------
+# --- the detail of the study --------------------------------------------------------------------------------------------
 
 
-def test_the_place_of_the_detail_does_not_change_a_row(result: StudyResult, tmp_path: Path) -> None:
+def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: Path) -> None:
     study = tiny(paper=True, display={"dots": 120}, detail=[0.1, 0.2])
     again = pixsim.study(study, tmp_path, jobs=1)
-    np.testing.assert_array_equal(again.curves[0].delta_e, result.curves[0].delta_e)
-    assert replace(again, study=result.study).as_dict() == result.as_dict()
+    np.testing.assert_array_equal(again.curves[0].delta_e, tiny_result.curves[0].delta_e)
+    assert replace(again, study=tiny_result.study).as_dict() == tiny_result.as_dict()
     text = (tmp_path / "results.csv").read_text(encoding="utf-8")
     (tmp_path / "results.csv").unlink()
-    pixsim.study(result.study, tmp_path, jobs=1)
+    pixsim.study(tiny_result.study, tmp_path, jobs=1)
     assert (tmp_path / "results.csv").read_text(encoding="utf-8") == text
 
 
 @pytest.mark.parametrize("detail", [[0.5], [0.5, 1.1], [-0.1, 0.5], [0.5, 0.5, 0.5], "middle", [float("nan"), 0.5]])
-def test_a_place_outside_the_picture_is_refused(detail: object) -> None:
+def test_study_detail_outside_picture_raises(detail: object) -> None:
     from pixsim.base.parameters import Layer
 
     with pytest.raises(PixsimError, match="detail"):

@@ -1,4 +1,4 @@
-"""How lines are told apart: by colour for every kind of eye, and by dashes and markers where there is no colour."""
+"""Line styles are distinct: by colour for every kind of colour vision, and by dashes and markers in grey."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.colors import same_color, to_rgb
 
 from pixsim.show.figures import COLOURS, LOOKS, new_figure
 
-TOGETHER = 4  # most lines that only colour and dashes tell apart
+TOGETHER = 4  # most lines that differ by colour and dashes only
 EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
 
 
@@ -21,7 +21,7 @@ def perceived_lab(colours: tuple[str, ...], eye: str | None) -> np.ndarray:
     import colour
     from colour.blindness import matrix_cvd_Machado2009
 
-    light = colour.cctf_decoding(np.array([to_rgb(each) for each in colours]), function="sRGB")
+    light = colour.cctf_decoding(np.array([to_rgb(item) for item in colours]), function="sRGB")
     if eye is not None:
         light = light @ matrix_cvd_Machado2009(eye, 1.0).T
     xyz = colour.RGB_to_XYZ(np.clip(light, 0, 1), "sRGB", apply_cctf_decoding=False)
@@ -34,12 +34,12 @@ def least_distance(lab: np.ndarray) -> float:
     return min(float(colour.delta_E(one, other, "CIE 2000")) for one, other in combinations(lab, 2))
 
 
-@pytest.mark.filterwarnings("ignore:.*tritanomaly")  # its model is the least sure
+@pytest.mark.filterwarnings("ignore:.*tritanomaly")  # its model is the least certain
 @pytest.mark.parametrize("eye", EYES)
-def test_lines_that_stand_together_differ_for_every_eye(eye: str | None) -> None:
-    """19 is ten times what two patches side by side need to be told apart; lines are thin."""
+def test_colours_first_four_differ_for_every_eye(eye: str | None) -> None:
+    """19 is ten times the noticeable difference of two adjacent patches, since lines are thin."""
     assert least_distance(perceived_lab(COLOURS[:TOGETHER], eye)) > 19
-    # The judge can tell: red and green of one lightness merge for a deuteranope.
+    # The measure can fail: red and green of one lightness merge for a deuteranope.
     if eye == "Deuteranomaly":
         assert (
             least_distance(perceived_lab(("#B05A00", "#6C7A00"), eye))
@@ -48,14 +48,14 @@ def test_lines_that_stand_together_differ_for_every_eye(eye: str | None) -> None
         )
 
 
-def test_two_looks_are_never_alike_in_grey() -> None:
+def test_looks_in_grey_are_distinct() -> None:
     assert len({look.dashes for look in LOOKS}) == len(LOOKS)
     assert len({look.marker for look in LOOKS}) == len(LOOKS)
     lightness = np.sort(perceived_lab(COLOURS[:TOGETHER], None)[:, 0])
     assert np.diff(lightness).min() > 7
 
 
-def test_the_judge_of_grey_lines_sees_two_that_differ_in_colour_only(tmp_path: Path) -> None:
+def test_grey_look_ignores_colour(tmp_path: Path) -> None:
     axes = new_figure(2, 2).subplots()
     one, other, dashed = axes.plot([0, 1], color=COLOURS[0]) + axes.plot([1, 0], color=COLOURS[1]) + axes.plot([1, 1], "--")
     assert not same_color(one.get_color(), other.get_color())

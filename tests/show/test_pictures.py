@@ -1,4 +1,4 @@
-"""PNGs as others read them: codes of a display, the ΔE map in the colours of its scale, marks where they belong."""
+"""PNG files as Pillow reads them: display codes, ΔE maps in the colours of the scale, and the position of axes."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ def light(shape: tuple[int, int] = (16, 16), die_mm: float = 2.7136, **header) -
     return pixsim.SpectralImage([550.0], 10.0, 1e3 * die_mm / shape[1], data=np.ones((*shape, 1)), header=header)
 
 
-def test_grey_is_encoded_for_a_display(tmp_path):
+def test_save_png_encodes_gamma(tmp_path):
     save_png(tmp_path / "grey.png", np.array([[0.0, 0.2, 1.0], [-0.1, 0.5, 1.5]]))
     codes = np.asarray(Image.open(tmp_path / "grey.png"))
     assert codes.shape == (2, 3, 3)
     assert codes[:, :, 0].tolist() == [[0, round(255 * 0.2 ** (1 / 2.2)), 255], [0, round(255 * 0.5 ** (1 / 2.2)), 255]]
 
 
-def test_colours_are_viridis():
+def test_delta_e_colours_are_viridis():
     delta_e = np.linspace(-1, 12, 500)[:, None]
     expected = colormaps["viridis"](np.clip(delta_e / 10, 0, 1), bytes=True)[:, :, :3]
     np.testing.assert_array_equal(delta_e_colours(delta_e), expected)
 
 
 @pytest.mark.parametrize("shape", [(64, 64), (16, 48), (1024, 512)])
-def test_the_map_is_where_its_axes_are(shape, tmp_path):
+def test_save_delta_e_png_map_fills_axes(shape, tmp_path):
     """Bright in the upper left quarter and dark elsewhere, whatever the number of dots."""
     delta_e = np.zeros(shape)
     delta_e[: shape[0] // 2, : shape[1] // 2] = 10
@@ -49,13 +49,13 @@ def test_the_map_is_where_its_axes_are(shape, tmp_path):
     assert (shown[TOP // 2 : TOP, LEFT : LEFT + width] < 128).any(), "a title"
 
 
-def test_equal_maps_are_equal_bytes(tmp_path):
+def test_save_delta_e_png_is_reproducible(tmp_path):
     for name in ("a.png", "b.png"):
         save_delta_e_png(tmp_path / name, np.ones((8, 8)), picture_axes(light((8, 8))))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_a_run_needs_neither_matplotlib_nor_a_study():
+def test_imports_of_run_exclude_matplotlib():
     code = "import sys, pixsim.report.run, pixsim.show.pictures; pixsim.show.pictures.font(15); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "pixsim.show.pictures" in loaded

@@ -47,7 +47,6 @@ def calibration(**changes) -> Calibration:
         "per_e": Effect(0.5, 2.0), "films": (Effect(0.1, 0.5), Effect(0.02, 0.1), Effect(0.004, 0.02)), "order": 2.0,
         "sensor": Effect(0.003, 0.05), "raster": Effect(0.01, 0.02), "interpolation": Effect(0.03, 0.04),
         "work": 8.4e6, "planes": 1, "dots": 512,
-        "mean_delta_e": 0.5, "optimum_um": 5.5
     }  # fmt: skip
     return Calibration(**values | changes)
 
@@ -55,7 +54,7 @@ def calibration(**changes) -> Calibration:
 BLIND, NONE, UNKNOWN = Effect(0.02, NO_OPTIMUM), Effect(0.0, 0.0), Effect(math.nan, math.nan)
 CALIBRATIONS = {
     "usual": calibration(),
-    "no optimum": calibration(random=BLIND, sensor=BLIND, raster=UNKNOWN, interpolation=BLIND, optimum_um=NO_OPTIMUM),
+    "no optimum": calibration(random=BLIND, sensor=BLIND, raster=UNKNOWN, interpolation=BLIND),
     "no noise": calibration(noise=0.0, random=NONE, bias=NONE),
     "nothing errs": calibration(noise=0.0, random=NONE, bias=NONE, per_e=NONE, sensor=NONE, films=(NONE,)),
     "noisy": calibration(noise=4.0, random=Effect(0.1, 0.5), bias=Effect(1.0, 0.5)),
@@ -66,11 +65,11 @@ CALIBRATIONS = {
 TOLERANCES = (1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 1.0, 10.0)
 
 
-def work_of(found: Calibration, tolerance: float, free: bool = True) -> float:
-    """Of the choice, found again among the options."""
-    choice = choose(found, tolerance, film_is_free=free)
-    options = [e for w in widths_of(found) for e in options_of(found, w, tolerance - found.film(w).delta_e)]
-    return min(each.work for each in options if replace(each, met=True) == choice)
+def work_of(actual: Calibration, tolerance: float, free: bool = True) -> float:
+    """Return the work of the choice among the options."""
+    choice = choose(actual, tolerance, film_is_free=free)
+    options = [e for w in widths_of(actual) for e in options_of(actual, w, tolerance - actual.film(w).delta_e)]
+    return min(item.work for item in options if replace(item, met=True) == choice)
 
 
 # --- Films ---
@@ -89,29 +88,29 @@ def films_of(order: float) -> tuple[tuple[Effect, ...], float]:
 
 
 @pytest.mark.parametrize("order", [1.0, 1.5, 2.0])
-def test_richardson_finds_the_order_and_the_error_of_a_power_law(order):
-    films, found = films_of(order)
-    assert found == pytest.approx(order)
+def test_film_errors_of_power_law(order):
+    films, actual = films_of(order)
+    assert actual == pytest.approx(order)
     for got, step in zip(films, (4, 2, 1), strict=True):
         true = 0.01 * step**order
-        # Safe, and by a quarter of the film's own error; at the bounds of the order rounding may make it unsure: 3 times.
+        # An upper limit, by a quarter of the film's error; at the bounds of the order rounding may make the factor 3.
         assert true <= got.delta_e <= true + 2.01 * 0.01
     if order == 1.5:
         assert films[-1].delta_e == pytest.approx(1.25 * 0.01)
 
 
 @pytest.mark.parametrize("order", [0.5, 3.0, 6.0])
-def test_an_order_that_cannot_be_believed_is_taken_safely(order):
-    films, found = films_of(order)
-    assert MIN_ORDER <= found <= MAX_ORDER
+def test_film_errors_implausible_order_takes_safety_factor(order):
+    films, actual = films_of(order)
+    assert MIN_ORDER <= actual <= MAX_ORDER
     assert films[-1].delta_e >= 0.01
     assert films[0].delta_e > films[1].delta_e > films[2].delta_e
 
 
-def test_films_that_differ_by_nothing_or_change_sign():
+def test_film_errors_zero_or_changing_sign():
     same = made(1.0)
     films, order = film_errors(same, [same, same])
-    assert [each.delta_e for each in films] == [0, 0, 0]
+    assert [item.delta_e for item in films] == [0, 0, 0]
     assert math.isfinite(order)
     back, order = film_errors(made(1.0), [made(1.1), made(1.1)])  # the coarsest film is as good: nothing is known
     assert back[-1].delta_e == pytest.approx(0.3)
@@ -122,7 +121,7 @@ def test_films_that_differ_by_nothing_or_change_sign():
     assert (len(one), order) == (2, MIN_ORDER)
 
 
-def test_a_difference_counts_every_pitch():
+def test_difference_of_counts_every_pitch():
     one, other = made(1.0), made(1.0)
     other = replace(other, sweep_delta_e=other.sweep_delta_e + 0.1)
     assert difference_of(one, other).delta_e == pytest.approx(0.1 * math.sqrt(6 / 7))
@@ -140,7 +139,7 @@ def image(factored: bool, height: int = 16, width: int = 24) -> pixsim.SpectralI
 
 
 @pytest.mark.parametrize("factored", [True, False])
-def test_a_coarser_film_holds_the_same_light(factored):
+def test_coarser_conserves_light(factored):
     fine = image(factored)
     for factor in (1, 2, 4):
         got = coarser(fine, factor)
@@ -155,14 +154,14 @@ def test_a_coarser_film_holds_the_same_light(factored):
 
 
 @pytest.mark.parametrize("factored", [True, False])
-def test_a_brighter_picture_is_a_multiple(factored):
+def test_brighter_scales_light(factored):
     dim = image(factored)
     got = brighter(dim, 1.01)
     np.testing.assert_allclose(got.data, 1.01 * dim.data.astype(float), rtol=3e-7)
     assert got.header == dim.header
 
 
-def test_only_films_that_are_filled_are_merged():
+def test_merges_requires_whole_blocks():
     assert merges((16, 24), 4)
     assert not merges((16, 26), 4)  # a cut picture would be another one
     assert not merges((8, 24), 4)
@@ -173,24 +172,24 @@ def test_only_films_that_are_filled_are_merged():
 # --- Budgets and choices ---
 
 
-def test_a_budget_scales_as_its_sources_do():
-    found = calibration()
-    one = effects(found, 512, 0.1, 1e-3, 1)
+def test_effects_scale_with_settings():
+    actual = calibration()
+    one = effects(actual, 512, 0.1, 1e-3, 1)
     assert tuple(one) == SOURCES
-    other = effects(found, 256, 0.2, 2e-3, 4)
+    other = effects(actual, 256, 0.2, 2e-3, 4)
     assert one["render noise"].delta_e == pytest.approx(1.96 * 2e-4 + 1e-4)
     assert other["render noise"].delta_e == pytest.approx(2 * 1.96 * 2e-4 + 4 * 1e-4)
     assert other["spectral quadrature"].delta_e == pytest.approx(2 * one["spectral quadrature"].delta_e)
     assert other["seeds"].optimum_um == pytest.approx(one["seeds"].optimum_um / 2)
     assert other["oversampling"].delta_e == 0.02
-    assert effects(found, 2048, 0.1, 1e-3, 1)["oversampling"].delta_e == pytest.approx(0.004 / 16)
-    assert (one["display raster"], one["display interpolation"]) == (found.raster, found.interpolation)
-    of_computing = [each for name, each in one.items() if not name.startswith("display")]
+    assert effects(actual, 2048, 0.1, 1e-3, 1)["oversampling"].delta_e == pytest.approx(0.004 / 16)
+    assert (one["display raster"], one["display interpolation"]) == (actual.raster, actual.interpolation)
+    of_computing = [item for name, item in one.items() if not name.startswith("display")]
     assert len(of_computing) == 4
-    assert total(one).delta_e == pytest.approx(sum(each.delta_e for each in of_computing))
+    assert total(one).delta_e == pytest.approx(sum(item.delta_e for item in of_computing))
 
 
-def test_the_interpolation_is_compared_with_the_next_finer_one():
+def test_interpolation_effect_uses_next_order():
     """A grating without noise: the changes of ΔE are in the ratio of the changes of its contrast."""
     x = (np.arange(256) + 0.5) / 256
     light = np.tile(1 + 0.5 * np.sin(2 * np.pi * 12 * x), (32, 1))
@@ -206,8 +205,8 @@ def test_the_interpolation_is_compared_with_the_next_finer_one():
         setup = Setup(camera, pixel, pixsim.Exposure(), shown)
         return interpolation_effect(grating, setup, probe(grating, setup))
 
-    nearest, linear, cubic = (changed_by(interpolation=each).delta_e for each in ("nearest", "linear", "cubic"))
-    left = {each: float(interpolation_mtf(12.0, 20.0, each)) for each in ("linear", "cubic", "quintic")}
+    nearest, linear, cubic = (changed_by(interpolation=item).delta_e for item in ("nearest", "linear", "cubic"))
+    left = {item: float(interpolation_mtf(12.0, 20.0, item)) for item in ("linear", "cubic", "quintic")}
     gained = (left["cubic"] - left["linear"]) / (left["quintic"] - left["cubic"])
     # So small a ΔE goes with the contrast that is lost, but for the images (0.5 %) and the eye's cube root.
     assert linear / cubic == pytest.approx(gained, rel=0.15)  # 15.2
@@ -218,35 +217,35 @@ def test_the_interpolation_is_compared_with_the_next_finer_one():
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
 @pytest.mark.parametrize("free", [True, False])
-def test_a_choice_keeps_to_its_tolerance_or_says_that_it_does_not(name, free):
-    found = CALIBRATIONS[name]
+def test_choose_meets_tolerance_or_reports_not_met(name, free):
+    actual = CALIBRATIONS[name]
     for tolerance in TOLERANCES:
-        choice = choose(found, tolerance, film_is_free=free)
-        assert choice == choose(found, tolerance, film_is_free=free)
-        told = total(effects(found, choice.width, choice.render_noise, choice.tolerance_e, choice.sensors)).delta_e
-        assert choice.expected_delta_e == told
-        assert choice.met == (told <= tolerance)
-        assert choice.width in widths_of(found)
-        assert free or choice.width == found.width
+        choice = choose(actual, tolerance, film_is_free=free)
+        assert choice == choose(actual, tolerance, film_is_free=free)
+        message = total(effects(actual, choice.width, choice.render_noise, choice.tolerance_e, choice.sensors)).delta_e
+        assert choice.expected_delta_e == message
+        assert choice.met == (message <= tolerance)
+        assert choice.width in widths_of(actual)
+        assert free or choice.width == actual.width
         assert FINEST_NOISE <= choice.render_noise <= 1
         assert 1 <= choice.sensors <= MAX_SENSORS
-    assert choose(found, 10.0, film_is_free=free).met
+    assert choose(actual, 10.0, film_is_free=free).met
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
 @pytest.mark.parametrize("free", [True, False])
-def test_a_looser_tolerance_never_costs_more(name, free):
-    found = CALIBRATIONS[name]
-    tolerances = [t for t in np.geomspace(1e-4, 3, 24) if choose(found, t, film_is_free=free).met]
-    work = [work_of(found, tolerance, free) for tolerance in tolerances]
+def test_choose_looser_tolerance_is_not_more_work(name, free):
+    actual = CALIBRATIONS[name]
+    tolerances = [t for t in np.geomspace(1e-4, 3, 24) if choose(actual, t, film_is_free=free).met]
+    work = [work_of(actual, tolerance, free) for tolerance in tolerances]
     assert all(later <= earlier * (1 + 1e-12) for earlier, later in pairwise(work))
-    assert [choose(found, t, film_is_free=free).met for t in (tolerances[0], 3.0)] == [True, True]
+    assert [choose(actual, t, film_is_free=free).met for t in (tolerances[0], 3.0)] == [True, True]
 
 
-def test_what_the_film_leaves_is_not_chased_with_noise_and_sensors():
+def test_choose_film_error_is_not_compensated():
     """The film errs by 0.004 and is fixed: the rest keeps to the tolerance of 0.002, and no more is spent."""
-    found = calibration()
-    stuck, open_ = (choose(found, 0.002, film_is_free=free) for free in (False, True))
+    actual = calibration()
+    stuck, open_ = (choose(actual, 0.002, film_is_free=free) for free in (False, True))
     assert not stuck.met
     assert open_.met
     assert stuck.expected_delta_e <= 0.004 + 0.002
@@ -256,44 +255,44 @@ def test_what_the_film_leaves_is_not_chased_with_noise_and_sensors():
     assert math.isnan(unknown.expected_delta_e)
 
 
-def test_sensors_without_end_are_not_promised():
+def test_choose_limits_sensors():
     choice = choose(calibration(sensor=Effect(1.0, 1.0)), 1e-3, film_is_free=True)
     assert (choice.sensors, choice.met) == (MAX_SENSORS, False)
 
 
-def test_films_stay_within_memory():
+def test_widths_of_stay_within_memory():
     assert max(widths_of(calibration())) == 4096
     assert max(widths_of(calibration(planes=40))) == 1024
-    assert max(widths_of(calibration(planes=10_000))) == 512  # the scene's own is the user's
+    assert max(widths_of(calibration(planes=10_000))) == 512  # the scene's own width is always allowed
 
 
-def test_rounding_down():
+def test_rounded_down_to_three_digits():
     for value in np.geomspace(1e-5, 2, 300):
         assert 0 <= value - rounded_down(value) < 0.011 * value
         assert float(f"{rounded_down(value):.3g}") == rounded_down(value)
 
 
-def test_the_lines_of_a_budget_stand_in_one_column():
+def test_budget_lines_are_aligned():
     sources = {
-        name: {"delta_e": each.delta_e, "optimum_um": None} for name, each in effects(calibration(), 512, 0.1, 1e-3, 1).items()
+        name: {"delta_e": item.delta_e, "optimum_um": None} for name, item in effects(calibration(), 512, 0.1, 1e-3, 1).items()
     }
-    told = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
-    _, *lines = budget_lines({"error_budget": told | {"total": {"delta_e": 0.5, "optimum_um": None}}})
-    assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "all but the display"]
+    message = {"tolerance_delta_e": 0.01, "met": True, "bounded": True, "settings": {"sensors": 2}, "sources": sources}
+    _, *lines = budget_lines({"error_budget": message | {"total": {"delta_e": 0.5, "optimum_um": None}}})
+    assert [line[2:23].rstrip() for line in lines] == [*SOURCES, "total without display"]
     assert lines[-2][23:] == " 3.0e-02 ΔE"
     assert {line[23] for line in lines} == {" "}
 
 
 @pytest.mark.parametrize("name", CALIBRATIONS)
-def test_a_calibration_comes_back_from_json(name):
-    found = CALIBRATIONS[name]
-    back = Calibration.from_dict(json.loads(json.dumps(asdict(found))))
-    assert repr(back) == repr(found)  # NaN is not equal to itself
+def test_calibration_round_trips_json(name):
+    actual = CALIBRATIONS[name]
+    back = Calibration.from_dict(json.loads(json.dumps(asdict(actual))))
+    assert repr(back) == repr(actual)  # NaN is not equal to itself
     assert isinstance(back.films, tuple)
 
 
 @pytest.mark.parametrize("change", [{"width": None}, {"films": 3}, {"films": [1.0]}, {"random": {"delta_e": 1}}, {"noise": "low"}])
-def test_what_is_no_calibration_is_a_value_error(change):
+def test_calibration_from_invalid_dict_raises(change):
     values = json.loads(json.dumps(asdict(calibration()))) | change
     with pytest.raises(ValueError, match="validation error"):
         Calibration.from_dict(values)

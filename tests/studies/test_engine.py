@@ -1,4 +1,4 @@
-"""Workers come and go: what comes out does not depend on them, and nothing that is finished is lost or done twice."""
+"""Workers: results do not depend on them, and no finished row is lost or computed twice."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """results.csv of one process, nothing kept."""
+    """results.csv of one process without a cache."""
     out = tmp_path_factory.mktemp("one")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(cache.LIMIT_VARIABLE, "0")
@@ -57,7 +57,7 @@ def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_every_call_comes_once(jobs: int) -> None:
+def test_results_of_yields_every_call_once(jobs: int) -> None:
     made: list[str] = []
 
     def first() -> dict[str, np.ndarray]:
@@ -69,37 +69,37 @@ def test_every_call_comes_once(jobs: int) -> None:
         return {"values": np.full(3, 2.0)}
 
     calls = [(task, first if task % 2 else second) for task in range(20)]
-    found = sorted(results_of(double, calls, Workers(jobs)))
+    actual = sorted(results_of(double, calls, Workers(jobs)))
     assert jobs == 1 or sorted(made) == ["first", "second"], "what is shared is made once"
-    assert found == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
+    assert actual == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
 
 
-def test_what_a_dead_worker_had_is_done_by_another(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="a worker died"):
-        found = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
-    assert found == list(range(12))
+def test_results_of_dead_worker_is_retried(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="a worker process died"):
+        actual = sorted(results_of(die_once, [(task, lambda: tmp_path) for task in range(12)], Workers(2)))
+    assert actual == list(range(12))
 
 
-def test_a_task_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
-    found: list[int] = []
+def test_results_of_deadly_task_is_named() -> None:
+    actual: list[int] = []
     results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        with pytest.raises(pixsim.PixsimError, match=r"2 processes.*ended its process, even alone: 3\..*--jobs 1"):
-            found.extend(results)
-    assert "a worker died; what is left" in str(told[0].message)
-    assert sorted(found) == [task for task in range(12) if task != 3]
+        with pytest.raises(pixsim.PixsimError, match=r"2 processes.*ended its process, even when run alone: 3\..*--jobs 1"):
+            actual.extend(results)
+    assert "a worker process died; retrying the remaining" in str(caught[0].message)
+    assert sorted(actual) == [task for task in range(12) if task != 3]
 
 
-def test_what_workers_warn_of_is_told_once_and_here() -> None:
-    with warnings.catch_warnings(record=True) as told:
+def test_results_of_shows_worker_warnings_once() -> None:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         assert sorted(results_of(warn, [(task, nothing) for task in range(6)], Workers(2))) == list(range(6))
-    assert [str(note.message) for note in told] == ["the moon is out"]
+    assert [str(note.message) for note in caught] == ["the moon is out"]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_an_error_of_the_work_itself_is_not_retried(jobs: int) -> None:
+def test_results_of_task_error_is_not_retried(jobs: int) -> None:
     with pytest.raises(ZeroDivisionError):
         list(results_of(fail, [(task, nothing) for task in (2, 1, 0, 3)], Workers(jobs)))
 
@@ -111,20 +111,20 @@ def library_threads(_: int, __: object) -> int:
     picture = np.random.default_rng(0).random((1, 768, 768)).astype(np.float32)
     image = pixsim.SpectralImage(np.array([550.0]), 10.0, 2.65, factors=(np.ones((1, 1)), picture))
     image.header["luminance_cd_per_m2"] = 1000.0
-    make_imaging_chain(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).score("threads")
+    make_imaging_chain(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).simulate("threads")
     all_threads = {int(task.name) for task in Path("/proc/self/task").iterdir()}
     return len(all_threads - {thread.native_id for thread in threading.enumerate()})
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
 @pytest.mark.filterwarnings("ignore:.*brighter than display white")
-def test_a_worker_takes_one_core() -> None:
+def test_results_of_worker_uses_one_core() -> None:
     """The libraries keep the threads that they start: without any, a worker runs in its own thread alone."""
     assert list(results_of(library_threads, [(task, nothing) for task in range(4)], Workers(2))) == [0] * 4
 
 
 @pytest.mark.parametrize(
-    ("jobs", "scheduler", "told"),
+    ("jobs", "scheduler", "pattern"),
     [
         (0, None, "--jobs: got 0; allowed: 1 or more"),
         (-1, None, "--jobs: got -1"),
@@ -133,13 +133,15 @@ def test_a_worker_takes_one_core() -> None:
         (None, "nowhere at all", "--scheduler: got 'nowhere at all'"),
     ],
 )
-def test_workers_that_cannot_be_had(jobs: int | None, scheduler: str | None, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_for_invalid_input_raises(
+    jobs: int | None, scheduler: str | None, pattern: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(engine, "CONNECT_SECONDS", 1.0)
-    with pytest.raises(pixsim.PixsimError, match=told), workers_for(jobs, scheduler):
+    with pytest.raises(pixsim.PixsimError, match=pattern), workers_for(jobs, scheduler):
         pass
 
 
-def test_without_dask_the_message_says_how_to_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_for_without_dask_names_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(pixsim.PixsimError, match=r"pip install 'pixsim\[cluster\]'"), workers_for(None, "tcp://127.0.0.1:1"):
         pass
@@ -149,14 +151,14 @@ def test_without_dask_the_message_says_how_to_have_it(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("keeping", [True, False])
-def test_two_workers_give_the_same_bytes(keeping: bool, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_two_workers_same_bytes(keeping: bool, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     if not keeping:
         monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     pixsim.study(toml, tmp_path, jobs=2)
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-def die_once_at_7_um(task: evaluations.Task, light: evaluations.Light, mark: Path) -> list[evaluations.Row]:
+def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mark: Path) -> list[evaluations.Row]:
     """A task of a study, in the middle of which the first process that gets it is killed."""
     if task.pitch_um == 7.0 and not mark.exists():
         mark.touch()
@@ -164,15 +166,15 @@ def die_once_at_7_um(task: evaluations.Task, light: evaluations.Light, mark: Pat
     return evaluations.evaluate_task(task, light)
 
 
-def test_a_study_goes_on_when_a_worker_is_killed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_killed_worker_is_replaced(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
-    with pytest.warns(UserWarning, match="a worker died"):
+    with pytest.warns(UserWarning, match="a worker process died"):
         pixsim.study(toml, tmp_path / "out", jobs=2)
     assert (tmp_path / "killed").exists()
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """Killed with two pitches done, in the third's second sensor."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     command = [sys.executable, "-c", signalled(signal.SIGKILL, 10), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
@@ -182,14 +184,14 @@ def test_a_killed_study_goes_on_where_it_stopped(toml: Path, expected: bytes, tm
     assert len(finished) == 8
     assert set(finished) < set(expected.splitlines())
     taken = []
-    view = ImagingChain.view
-    monkeypatch.setattr(ImagingChain, "view", lambda self, frame: taken.append(1) or view(self, frame))
+    view = ImagingChain.score_frame
+    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: taken.append(1) or view(self, frame))
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert len(taken) == ROWS - len(finished)
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(toml, expected, tmp_path: Path, monkeypatch) -> None:
+def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The limit of a file's size stands for the disk's: the write fails in the same place."""
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     room = len(expected) // 2
@@ -204,7 +206,7 @@ def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(toml, ex
     ended = subprocess.run(command, **how, check=False)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert "Traceback" not in ended.stderr
-    assert "results.csv' cannot be written (No space left on device). What is finished is kept" in ended.stderr
+    assert "results.csv' cannot be written (No space left on device). Finished rows are kept" in ended.stderr
     finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
     assert 0 < len(finished) < ROWS
     assert set(finished) < set(expected.splitlines()), "half a row"
@@ -213,22 +215,22 @@ def test_a_full_disk_ends_the_study_in_words_and_keeps_what_is_finished(toml, ex
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_two_studies_in_one_folder_are_one_too_many(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_study_locked_folder_raises(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """The second comes while the first evaluates."""
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
     second: list[subprocess.CompletedProcess[str]] = []
-    view = ImagingChain.view
+    view = ImagingChain.score_frame
 
     def view_after_the_second(self, frame):
         if not second:
             second.append(subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False))
         return view(self, frame)
 
-    monkeypatch.setattr(ImagingChain, "view", view_after_the_second)
+    monkeypatch.setattr(ImagingChain, "score_frame", view_after_the_second)
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert second[0].returncode == 2
-    assert re.search(r"another process is at work.*one at a time.*--out", second[0].stderr)
+    assert re.search(r"in use by another process.*a folder that is not in use.*--out", second[0].stderr)
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
@@ -285,7 +287,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("by", ["address", "client"])
-def test_a_cluster_gives_the_same_bytes(by: str, cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
+def test_study_on_cluster_same_bytes(by: str, cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
     from distributed import Client
 
     with Client(cluster) as client:
@@ -295,20 +297,20 @@ def test_a_cluster_gives_the_same_bytes(by: str, cluster: str, toml: Path, expec
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-def test_one_worker_of_one_thread_computes_what_it_is_asked(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
+def test_results_of_single_thread_cluster(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """joblib takes a cluster of one thread for none, and would compute here."""
-    monkeypatch.setattr(ImagingChain, "view", lambda *_: pytest.fail("computed here"))
+    monkeypatch.setattr(ImagingChain, "score_frame", lambda *_: pytest.fail("computed here"))
     with running_cluster(tmp_path, 1) as address:
         pixsim.study(toml, tmp_path / "out", scheduler=address)
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
-def test_a_technology_is_sent_to_the_workers(cluster: str, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They need not have its file, and one that is edited counts at once."""
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     monkeypatch.chdir(tmp_path)
     study = load_study(toml).model_copy(update={"technologies": ("mine.toml",)})
-    found = []
+    actual = []
     for noise in ("3.5", "35.5"):
         text = process.read_text(encoding="utf-8")
         Path("mine.toml").write_text(re.sub(r"(\[read_noise_e\]\nvalue = )[\d.]+", rf"\g<1>{noise}", text), encoding="utf-8")
@@ -316,18 +318,18 @@ def test_a_technology_is_sent_to_the_workers(cluster: str, toml: Path, tmp_path:
         pixsim.study(study, tmp_path / f"here{noise}", jobs=1)
         there, here = ((tmp_path / f"{where}{noise}/results.csv").read_bytes() for where in ("cluster", "here"))
         assert there == here
-        found.append(here)
-    assert found[0] != found[1]
+        actual.append(here)
+    assert actual[0] != actual[1]
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("kind", "pattern"),
     [
-        ("changed", r"got pixsim .* at tcp.*as here, so that all rows are alike"),
-        ("none", r"got a worker that cannot tell which pixsim"),
+        ("changed", r"got pixsim .* at tcp.*as here, so that all rows are comparable"),
+        ("none", r"got a worker that does not report its pixsim version"),
     ],
 )
-def test_workers_of_another_pixsim_are_refused(kind: str, told: str, tmp_path: Path) -> None:
+def test_workers_for_other_version_raises(kind: str, pattern: str, tmp_path: Path) -> None:
     other = tmp_path / "other/pixsim"
     if kind == "changed":
         shutil.copytree(Path(pixsim.__file__).parent, other, ignore=shutil.ignore_patterns("__pycache__"))
@@ -338,15 +340,15 @@ def test_workers_of_another_pixsim_are_refused(kind: str, told: str, tmp_path: P
         (other / "__init__.py").touch()
     with (
         running_cluster(tmp_path, 1, other.parent) as address,
-        pytest.raises(pixsim.PixsimError, match="--scheduler: " + told),
+        pytest.raises(pixsim.PixsimError, match="--scheduler: " + pattern),
         workers_for(None, address),
     ):
         pass
 
 
 # Either Dask itself tries the lost task again, without a word, or pixsim does: who notices first.
-@pytest.mark.filterwarnings("ignore:a worker died")
-def test_a_study_goes_on_when_a_worker_of_the_cluster_is_killed(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
+@pytest.mark.filterwarnings("ignore:a worker process died")
+def test_study_killed_cluster_worker_is_replaced(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The last test of the cluster: one of its two workers is gone afterwards."""
     monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
     pixsim.study(toml, tmp_path / "out", scheduler=cluster)

@@ -1,4 +1,4 @@
-"""The minimum of a curve whose minimum is known, and whether its interval holds it as often as it says."""
+"""The fitted minimum of known curves, and the coverage of its interval."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def length(fit: FittedCurve) -> float:
 
 @pytest.mark.parametrize("pitches", [5, 6, 16])
 @pytest.mark.parametrize("bend", [0.3, 3.0])
-def test_a_parabola_in_log_pitch_is_found(pitches: int, bend: float) -> None:
+def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     """The process around the quadratic has nothing to explain: without noise little is left open."""
     pitch = np.geomspace(5.3, 15, pitches)
     optimum = fitted(parabola(pitch, bend), pitch_um=pitch).optimum
     assert optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
-    # Half a step of the fine grid (0.065 %) beside the minimum, ΔE is higher by 3 · 0.00065² of 0.5 at most.
+    # Half a step of the fine grid (0.065 %) from the minimum, ΔE is higher by 3 · 0.00065² of 0.5 at most.
     assert optimum.mean_delta_e == pytest.approx(MIN_VERSIONS, rel=3e-6)
     assert optimum.inside
     low, high = optimum.interval_um
@@ -70,7 +70,7 @@ def test_a_parabola_in_log_pitch_is_found(pitches: int, bend: float) -> None:
 
 
 @pytest.mark.parametrize("bend", [0.3, 1.0, 3.0])
-def test_the_pitches_of_a_shallow_minimum(bend: float) -> None:
+def test_close_to_least_of_parabola(bend: float) -> None:
     """0.5 + bend x² rises by 1 % at x = √(0.005/bend), by 2 % at √(0.01/bend); they are read on steps of 0.13 %, within."""
     optimum = fitted(parabola(PITCH, bend)).optimum
     for share, (low, high) in ((0.01, optimum.within_1_percent_um), (0.02, optimum.within_2_percent_um)):
@@ -79,7 +79,7 @@ def test_the_pitches_of_a_shallow_minimum(bend: float) -> None:
         assert 0 <= reach - np.log(high / BEST_UM) < 1.4e-3
 
 
-def test_an_end_that_is_as_good_as_the_least_is_none() -> None:
+def test_close_to_least_open_end_is_none() -> None:
     pitch, curve = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.015, 1.005, 1.0, 1.009])
     assert close_to_least(pitch, curve, 0.01) == (2.0, None)
     assert close_to_least(pitch, curve, 0.02) == (None, None)
@@ -87,7 +87,7 @@ def test_an_end_that_is_as_good_as_the_least_is_none() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.25, 3.0, 1e3])
-def test_a_factor_of_delta_e_changes_delta_e_alone(factor: float) -> None:
+def test_fit_curve_scales_with_delta_e(factor: float) -> None:
     delta_e = sensors_of(parabola(PITCH), 3, 0.01)
     one, other = fit_curve(PITCH, delta_e), fit_curve(PITCH, factor * delta_e)
     np.testing.assert_allclose(other.delta_e, factor * one.delta_e, rtol=1e-9)
@@ -98,7 +98,7 @@ def test_a_factor_of_delta_e_changes_delta_e_alone(factor: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_mirrored_pitches_mirror_the_interval(seed: int) -> None:
+def test_fit_curve_mirrored_pitches(seed: int) -> None:
     """A Wiener process integrated twice, with a free quadratic, is the same from either end."""
     delta_e = sensors_of(parabola(PITCH), 3, 0.01, seed)
     one, other = fit_curve(PITCH, delta_e), fit_curve(100 / PITCH[::-1], delta_e[::-1])
@@ -110,7 +110,7 @@ def test_mirrored_pitches_mirror_the_interval(seed: int) -> None:
     np.testing.assert_allclose(mirrored, np.log(one.optimum.interval_um), atol=0.2 * np.ptp(mirrored) / 2)
 
 
-def test_places_are_logarithms_of_the_photodiode_s_width() -> None:
+def test_places_of_are_log_widths() -> None:
     def width_um(pitch_um: np.ndarray) -> np.ndarray:
         return np.sqrt(pitch_um**2 - 25.0)
 
@@ -127,7 +127,7 @@ def test_places_are_logarithms_of_the_photodiode_s_width() -> None:
 
 @pytest.mark.parametrize("falling", [False, True])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_a_minimum_at_an_end_leaves_it_open(falling: bool, noise: float) -> None:
+def test_fit_curve_minimum_at_end_is_open(falling: bool, noise: float) -> None:
     delta_e = sensors_of(1 + np.log(PITCH / 5), 3, noise)
     optimum = fit_curve(PITCH, delta_e[::-1] if falling else delta_e).optimum
     assert not optimum.inside
@@ -137,7 +137,7 @@ def test_a_minimum_at_an_end_leaves_it_open(falling: bool, noise: float) -> None
     assert optimum.within_1_percent_um[1 if falling else 0] is None
 
 
-def test_a_flat_line_leaves_both_ends_open() -> None:
+def test_fit_curve_flat_line_is_open() -> None:
     """Sensors that differ by chance alone: of 60 seeds at 3 sensors, both ends in 39 and one or both in 59."""
     optima = [fitted(np.full(PITCH.size, 0.5), noise=0.01, seed=seed).optimum for seed in range(20)]
     assert sum(optimum.interval_um == (None, None) for optimum in optima) >= 8
@@ -148,7 +148,7 @@ def test_a_flat_line_leaves_both_ends_open() -> None:
 # --- What noise and data do --------------------------------------------------------------------------------------------
 
 
-def test_noise_widens_and_pitches_narrow() -> None:
+def test_fit_curve_interval_width_by_noise_and_pitches() -> None:
     """Twice the noise widens the interval twofold where the curve is known but for its quadratic, by √2 where it may be any.
 
     The slope of a quintic smoothing spline has a standard error ~ √noise (it smooths less where it can), of a parabola
@@ -164,7 +164,7 @@ def test_noise_widens_and_pitches_narrow() -> None:
     assert 1.4 < 1 / np.median(narrower) < 2.0
 
 
-def test_a_sensor_that_is_missing_is_none() -> None:
+def test_fit_curve_ignores_missing_sensors() -> None:
     """Which of the columns are empty does not matter."""
     few = sensors_of(parabola(PITCH), 8, 0.01)
     few[5, 2:] = np.nan
@@ -174,7 +174,7 @@ def test_a_sensor_that_is_missing_is_none() -> None:
         np.testing.assert_allclose(fit_curve(PITCH, same).delta_e, fit.delta_e, rtol=1e-12)
 
 
-def test_the_scatter_is_pooled_over_pitches() -> None:
+def test_measured_pools_scatter() -> None:
     """Two pitches by hand: squares about the means 2 and 4 are 2 · 1² and 2 · 1², of 1 · 2² + 1 · 4² expected at 100 %."""
     mean, scale, design, degrees = measured(np.array([0.0, 1.0]), np.array([[1.0, 3.0, np.nan], [3.0, 5.0, np.nan]]))
     np.testing.assert_allclose(mean, [2, 4])
@@ -194,13 +194,13 @@ PLACES = np.linspace(0, 1.1, 12)
 WIDE = 1e4  # variance of a coefficient of the quadratic that leaves it open
 
 
-def test_the_covariance_of_the_process() -> None:
+def test_wiener_covariance_matches_integral() -> None:
     for a, b in ((0.0, 0.7), (0.3, 0.3), (0.2, 1.7), (2.0, 0.4)):
         integral, _ = quad(lambda w, a=a, b=b: (a - w) ** 2 * (b - w) ** 2 / 4, 0, min(a, b))
         assert wiener_covariance(np.array([a]), np.array([b]))[0, 0] == pytest.approx(integral, rel=1e-9, abs=1e-15)
 
 
-def test_the_likelihood_is_that_of_a_normal_distribution_with_a_free_quadratic() -> None:
+def test_log_likelihood_matches_normal_distribution() -> None:
     """But for a constant, which a prior that is wide in every coefficient brings with it."""
     own, outside = [], []
     for stiffness in (0.1, 1.0, 3.0):
@@ -214,7 +214,7 @@ def test_the_likelihood_is_that_of_a_normal_distribution_with_a_free_quadratic()
     assert np.ptp(outside) > 1000, "they differ"
 
 
-def test_the_posterior_is_that_of_a_normal_distribution_with_a_free_quadratic() -> None:
+def test_posterior_matches_normal_distribution() -> None:
     posterior = Posterior(DESIGN, 2.0, 0.25, Y)
 
     def prior(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -226,7 +226,7 @@ def test_the_posterior_is_that_of_a_normal_distribution_with_a_free_quadratic() 
     np.testing.assert_allclose(posterior.covariance(PLACES), covariance, atol=2e-2 * np.abs(covariance).max())
 
 
-def test_without_stiffness_it_is_a_parabola_and_without_noise_it_meets_the_data() -> None:
+def test_posterior_mean_limits() -> None:
     soft = Posterior(DESIGN, 1e-6, 0.0, Y)
     weights = np.sqrt(DESIGN.sensors / DESIGN.noise)
     np.testing.assert_allclose(soft.mean(PLACES), np.polyval(np.polyfit(U, Y, 2, w=weights), PLACES), rtol=1e-6)
@@ -235,8 +235,8 @@ def test_without_stiffness_it_is_a_parabola_and_without_noise_it_meets_the_data(
     assert np.sqrt(np.diag(exact.covariance(U))).max() < 1.1e-6, "ROUNDING"
 
 
-def test_a_pitch_weighs_by_its_sensors() -> None:
-    """What it has of its own mean, h, against what the others have, 1 - h, is as the number of its sensors."""
+def test_posterior_weighs_pitch_by_sensors() -> None:
+    """The weight of a pitch's own mean, h, over the weight of the others, 1 - h, is proportional to its sensors."""
 
     def own_share(count: int) -> float:
         sensors = DESIGN.sensors.copy()
@@ -247,7 +247,7 @@ def test_a_pitch_weighs_by_its_sensors() -> None:
     assert few / (1 - few) == pytest.approx(many / (1 - many) / 4, rel=1e-6)
 
 
-def test_drawn_curves_are_of_the_posterior() -> None:
+def test_drawn_curves_have_posterior_moments() -> None:
     posteriors = [Posterior(DESIGN, stiffness, 0.0, Y) for stiffness in (0.5, 5.0)]
     curves = drawn_curves(posteriors, [0.75, 0.25], PLACES)
     for posterior, own in zip(posteriors, np.split(curves, [DRAWS * 3 // 4]), strict=True):
@@ -259,7 +259,7 @@ def test_drawn_curves_are_of_the_posterior() -> None:
         assert np.abs(error).max() < 6 / np.sqrt(len(own))
 
 
-def test_minima_of_parabolas_lie_between_the_places() -> None:
+def test_minima_of_parabolas_are_interpolated() -> None:
     places = np.linspace(0, 1, 11)
     vertices = np.array([0.123, 0.5, 0.931])
     curves = (places - vertices[:, None]) ** 2
@@ -277,7 +277,7 @@ print(json.dumps([fit.optimum.pitch_um, *fit.optimum.interval_um, *fit.delta_e, 
 """
 
 
-def test_the_fit_is_the_same_on_one_thread_of_blas() -> None:
+def test_fit_curve_is_independent_of_blas_threads() -> None:
     delta_e = sensors_of(parabola(PITCH), 3, 0.01)
     environment = os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     data = json.dumps([PITCH.tolist(), delta_e.tolist()])
@@ -296,7 +296,7 @@ CELLS = [("chen2000_0.35um", 16, 2), ("evening", 16, 3), ("near_an_end", 16, 3)]
 
 
 @pytest.mark.parametrize(("curve", "pitches", "repeats"), CELLS)
-def test_the_interval_holds_the_minimum_of_a_known_curve(curve: str, pitches: int, repeats: int) -> None:
+def test_fit_curve_interval_coverage(curve: str, pitches: int, repeats: int) -> None:
     """In 90 to 99 % of the studies, whose numbers are drawn from fixed seeds.
 
     Another 200 studies would fail by chance 2 times in 1000 where the interval covers 95 %, 3 times at 96 % and 16 times at
@@ -310,7 +310,7 @@ def test_the_interval_holds_the_minimum_of_a_known_curve(curve: str, pitches: in
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-12, 0.5, 1e6])
-def test_a_level_curve_has_no_minimum(level: float) -> None:
+def test_fit_curve_level_has_no_minimum(level: float) -> None:
     """Not one that rounding decides either; nothing divides by it."""
     optimum = fit_curve(PITCH, np.full((PITCH.size, 2), level)).optimum
     assert (optimum.interval_um, optimum.inside) == ((None, None), False)
@@ -318,7 +318,7 @@ def test_a_level_curve_has_no_minimum(level: float) -> None:
 
 
 @pytest.mark.parametrize("end", [0, -1])
-def test_a_single_low_pitch_at_an_end_leaves_that_end_open(end: int) -> None:
+def test_fit_curve_single_low_end_is_open(end: int) -> None:
     delta_e = np.ones((PITCH.size, 2))
     delta_e[end] = 0.0
     optimum = fit_curve(PITCH, delta_e).optimum

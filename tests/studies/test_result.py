@@ -1,4 +1,4 @@
-"""Results that show themselves in a notebook: what a cell shows, a figure, and a table that comes back."""
+"""Results in a notebook: cells, figures, and tables that round-trip."""
 
 from __future__ import annotations
 
@@ -40,49 +40,49 @@ def result(tiny_result: StudyResult) -> StudyResult:
 
 
 def image_of(cell: str) -> str:
-    (found,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', cell)
-    return base64.b64decode(found).decode()
+    (actual,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', cell)
+    return base64.b64decode(actual).decode()
 
 
-def test_a_cell_shows_a_score(score: Score) -> None:
+def test_score_repr_html_shows_statistics(score: Score) -> None:
     cell = score._repr_html_()
     words = Elements(cell)
-    told = " ".join(words.words)
-    assert f"mean ΔE {score.mean_delta_e:.3f}" in told
+    message = " ".join(words.words)
+    assert f"mean ΔE {score.mean_delta_e:.3f}" in message
     for name, value in score.statistics().items():
-        assert f"{name} {value:.6g}" in told
+        assert f"{name} {value:.6g}" in message
     assert words.tags.count("tr") == len(score.statistics())
     assert image_of(cell).count("<image") == 4, "ideal, sensor, map, scale"
     assert repr(score).startswith("<Score mean ΔE")
 
 
-def test_maps_of_two_scores_have_one_scale(score: Score) -> None:
+def test_score_plot_has_fixed_scale(score: Score) -> None:
     (shown,) = [image for axes in score.plot().axes for image in axes.images if axes.get_title().startswith("S-CIELAB")]
     assert shown.get_clim() == (0.0, 10.0)
     np.testing.assert_array_equal(shown.get_array(), score.delta_e)
 
 
-def test_a_cell_shows_a_study_and_words_stay_words(result: StudyResult) -> None:
+def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
     cell = result._repr_html_()
     words = Elements(cell)
-    told = " ".join(words.words)
-    assert MARKUP in told
+    message = " ".join(words.words)
+    assert MARKUP in message
     assert set(words.tags) == {"div", "strong", "table", "tr", "th", "td", "img"}
     for curve in result.curves:
         best = curve.optimum
-        assert curve.technology in told
-        assert (f"{best.pitch_um:.2f}" in told) if best.inside else ("none between 5.3 and 15" in told)
+        assert curve.technology in message
+        assert (f"{best.pitch_um:.2f}" in message) if best.inside else ("none between 5.3 and 15" in message)
     assert image_of(cell).startswith("<?xml")
 
 
-def test_a_study_is_drawn_with_its_points(result: StudyResult) -> None:
+def test_study_result_plot_shows_points(result: StudyResult) -> None:
     axes = result.plot().axes[0]
     assert axes.get_xlabel() == "pixel size (µm)"
     drawn = {tuple(np.round(line.get_xdata(), 6)) for line in axes.lines}
     assert tuple(result.curves[0].pitch_um) in drawn
 
 
-def test_tables_come_back_to_the_last_digit(score: Score, result: StudyResult, tmp_path: Path) -> None:
+def test_to_csv_round_trips(score: Score, result: StudyResult, tmp_path: Path) -> None:
     (row,) = csv.DictReader(io.StringIO(score.to_csv()))
     assert {name: float(value) for name, value in row.items()} == score.statistics()
     text = result.to_csv(tmp_path / "rows.csv")

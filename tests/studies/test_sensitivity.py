@@ -1,4 +1,4 @@
-"""Assumptions moved one at a time: what moves is the setting's doing, since all else, chance too, stays as it is."""
+"""Sensitivity analysis: one assumption changes at a time, with all else, random streams included, unchanged."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def cases(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in (folder / "cases").iterdir()}
 
 
-def test_the_base_is_the_base_study_itself(done: tuple[SensitivityResult, Path], desk: Path) -> None:
+def test_run_sensitivity_base_equals_study(done: tuple[SensitivityResult, Path], desk: Path) -> None:
     """Same rows as the study run alone with these pitches and sensors, so its random streams too."""
     base = load_study("tiny.toml").model_dump(mode="json")
     own = {"technologies": ["0.35um"], "repeats": 2, "pitch": {"values_um": PITCHES_UM}}
@@ -97,7 +97,7 @@ def test_the_base_is_the_base_study_itself(done: tuple[SensitivityResult, Path],
     assert len(rows(desk / "alone/results.csv")) == 12
 
 
-def test_a_setting_that_the_base_has_changes_nothing(done: tuple[SensitivityResult, Path]) -> None:
+def test_run_sensitivity_setting_of_base_is_unchanged(done: tuple[SensitivityResult, Path]) -> None:
     result, folder = done
     same, half, fast = result.cases
     assert rows(next((folder / "cases").glob("*-PRNU-2_.csv"))) == rows(folder / "cases/base.csv")
@@ -109,16 +109,7 @@ def test_a_setting_that_the_base_has_changes_nothing(done: tuple[SensitivityResu
     assert (fast.reference.delta_e[0] < 0.95 * base[0]).all()
 
 
-def test_the_widest_range_comes_first(done: tuple[SensitivityResult, Path]) -> None:
-    groups = done[0].by_variation()
-    assert list(groups) == ["light", "PRNU"], "PRNU moves nothing here"
-    assert [case.label for case in groups["light"]] == ["half", "f/2.8"]
-    assert done[0].as_dict()["cases"][0]["variation"] == "PRNU", "in the order of the file"
-
-
-def test_a_second_run_evaluates_nothing_and_a_lost_case_is_done_again(
-    done: tuple[SensitivityResult, Path], evaluations: list[Frame]
-) -> None:
+def test_run_sensitivity_resumes_lost_case(done: tuple[SensitivityResult, Path], evaluations: list[Frame]) -> None:
     result, folder = done
     before = cases(folder)
     again = run_sensitivity(result.sensitivity, folder, jobs=1)
@@ -133,11 +124,11 @@ def test_a_second_run_evaluates_nothing_and_a_lost_case_is_done_again(
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
-def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[SensitivityResult, Path]) -> None:
+def test_sensitivity_command_two_workers_same_result(done: tuple[SensitivityResult, Path]) -> None:
     result, folder = done
-    code, told, _ = command("study sensitivity.toml --out command --jobs 2")
+    code, message, _ = command("study sensitivity.toml --out command --jobs 2")
     assert code == 0
-    base, light, prnu, report = told.splitlines()
+    base, light, prnu, report = message.splitlines()
     best = result.base_case.reference.optimum
     low, high = best.interval_um
     assert base.startswith(f"base: 0.35um: optimal pixel size {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)")
@@ -149,7 +140,7 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
         page, here = out.resolve() / "report.html", Path("browser").resolve()
         here.mkdir()
         assert_fits(page, here)
-        assert_prints(page, here, range(1, 4), ["one assumption moved", "f/2.8"], ["Every case"])
+        assert_prints(page, here, range(1, 4), ["one assumption varied", "f/2.8"], ["All cases"])
     assert {path.name for path in out.iterdir()} == {"cases", "figures", "summary.json", "provenance.json", "report.html"}
     assert {path.name for path in (out / "figures").iterdir()} == {"tornado.svg", "tornado.csv"}
     assert cases(out) == cases(folder), "the rows depend on the number of workers"
@@ -157,7 +148,7 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ("set.pixel.prnuu = 0.01", "pixel.prnuu"),
         ("set.display.wite_cd_per_m2 = 1", "display.wite_cd_per_m2"),
@@ -165,14 +156,14 @@ def test_the_command_with_two_workers_finds_the_same_and_tells_it(done: tuple[Se
         ("set.scene.parameters.luminance = 3.0", "luminance"),
     ],
 )
-def test_a_setting_that_cannot_be_is_refused_before_the_render(
-    change: str, told: str, desk: Path, monkeypatch: pytest.MonkeyPatch
+def test_run_sensitivity_invalid_setting_raises_before_render(
+    change: str, message: str, desk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
     (desk / "wrong.toml").write_text(SENSITIVITY_TOML.replace("set.camera.f_number = 2.8", change), encoding="utf-8")
     code, _, complaint = command("study wrong.toml --out wrong")
     assert code == 2
-    assert told in complaint
+    assert message in complaint
     assert not (desk / "wrong").exists()
 
 
@@ -209,16 +200,16 @@ def synthetic() -> SensitivityResult:
     base = StudyResult(
         pixsim.Study(name="base", display=pixsim.Display(white_cd_per_m2=1000.0)), case(*PAPER).curves, light, pixsim.Camera()
     )
-    found = tuple(case([size, *PAPER[0][1:]], PAPER[1], *names) for *names, size in moved)
+    actual = tuple(case([size, *PAPER[0][1:]], PAPER[1], *names) for *names, size in moved)
     alone = replace(case([12.0, *PAPER[0][1:]], PAPER[1], "narrow", "0.35um"), alone="0.35um")
     base_case = Case("base", sensitivity.base, base.curves, tuple(scaling_rows(base.curves)))
-    return SensitivityResult(sensitivity, base, base_case, (*found, alone))
+    return SensitivityResult(sensitivity, base, base_case, (*actual, alone))
 
 
-def test_what_turns_a_verdict_is_found_by_hand() -> None:
+def test_turning_lists_changed_verdicts() -> None:
     """At 8 µm, 22.9 features of 0.35 µm, the optimum no longer shrinks slower: 20.8 and 22.8 follow. At 12 µm neither."""
     result = synthetic()
-    assert {name: [each.label for each in result.turning(name)] for name in (SHRINKS, SLOWER, WORSE)} == {
+    assert {name: [item.label for item in result.turning(name)] for name in (SHRINKS, SLOWER, WORSE)} == {
         SHRINKS: [],
         SLOWER: ["d", "0.35um"],
         WORSE: [],
@@ -227,12 +218,12 @@ def test_what_turns_a_verdict_is_found_by_hand() -> None:
     assert claims[SLOWER]["agrees"] is True
     turned_by = claims[SLOWER]["turned_by"]
     assert turned_by == [{"variation": "wide", "label": "d"}, {"variation": "narrow", "label": "0.35um"}]
-    assert turned_words([(each["variation"], each["label"]) for each in turned_by]) == "wide (d); narrow (0.35um)"
+    assert turned_words([(item["variation"], item["label"]) for item in turned_by]) == "wide (d); narrow (0.35um)"
     assert turned_words([("a", "1"), ("b", "2"), ("a", "3")]) == "a (1, 3); b (2)"
 
 
-def test_the_tables_of_the_documents() -> None:
-    """`tests/benchmarks/paper_table.py`: against the study's own verdicts, which need not be the base's."""
+def test_paper_table_of_synthetic_result() -> None:
+    """`tests/benchmarks/paper_table.py`: against the verdicts of the study, which may differ from the base's."""
     summary = json.loads(json.dumps(synthetic().as_dict()))
     rows = [{"statement": SLOWER, "given": "g", "found": "f", "agrees": agrees, "why": "w"} for agrees in (True, False)]
     yes, no = claims_table(rows[:1], summary["cases"])[-1], claims_table(rows[1:], summary["cases"])[-1]
@@ -272,9 +263,9 @@ def ranged(desk: Path) -> tuple[SensitivityResult, Path]:
     return run_sensitivity(Sensitivity.model_validate(RANGED), desk / "ranged", jobs=1), desk / "ranged"
 
 
-def test_numbers_go_to_both_ends_together_and_alone(ranged: tuple[SensitivityResult, Path]) -> None:
+def test_moves_of_cover_both_ends(ranged: tuple[SensitivityResult, Path]) -> None:
     """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its upper end is 0.37."""
-    assert [(each.variation, each.label, each.alone) for each in ranged[0].cases[1:]] == [
+    assert [(item.variation, item.label, item.alone) for item in ranged[0].cases[1:]] == [
         ("dark current", "all low", ""),
         ("dark current", "0.35um 0.333", "0.35um"),
         ("dark current", "0.25um 1", "0.25um"),
@@ -294,63 +285,53 @@ def test_numbers_go_to_both_ends_together_and_alone(ranged: tuple[SensitivityRes
         ("0.25um 0.2", {"0.25um": {"peak_quantum_efficiency": 0.2}}),
     ],
 )
-def test_a_case_is_the_study_with_those_numbers(
+def test_assemble_case_equals_whole_study(
     label: str, process: dict[str, dict[str, float]], ranged: tuple[SensitivityResult, Path], desk: Path
 ) -> None:
     """Put together from single technologies, it has the curves and the verdicts of the whole study, made apart."""
     result = ranged[0]
-    (found,) = [each for each in result.cases if each.label == label]
+    (actual,) = [item for item in result.cases if item.label == label]
     study = result.sensitivity.base_study().model_copy(update={"process": process})
     whole = pixsim.study(study, desk / f"whole {label}", jobs=1)
-    for mine, theirs in zip(found.curves, whole.curves, strict=True):
+    for mine, theirs in zip(actual.curves, whole.curves, strict=True):
         assert mine.technology == theirs.technology
         np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
         assert mine.optimum == theirs.optimum
-    assert list(found.rows) == findings(Evidence(whole, {each.technology: each for each in whole.curves}))
-    assert len(found.rows) == 17, "every statement of the paper"
+    assert list(actual.rows) == findings(Evidence(whole, {item.technology: item for item in whole.curves}))
+    assert len(actual.rows) == 17, "every statement of the paper"
 
 
-def test_a_technology_that_stays_is_not_computed_again(ranged: tuple[SensitivityResult, Path]) -> None:
+def test_assemble_reuses_unchanged_technology(ranged: tuple[SensitivityResult, Path]) -> None:
     """Base and one setting with two technologies, then one technology for each number and end."""
     result, folder = ranged
     technologies = [{row["technology"] for row in rows(path)} for path in sorted((folder / "cases").glob("*.csv"))]
     assert sorted(map(len, technologies)) == [1] * 6 + [2] * 2
-    (alone,) = [each for each in result.cases if each.label == "0.25um 9"]
+    (alone,) = [item for item in result.cases if item.label == "0.25um 9"]
     assert alone.curves[0] is result.base.curves[0]
     assert alone.rows[: len(alone.rows) - 3] == result.base_case.rows[: len(alone.rows) - 3]
 
 
-def test_the_page_and_the_summary_say_what_turns_each_verdict(ranged: tuple[SensitivityResult, Path], desk: Path) -> None:
+def test_write_sensitivity_report_lists_turning_cases(ranged: tuple[SensitivityResult, Path], desk: Path) -> None:
     result = ranged[0]
     (desk / "page").mkdir()
     path = write_sensitivity_report(result, desk / "page", {})
     summary = json.loads((desk / "page/summary.json").read_text(encoding="utf-8"))
     page = path.read_text(encoding="utf-8")
     for row in summary["claims"]:
-        turning = [each for each in result.cases if each.agrees[row["statement"]] != row["agrees"]]
-        assert row["turned_by"] == [{"variation": each.variation, "label": each.label} for each in turning]
+        turning = [item for item in result.cases if item.agrees[row["statement"]] != row["agrees"]]
+        assert row["turned_by"] == [{"variation": item.variation, "label": item.label} for item in turning]
         assert f"{len(turning)} of {len(result.cases)}" in page
-    assert "what would turn it" in page
+    assert "settings that change the verdict" in page
 
 
-def test_a_number_that_no_technology_has_is_refused(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_moves_of_unknown_number_raises(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
     wrong = Sensitivity.model_validate(SENSITIVITY | {"ranges": {"dark": "dark_current"}})
     with pytest.raises(pixsim.PixsimError, match=r"ranges\.dark: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"):
         run_sensitivity(wrong, desk / "wrong", jobs=1)
 
 
-def test_ranges_reach_from_the_base() -> None:
-    """One-sided 7 is 0.5 wide with the base, and nothing without it."""
-    assert {name: [c.label for c in group] for name, group in synthetic().by_variation().items()} == {
-        "wide": ["b", "d"],
-        "one-sided": ["c"],
-        "narrow": ["a"],
-    }
-    assert list(synthetic().by_variation()) == ["wide", "one-sided", "narrow"]
-
-
-def test_the_tornado_draws_its_table() -> None:
+def test_tornado_bars_match_table() -> None:
     plate: Plate = tornado(synthetic())
     header, *table = csv.reader(io.StringIO(plate.csv))
     assert len(table) == 3 * 6
@@ -371,19 +352,19 @@ def shipped() -> Sensitivity:
     return Sensitivity.model_validate(read_toml(packaged("data/studies")["chen2000-sensitivity"]))
 
 
-def test_every_case_that_is_shipped_can_run_and_differs_from_the_base(shipped: Sensitivity) -> None:
+def test_packaged_cases_are_valid_and_distinct(shipped: Sensitivity) -> None:
     base = shipped.base_study()
-    found = list(cases_of(shipped))
-    for variation, label, study in found:
+    actual = list(cases_of(shipped))
+    for variation, label, study in actual:
         check_pitches(study)
         assert study.model_dump(exclude={"quick"}) != base.model_dump(exclude={"quick"}), f"{variation}, {label} is the base"
         assert (study.seed, study.name) == (base.seed, base.name), "its random streams are others"
         assert study.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
-    assert len({file_name(0, variation, label) for variation, label, _ in found}) == len(found), "labels read alike"
-    assert len({study.content_hash for *_, study in found}) == len(found), "two cases are the same"
+    assert len({file_name(0, variation, label) for variation, label, _ in actual}) == len(actual), "labels read alike"
+    assert len({study.content_hash for *_, study in actual}) == len(actual), "two cases are the same"
 
 
-# What the paper does not tell, with the range that is plausible for it; None: any other value than the base's.
+# Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
 ASSUMED = {
     "camera.f_number": (2.8, 8.0),
     "pixel.response": None,
@@ -402,7 +383,7 @@ ASSUMED = {
 
 
 @pytest.mark.parametrize("name", ASSUMED)
-def test_what_the_paper_does_not_tell_is_moved_over_its_range(name: str, shipped: Sensitivity) -> None:
+def test_packaged_cases_cover_assumptions(name: str, shipped: Sensitivity) -> None:
     def value(study: pixsim.Study) -> object:
         here: object = study.model_dump(mode="json")
         for part in name.split("."):
@@ -416,39 +397,38 @@ def test_what_the_paper_does_not_tell_is_moved_over_its_range(name: str, shipped
         assert (min(given), max(given)) == ASSUMED[name]
 
 
-def test_the_base_that_is_shipped_is_the_study_of_the_table(shipped: Sensitivity) -> None:
-    """Beside each verdict of chen2000 stands what would turn it: the base must have that verdict, so those rows."""
-    base, own = shipped.base_study(), load_study("chen2000")
-    assert base.model_dump(exclude={"quick"}) == own.model_dump(exclude={"quick"})
+def test_packaged_base_is_chen2000(shipped: Sensitivity) -> None:
+    """The settings that change a verdict stand next to the verdicts of chen2000, which must be those of the base."""
+    assert shipped.base_study().model_dump(exclude={"quick"}) == load_study("chen2000").model_dump(exclude={"quick"})
 
 
-def test_the_numbers_that_are_shipped_move_in_every_process(shipped: Sensitivity) -> None:
+def test_packaged_moves_cover_every_process(shipped: Sensitivity) -> None:
     moves = moves_of(shipped)
-    assert {each.number for each in moves} == {
+    assert {item.number for item in moves} == {
         *("dark_current_na_per_cm2", "dsnu", "column_fpn"),
         *("peak_quantum_efficiency", "node_capacitance_ff", "voltage_swing_v"),
     }
     assert len(moves) == 6 * 2 * 4 - 2, "all but the measured peak at 0.35 µm"
     base = shipped.base_study()
-    for each in moves:
-        check_pitches(each.study(base))
-        low, high = load_technology(each.technology).ranges[each.number]
-        assert each.value == (low, high)[each.end]
+    for item in moves:
+        check_pitches(item.study(base))
+        low, high = load_technology(item.technology).ranges[item.number]
+        assert item.value == (low, high)[item.end]
 
 
-def test_the_quick_table_leaves_a_sensitivity_study() -> None:
+def test_packaged_quick_table_is_valid() -> None:
     table = read_toml(packaged("data/studies")["chen2000-sensitivity"])
     quick = Sensitivity.model_validate(table | table["quick"])
     assert quick.technologies == ("0.35um",)
     assert len(quick.technologies) < len(Sensitivity.model_validate(table).technologies)
 
 
-def test_modern_pixels_are_pinned_photodiodes() -> None:
+def test_packaged_modern_study_has_pinned_photodiodes() -> None:
     study = load_study("modern")
     assert len(study.technologies) >= 2
-    for each in (study, study.quickened):
-        check_pitches(each)
-        assert not each.paper
+    for item in (study, study.quickened):
+        check_pitches(item)
+        assert not item.paper
     for name in study.technologies:
         technology = load_technology(name)
         assert (technology.junction, technology.reset_noise_factor) == (None, 0.0)

@@ -1,4 +1,4 @@
-"""Studies: what is computed, what is kept, and that neither depends on workers, threads, order or interruptions."""
+"""Studies: rows computed and stored, independent of workers, threads, order and interruptions."""
 
 import json
 import shlex
@@ -44,7 +44,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
     return pixsim.study(tiny(), folder, jobs=1), folder
 
 
-def test_a_row_for_every_pitch_and_sensor(done: tuple[StudyResult, Path]) -> None:
+def test_study_has_row_per_pitch_and_sensor(done: tuple[StudyResult, Path]) -> None:
     result, folder = done
     table = rows(folder)
     assert [(float(r["pitch_um"]), int(r["repeat"])) for r in table] == [(p, r) for p in PITCHES_UM for r in range(3)]
@@ -65,13 +65,13 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("command")
     toml = folder / "tiny.toml"
     toml.write_text(TINY_TOML, encoding="utf-8")
-    code, told, _ = command(f"study {toml} --out {folder / 'out'} --jobs 1")
+    code, message, _ = command(f"study {toml} --out {folder / 'out'} --jobs 1")
     assert code == 0
-    (folder / "stdout").write_text(told, encoding="utf-8")
+    (folder / "stdout").write_text(message, encoding="utf-8")
     return folder
 
 
-def test_the_command_writes_these_files_and_tells_the_optimum(by_command: Path, done: tuple[StudyResult, Path]) -> None:
+def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: tuple[StudyResult, Path]) -> None:
     out = by_command / "out"
     assert {path.name for path in out.iterdir()} == {"results.csv", "summary.json", "report.html", "provenance.json", "figures"}
     figures = {path.name for path in (out / "figures").iterdir()}
@@ -79,10 +79,10 @@ def test_the_command_writes_these_files_and_tells_the_optimum(by_command: Path, 
     assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
     best = done[0].curves[0].optimum
-    told = (by_command / "stdout").read_text(encoding="utf-8")
+    message = (by_command / "stdout").read_text(encoding="utf-8")
     low, high = best.interval_um
-    assert f"{best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in told
-    assert told.rstrip().endswith("report.html")
+    assert f"{best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in message
+    assert message.rstrip().endswith("report.html")
 
 
 ONE_CORE = """
@@ -93,7 +93,7 @@ main()
 """
 
 
-def test_two_workers_on_one_core_give_the_same_bytes(by_command: Path, tmp_path: Path) -> None:
+def test_study_two_workers_one_core_same_bytes(by_command: Path, tmp_path: Path) -> None:
     line = f"study {by_command / 'tiny.toml'} --out {tmp_path} --jobs 2"
     subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line)], check=True, timeout=HANG_S, capture_output=True)
     recorded_times = {"provenance.json", "report.html"}
@@ -105,7 +105,7 @@ def test_two_workers_on_one_core_give_the_same_bytes(by_command: Path, tmp_path:
     assert {name for name in mine if mine[name] != theirs[name]} <= recorded_times
 
 
-def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
+def test_study_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
     _, folder = done
     before = (folder / "results.csv").read_bytes()
     again = pixsim.study(tiny(), folder, jobs=1)
@@ -116,7 +116,7 @@ def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluati
 
 # 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
 @pytest.mark.parametrize("cut_bytes", [4, 60, 2000])
-def test_a_file_that_was_cut_off_is_completed(
+def test_study_truncated_file_is_completed(
     cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
 ) -> None:
     whole = (done[1] / "results.csv").read_bytes()
@@ -128,7 +128,7 @@ def test_a_file_that_was_cut_off_is_completed(
     assert not list(tmp_path.glob(".*"))
 
 
-def test_rows_of_another_content_are_not_taken_for_finished(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_other_content_has_other_keys(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """Seed, display, exposure, sensor and scene are all in a row's key; the title and the iso level are not."""
     own = set(keys(done[1]))
     few = {"repeats": 2, "pitch": {"values_um": FIVE_UM}}
@@ -140,11 +140,11 @@ def test_rows_of_another_content_are_not_taken_for_finished(done: tuple[StudyRes
         "camera": tiny(**few, camera={"f_number": 5.6}),
         "scene": tiny(**merge(few, {"scene": {"parameters": {"luminance_cd_per_m2": 99.0}}})),
     }
-    found = {name: set() for name in others}
+    actual = {name: set() for name in others}
     for name, study in others.items():
         pixsim.study(study, tmp_path / name, jobs=1)
-        found[name] = set(keys(tmp_path / name))
-    everything = [own, *found.values()]
+        actual[name] = set(keys(tmp_path / name))
+    everything = [own, *actual.values()]
     assert len(set.union(*everything)) == sum(map(len, everything)), "two contents share a key"
     pixsim.study(tiny(**few, title="another", iso_delta_e=2.0), tmp_path / "words", jobs=1)
     assert set(keys(tmp_path / "words")) < own
@@ -162,7 +162,7 @@ NUMBERS = {
 }
 
 
-def test_numbers_of_a_study_are_those_of_a_file_that_has_them(tmp_path: Path) -> None:
+def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     """Bit for bit, from the pitches to the pictures of the report: a technology of the same name has the same random streams."""
     table = read_toml(packaged("data/technologies")["0.35um"])
     lines = ['name = "0.35um"']
@@ -200,7 +200,7 @@ def test_numbers_of_a_study_are_those_of_a_file_that_has_them(tmp_path: Path) ->
     assert "<td>voltage_swing_v</td><td>0.9</td><td>0.9 to 1.5</td>" in page
 
 
-def test_numbers_of_one_technology_leave_the_others_rows_alone(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_process_numbers_keep_other_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """Neither keys nor random streams of 0.35 µm depend on what 0.25 µm has."""
     study = tiny(technologies=("0.35um", "0.25um"), process={"0.25um": {"dsnu": 0.6}})
     pixsim.study(study, tmp_path, jobs=1)
@@ -208,14 +208,14 @@ def test_numbers_of_one_technology_leave_the_others_rows_alone(done: tuple[Study
     assert tiny(process={}).content_hash == tiny().content_hash
 
 
-def test_a_data_sheet_has_no_numbers_of_a_process() -> None:
+def test_study_data_sheet_with_process_raises() -> None:
     sheet = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1, "quantum_efficiency": 0.5, "data_sheet_pitch_um": 3}
     study = tiny(technologies=("none",), pixel=sheet, process={"none": {"dsnu": 0.1}})
     with pytest.raises(pixsim.PixsimError, match=r"process\.none: got dsnu; .*Put them into \[pixel\]"):
         pixsim.study(study, "out")
 
 
-def test_a_study_s_file_names_technologies_beside_it(tmp_path: Path) -> None:
+def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
     """And `[quick]`, which leaves one out, leaves its numbers out too."""
     (tmp_path / "mine.toml").write_bytes(packaged("data/technologies")["0.35um"].read_bytes())
     text = (
@@ -231,11 +231,11 @@ def test_a_study_s_file_names_technologies_beside_it(tmp_path: Path) -> None:
 # --- Fields of the pixel as options ------------------------------------------------------------------------------------
 
 
-def test_pixel_options_are_the_file_s_own_table_bit_for_bit(tmp_path: Path) -> None:
+def test_study_pixel_options_equal_file(tmp_path: Path) -> None:
     (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
     (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
-    told = "--pixel.response scaled --pixel.prnu 0.01"
-    for words, out in ((f"plain.toml {told}", "option"), ("scaled.toml", "file"), ("plain.toml", "plain")):
+    message = "--pixel.response scaled --pixel.prnu 0.01"
+    for words, out in ((f"plain.toml {message}", "option"), ("scaled.toml", "file"), ("plain.toml", "plain")):
         assert command(f"study {tmp_path}/{words} --out {tmp_path / out} --jobs 1")[0] == 0
     pixsim.study(tmp_path / "plain.toml", tmp_path / "python", pixel={"response": "scaled", "prnu": 0.01}, jobs=1)
     results = {name: (tmp_path / name / "results.csv").read_bytes() for name in ("option", "file", "plain", "python")}
@@ -245,7 +245,7 @@ def test_pixel_options_are_the_file_s_own_table_bit_for_bit(tmp_path: Path) -> N
         assert (tmp_path / "option" / name).read_bytes() == (tmp_path / "file" / name).read_bytes()
 
 
-def test_pixel_options_go_over_files_and_over_quick_and_are_no_longer_the_study_s(tmp_path: Path) -> None:
+def test_load_study_pixel_options_take_precedence(tmp_path: Path) -> None:
     table = '[sources]\n"pixel.bits" = "assumed"\n"pixel.prnu" = "stated"\n[quick]\npixel = { bits = 9 }\n'
     text = f'name = "own"\n[pixel]\nbits = 8\n{table}'
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
@@ -254,7 +254,7 @@ def test_pixel_options_go_over_files_and_over_quick_and_are_no_longer_the_study_
     assert (study.pixel.bits, study.pixel.prnu, study.sources) == (12, 0.02, {})
 
 
-def test_an_option_completes_a_data_sheet(tmp_path: Path) -> None:
+def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
     """As with `pixsim run`."""
     text = "[pixel]\npitch_um = 4\nfull_well_e = 12000\ndark_current_e_per_s = 1\nquantum_efficiency = 0.6\n"
     (tmp_path / "sensor.toml").write_text(text, encoding="utf-8")
@@ -265,7 +265,7 @@ def test_an_option_completes_a_data_sheet(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pixel", "told"),
+    ("pixel", "message"),
     [
         ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: .*pitch\.values_um"),
         ({"technology": "0.25um"}, r"pixel\.technology: got '0\.25um' for a study; allowed: .* technologies"),
@@ -273,14 +273,14 @@ def test_an_option_completes_a_data_sheet(tmp_path: Path) -> None:
         ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
     ],
 )
-def test_pixel_options_that_a_study_cannot_take(pixel: dict[str, object], told: str) -> None:
-    with pytest.raises(pixsim.PixsimError, match=told):
+def test_load_study_invalid_pixel_option_raises(pixel: dict[str, object], message: str) -> None:
+    with pytest.raises(pixsim.PixsimError, match=message):
         load_study("chen2000", pixel=pixel)
     with pytest.raises(pixsim.PixsimError, match="config, parameters, pixel: got with a Study"):
         pixsim.study(tiny(), "out", pixel=pixel)
 
 
-def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, evaluations: list[Frame]) -> None:
+def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[Frame]) -> None:
     chart = tmp_path / "chart.exr"
     scene = {"parameters": {"chart": str(chart)}}
     study = tiny(repeats=2, pitch={"values_um": FIVE_UM}, scene=scene)
@@ -294,17 +294,15 @@ def test_another_texture_under_the_same_name_is_computed_again(tmp_path: Path, e
     assert len(rows(tmp_path / "out")) == 10, "rows of the old texture are gone"
 
 
-def test_more_of_the_same_computes_the_difference_only(
-    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
-) -> None:
+def test_study_extension_computes_difference_only(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
     (tmp_path / "results.csv").write_bytes((done[1] / "results.csv").read_bytes())
     pixsim.study(tiny(repeats=4, technologies=("0.35um", "0.25um")), tmp_path, jobs=1)
     assert len(evaluations) == 6 * 1 + 6 * 4  # one more sensor of the old process, four of the new
     assert set(keys(done[1])) < set(keys(tmp_path))
 
 
-def test_frames_from_the_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Overexposed, so that a part of the pixels is saturated: their fraction is kept with the frame, whose DN do not show it."""
+def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Overexposed, so that some pixels are saturated: their fraction is stored with the frame, since its DN do not show it."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     taken: list[int] = []
     capture = ImagingChain.capture
@@ -322,13 +320,13 @@ def test_frames_from_the_cache_give_the_same_bytes(tmp_path: Path, monkeypatch: 
     assert captures == 10
     assert all(0.5 < float(row["saturated_fraction"]) < 0.97 for row in rows(results.parent))
     assert evaluated() == (cold, 0)
-    for path in (tmp_path / "cache/frames").iterdir():  # without the fractions, as if they had never been kept
+    for path in (tmp_path / "cache/frames").iterdir():  # remove the fractions
         kept = cache.arrays("frames", path.stem)
-        cache.store_arrays("frames", path.stem, {name: each for name, each in kept.items() if each.ndim == 2})
+        cache.store_arrays("frames", path.stem, {name: item for name, item in kept.items() if item.ndim == 2})
     assert evaluated() == (cold, 10)
 
 
-def test_a_row_depends_on_its_own_pitch_only(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_row_depends_on_its_pitch_only(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """Some of the pitches, others among them, backwards, up to the same largest one: a shared pitch gives the same row."""
     pixsim.study(tiny(pitch={"values_um": [PITCHES_UM[-1], 11.0, 9.9, 8.5, 7.7, 6.0]}), tmp_path, jobs=1)
     shared = {"6.0", "8.5", "11.0", str(PITCHES_UM[-1])}
@@ -337,7 +335,7 @@ def test_a_row_depends_on_its_own_pitch_only(done: tuple[StudyResult, Path], tmp
     assert len(mine) == 12
 
 
-def test_a_stream_depends_on_its_key_and_on_nothing_else() -> None:
+def test_stream_depends_on_key_only() -> None:
     count = 100_000
     first = stream("study", 1, "0.35um", 6.5, 0, "frame").normal(size=count)
     np.random.default_rng().normal(size=7)
@@ -353,7 +351,7 @@ def test_a_stream_depends_on_its_key_and_on_nothing_else() -> None:
         assert abs(np.corrcoef(first, stream(*key).normal(size=count))[0, 1]) < 5 / np.sqrt(count), key
 
 
-def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_quick_rows_are_study_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """Quick rows are rows of the study itself: the table changes how much is done, not what."""
     study = tiny(quick={"repeats": 2, "pitch": {"values_um": FIVE_UM}})
     (curve,) = pixsim.study(study, tmp_path, quick=True, jobs=1).curves
@@ -362,7 +360,7 @@ def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], 
 
 
 @pytest.mark.parametrize(
-    ("over", "told"),
+    ("over", "message"),
     [
         ({"pitch": {"values_um": [5.0, 6, 7, 8, 9]}}, r"5\b.*5\.135 µm"),
         ({"pitch": {"values_um": [6, 7, 8, 9, 2714]}}, r"2714.*2713\.6 µm"),
@@ -376,16 +374,16 @@ def test_the_quick_table_is_laid_over_the_study(done: tuple[StudyResult, Path], 
         ({"process": {"0.35um": {"dsnu": float("nan")}}}, r"(?s)process.*dsnu.*finite"),
     ],
 )
-def test_what_cannot_be_made_is_refused_before_the_render(
-    over: dict[str, object], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_study_invalid_input_raises_before_render(
+    over: dict[str, object], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         pixsim.study(tiny(**over), tmp_path / "out", jobs=1)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_minimum_at_the_end_of_the_range_is_no_optimum(tmp_path: Path) -> None:
+def test_study_minimum_at_end_is_no_optimum(tmp_path: Path) -> None:
     """In bright light small pixels are not yet short of photons; in the dark only the largest will do."""
     for luminance, end_um, values in ((1e4, 8.0, [8, 9, 10, 11, 12]), (1.0, 7.0, [5.2, 5.5, 6, 6.5, 7])):
         study = tiny(repeats=2, scene={"parameters": {"luminance_cd_per_m2": luminance}}, pitch={"values_um": values})
@@ -393,7 +391,7 @@ def test_a_minimum_at_the_end_of_the_range_is_no_optimum(tmp_path: Path) -> None
         assert (best.inside, best.pitch_um) == (False, pytest.approx(end_um))
 
 
-def test_ctrl_c_keeps_what_is_finished(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
+def test_study_interrupt_keeps_finished_rows(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
     """Interrupted in the second of three sensors of the second pitch."""
     toml, out = tmp_path / "tiny.toml", tmp_path / "out"
     toml.write_text(TINY_TOML, encoding="utf-8")
@@ -409,7 +407,7 @@ def test_ctrl_c_keeps_what_is_finished(done: tuple[StudyResult, Path], tmp_path:
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
 
 
-def test_chen2000_finds_the_pixel_size_of_the_paper(tmp_path: Path) -> None:
+def test_study_chen2000_matches_paper(tmp_path: Path) -> None:
     """Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and display: ± 0.6 µm."""
     curves = {curve.technology: curve for curve in pixsim.study("chen2000", tmp_path, quick=True).curves}
     curve = curves["0.35um"]

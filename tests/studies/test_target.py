@@ -1,4 +1,4 @@
-"""Where a study puts more work until its interval is short enough, and that it finds the same however it is run."""
+"""Rounds of additions until the target interval, reproducible however the study is run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from helpers.tiny import tiny as tiny_study
 import pixsim
 from pixsim.report.wording import target_notes
 from pixsim.sensor.readout import Frame
-from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_AN_ADDITION, additions, next_sensors, rise_variance
+from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_PER_ADDITION, additions, next_sensors, rise_variance
 from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
 from pixsim.studies.result import Curve, StudyResult
 from pixsim.studies.study import next_round
@@ -48,17 +48,17 @@ def fit() -> FittedCurve:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_round_is_of_a_fixed_size_and_near_the_minimum(seed: int) -> None:
+def test_next_sensors_round_size_and_position(seed: int) -> None:
     """Each addition is two sensors, of a pitch within the interval or the next two beyond either end."""
     fit = fit_of(START, seed=seed)
     more = next_sensors(fit, START, 32)
-    assert sum(more.values()) - sum(START.values()) == ROUND * SENSORS_AN_ADDITION
+    assert sum(more.values()) - sum(START.values()) == ROUND * SENSORS_PER_ADDITION
     assert list(more) == sorted(more)
     assert START.keys() <= more.keys()
     low, high = fit.optimum.interval_um
     lowest, highest = (
-        sorted(each for each in START if each < low)[-BEYOND],
-        sorted(each for each in START if each > high)[BEYOND - 1],
+        sorted(item for item in START if item < low)[-BEYOND],
+        sorted(item for item in START if item > high)[BEYOND - 1],
     )
     changed = [pitch_um for pitch_um, count in more.items() if count != START.get(pitch_um)]
     assert changed
@@ -66,7 +66,7 @@ def test_a_round_is_of_a_fixed_size_and_near_the_minimum(seed: int) -> None:
 
 
 @pytest.mark.parametrize("max_sensors", [2, 3, 5])
-def test_no_pitch_has_more_sensors_than_allowed_and_no_two_are_one(max_sensors: int) -> None:
+def test_next_sensors_respects_limits(max_sensors: int) -> None:
     """Until nothing more is possible: then each pitch near the minimum is full, and lies as close to the next as may be."""
     fit, sensors = fit_of(START), START
     for _ in range(1000):
@@ -85,22 +85,22 @@ def test_no_pitch_has_more_sensors_than_allowed_and_no_two_are_one(max_sensors: 
     assert (inner[1:] < 1.001 * MIN_RATIO**2 * inner[:-1]).all(), "a half of any larger step is still a step"
 
 
-def test_a_new_pitch_lies_halfway_in_the_width_of_the_photodiode(fit: FittedCurve) -> None:
+def test_additions_new_pitch_is_midpoint(fit: FittedCurve) -> None:
     new = sorted(additions(fit, START, 32).keys() - START.keys())
     assert new
     for pitch_um in new:
-        left, right = max(each for each in START if each < pitch_um), min(each for each in START if each > pitch_um)
+        left, right = max(item for item in START if item < pitch_um), min(item for item in START if item > pitch_um)
         assert pitch_um == pytest.approx(np.sqrt(left * right), abs=1e-4)
 
 
-def test_each_addition_is_the_best_of_all(fit: FittedCurve) -> None:
+def test_next_sensors_choose_lowest_variance(fit: FittedCurve) -> None:
     """None that was possible would have left the rise to both ends of the interval known better."""
     before, now = dict(START), START
     for pitch_um in chosen_in_order(fit, START, 32):
         options = additions(fit, before, 32)
         now = before | {pitch_um: options[pitch_um]}
         variance = rise_variance(fit, now)
-        assert all(variance <= rise_variance(fit, before | {each: count}) for each, count in options.items())
+        assert all(variance <= rise_variance(fit, before | {item: count}) for item, count in options.items())
         before = now
     assert dict(sorted(now.items())) == next_sensors(fit, START, 32)
 
@@ -116,13 +116,13 @@ def chosen_in_order(fit: FittedCurve, sensors: Sensors, max_sensors: int) -> Ite
             sensors = more
 
 
-def test_any_addition_lowers_the_variance_of_the_rise(fit: FittedCurve) -> None:
+def test_rise_variance_falls_with_additions(fit: FittedCurve) -> None:
     now = rise_variance(fit, START)
     for pitch_um, count in additions(fit, START, 32).items():
         assert 0 < rise_variance(fit, START | {pitch_um: count}) < now
 
 
-def test_the_variance_of_the_rise_is_that_of_drawn_curves(fit: FittedCurve) -> None:
+def test_rise_variance_matches_covariance(fit: FittedCurve) -> None:
     """Of the differences between three places, from the covariance of the curve there."""
     variance = rise_variance(fit, START)
     low, high = fit.optimum.interval_um
@@ -157,7 +157,7 @@ def added(before: dict[str, Sensors], after: dict[str, Sensors]) -> int:
 
 
 @pytest.mark.parametrize(("half_width_um", "met"), [(0.05, True), (0.1, True), (0.1001, False), (3.0, False), (np.inf, False)])
-def test_a_target_is_half_of_the_interval(fit: FittedCurve, half_width_um: float, met: bool) -> None:
+def test_next_round_target_is_half_width(fit: FittedCurve, half_width_um: float, met: bool) -> None:
     """An interval with an open end is longer than any target."""
     sampling = {"0.35um": START}
     curves = [curve_with(fit, half_width_um=half_width_um)]
@@ -165,7 +165,7 @@ def test_a_target_is_half_of_the_interval(fit: FittedCurve, half_width_um: float
         assert (next_round(study_with(target_ci_um=target_um), curves, sampling) == sampling) == same
 
 
-def test_no_more_evaluations_than_allowed(fit: FittedCurve) -> None:
+def test_next_round_respects_max_evaluations(fit: FittedCurve) -> None:
     """A round is whole, or it is not made."""
     sampling, curves, begins = {"0.35um": START}, [curve_with(fit)], 2 * PITCH.size
     for allowed, more in ((begins, 0), (begins + 7, 0), (begins + 8, 8), (10**6, 8)):
@@ -177,7 +177,7 @@ def test_no_more_evaluations_than_allowed(fit: FittedCurve) -> None:
         assert max(later["0.35um"].values()) <= repeats
 
 
-def test_technologies_do_not_wait_for_each_other(fit: FittedCurve) -> None:
+def test_next_round_technologies_are_independent(fit: FittedCurve) -> None:
     """What one is given depends on no other, but where the evaluations of all together are at their limit."""
     names = ("0.35um", "0.25um")
     other = fit_of(START, noise=0.02, best_um=9.0)
@@ -240,7 +240,7 @@ def summary(result: StudyResult) -> str:
     return json.dumps(result.as_dict())
 
 
-def test_a_study_adds_rounds_up_to_its_limit(done: tuple[StudyResult, Path]) -> None:
+def test_study_adds_rounds_to_limit(done: tuple[StudyResult, Path]) -> None:
     result, folder = done
     (curve,) = result.curves
     assert len(set(keys(folder))) == len(keys(folder)) == EVALUATIONS == curve.sensors.sum()
@@ -248,7 +248,7 @@ def test_a_study_adds_rounds_up_to_its_limit(done: tuple[StudyResult, Path]) -> 
     assert [path.name for path in folder.iterdir()] == ["results.csv"]
 
 
-def test_two_workers_take_the_same_rounds(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+def test_study_target_two_workers_same_rounds(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = pixsim.study(tiny(), tmp_path, jobs=2)
     assert (tmp_path / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
     assert summary(result) == summary(done[0])
@@ -256,10 +256,10 @@ def test_two_workers_take_the_same_rounds(done: tuple[StudyResult, Path], tmp_pa
 
 # 5: among the first pitches; 15: in the first round; 26: in the second.
 @pytest.mark.parametrize("count", [5, 15, 26])
-def test_a_study_that_is_interrupted_goes_on_in_its_round(
+def test_study_interrupted_round_is_resumed(
     count: int, done: tuple[StudyResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
 ) -> None:
-    counted = ImagingChain.view
+    counted = ImagingChain.score_frame
 
     def interrupted(self: ImagingChain, frame: Frame) -> Score:
         if len(evaluations) + 1 == count:
@@ -267,7 +267,7 @@ def test_a_study_that_is_interrupted_goes_on_in_its_round(
         return counted(self, frame)
 
     with monkeypatch.context() as patch:
-        patch.setattr(ImagingChain, "view", interrupted)
+        patch.setattr(ImagingChain, "score_frame", interrupted)
         with pytest.raises(KeyboardInterrupt):
             pixsim.study(tiny(), tmp_path, jobs=1)
     kept = keys(tmp_path)
@@ -281,16 +281,7 @@ def test_a_study_that_is_interrupted_goes_on_in_its_round(
     assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
 
 
-def test_a_second_run_evaluates_nothing(done: tuple[StudyResult, Path], evaluations: list[Frame]) -> None:
-    before = (done[1] / "results.csv").read_bytes()
-    assert summary(pixsim.study(tiny(), done[1], jobs=1)) == summary(done[0])
-    assert evaluations == []
-    assert (done[1] / "results.csv").read_bytes() == before
-
-
-def test_a_higher_limit_goes_on_where_the_lower_one_ended(
-    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
-) -> None:
+def test_study_higher_limit_continues(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
     shutil.copy(done[1] / "results.csv", tmp_path)
     pixsim.study(tiny(max_evaluations=36), tmp_path, jobs=1)
     assert len(evaluations) == 8
@@ -298,9 +289,7 @@ def test_a_higher_limit_goes_on_where_the_lower_one_ended(
     assert set(keys(done[1])) < set(keys(tmp_path))
 
 
-def test_without_its_target_a_study_keeps_the_other_rows_aside(
-    done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
-) -> None:
+def test_study_without_target_backs_up_other_rows(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
     shutil.copy(done[1] / "results.csv", tmp_path)
     result = pixsim.study(tiny(target_ci_um=None, max_evaluations=None), tmp_path, jobs=1)
     assert evaluations == []
@@ -309,32 +298,32 @@ def test_without_its_target_a_study_keeps_the_other_rows_aside(
     assert (tmp_path / "results.csv.old").read_bytes() == (done[1] / "results.csv").read_bytes()
 
 
-def test_the_command_says_which_limit_ended_it(done: tuple[StudyResult, Path], toml: Path, tmp_path: Path) -> None:
+def test_study_command_names_limit(done: tuple[StudyResult, Path], toml: Path, tmp_path: Path) -> None:
     shutil.copytree(done[1], tmp_path / "out")
-    code, told, _ = command(f"study {toml} --out {tmp_path / 'out'} --jobs 1")
+    code, message, _ = command(f"study {toml} --out {tmp_path / 'out'} --jobs 1")
     assert code == 0
     (note,) = target_notes(done[0])
     half_um = done[0].curves[0].optimum.half_width_um
     where = f"± {half_um:.2g} µm" if half_um < np.inf else "open at an end"
-    assert note in told
-    done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations in all (max_evaluations)"
-    assert note == f"note: 0.35um: the interval is {where} after {done_of}, not ± 0.01 µm (target_ci_um)"
+    assert note in message
+    done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations (max_evaluations)"
+    assert note == f"note: 0.35um: the interval is {where} after {done_of}; the target is ± 0.01 µm (target_ci_um)"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert note.removeprefix("note: ") in page
 
 
-def test_notes_are_of_optima_that_miss_the_target(fit: FittedCurve) -> None:
-    curves = [curve_with(fit, half_width_um=each) for each in (0.05, 0.25, np.inf)]
+def test_target_notes_of_missed_targets(fit: FittedCurve) -> None:
+    curves = [curve_with(fit, half_width_um=item) for item in (0.05, 0.25, np.inf)]
     result = SimpleNamespace(study=study_with(target_ci_um=0.1), curves=curves)
     wide, open_end = target_notes(result)
-    assert "the interval is ± 0.25 µm after 18 evaluations, with at most 32 at a size (max_repeats), not ± 0.1 µm" in wide
+    assert "the interval is ± 0.25 µm after 18 evaluations, at most 32 per pixel size (max_repeats); the target is ± 0.1 µm" in wide
     assert "the interval is open at an end after 18 evaluations" in open_end
     bounded = SimpleNamespace(study=study_with(target_ci_um=0.1, max_evaluations=60), curves=curves)
-    assert all("after 54 of at most 60 evaluations in all (max_evaluations)" in each for each in target_notes(bounded))
+    assert all("after 54 of at most 60 evaluations (max_evaluations)" in note for note in target_notes(bounded))
     assert target_notes(SimpleNamespace(study=study_with(target_ci_um=None), curves=curves)) == []
 
 
-def test_a_limit_below_the_beginning_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_study_max_evaluations_too_low_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pixsim.studies.study.render_for", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(pixsim.PixsimError, match=r"max_evaluations: got 11; allowed: at least 12, .*Raise it, or lower repeats"):
         pixsim.study(tiny(max_evaluations=11), tmp_path / "out", jobs=1)

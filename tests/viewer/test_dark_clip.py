@@ -1,4 +1,4 @@
-"""What a clip at 0 DN does to the dark: its closed form against frames, limits, and what a display shows of it."""
+"""Clipping of dark pixels at 0 DN: closed form against frames, limits, and the effect on a display."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ SHEET: dict[str, Any] = {
 }
 
 
-def in_standard_errors(found: np.ndarray, expected: float) -> float:
+def in_standard_errors(actual: np.ndarray, expected: float) -> float:
     """Of the mean over columns, which are independent."""
-    columns = found.mean(axis=0)
+    columns = actual.mean(axis=0)
     return float((columns.mean() - expected) / (columns.std(ddof=1) / math.sqrt(columns.size)))
 
 
@@ -50,7 +50,7 @@ def in_standard_errors(found: np.ndarray, expected: float) -> float:
         pytest.param({"technology": "4t-bsi", "pitch_um": 1.4, "black_level_dn": 1}, id="pinned"),
     ],
 )
-def test_a_dark_frame_reads_as_told(options: dict[str, Any]) -> None:
+def test_dark_clip_matches_frames(options: dict[str, Any]) -> None:
     """Codes at 0 and their mean, within 5σ of a million pixels: about 1 % of either."""
     physics = derive(Pixel.model_validate(options))
     clip = dark_clip(physics, TIME_S, 1e4)
@@ -64,7 +64,7 @@ def test_a_dark_frame_reads_as_told(options: dict[str, Any]) -> None:
     assert clip["too_bright_e"] > 0.02 * clip["spread_e"]
 
 
-def test_half_of_a_normal_law_is_cut_off_without_a_black_level() -> None:
+def test_dark_clip_without_black_level_closed_form() -> None:
     """σ/√(2π) of a σ of many codes; ½ at 0 DN, and the density of half a code more."""
     physics = derive(Pixel.model_validate(SHEET | {"dark_current_e_per_s": 0, "read_noise_e": 100, "bits": 16}))
     clip = dark_clip(physics, TIME_S, 1e4)
@@ -87,12 +87,12 @@ def test_half_of_a_normal_law_is_cut_off_without_a_black_level() -> None:
         pytest.param(SHEET | {"read_noise_e": 0, "dark_current_e_per_s": 0}, id="nothing varies"),
     ],
 )
-def test_dark_charge_alone_is_never_cut_off(options: dict[str, Any]) -> None:
+def test_dark_clip_without_noise_is_zero(options: dict[str, Any]) -> None:
     assert dark_clip(derive(Pixel.model_validate(options)), TIME_S, 1e4)["too_bright_e"] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("options", [SHEET | {"offset_fpn": 0.002}, {}, {"technology": "4t-bsi", "pitch_um": 1.0}])
-def test_the_black_level_that_it_names_keeps_the_dark(options: dict[str, Any]) -> None:
+def test_dark_clip_least_black_level_avoids_clipping(options: dict[str, Any]) -> None:
     least = dark_clip(derive(Pixel.model_validate(options)), TIME_S, 1e4)["least_black_level_dn"]
     clip = dark_clip(derive(Pixel.model_validate(options | {"black_level_dn": least})), TIME_S, 1e4)
     # φ(6) - 6Φ(-6) = 1.6e-10 of the spread; a sixth of a spread less already loses 4e-10.
@@ -101,8 +101,8 @@ def test_the_black_level_that_it_names_keeps_the_dark(options: dict[str, Any]) -
     assert third["too_bright_e"] > 1e-3 * third["spread_e"]
 
 
-def test_an_even_black_area_is_shown_as_light_as_told() -> None:
-    """Dots of 25 × 25 pixels, so that the display's own clip at 0 finds nothing: luminance, and ΔE from black."""
+def test_dark_clip_matches_shown_black_area() -> None:
+    """Dots of 25 × 25 pixels, so that the display's clip at 0 has no effect: luminance, and ΔE from black."""
     camera, display = Camera(die_mm=0.64), Display(dots=16, bits=16, white_cd_per_m2=1000.0)
     exposure = Exposure(integration_s=5e-4)
     dark = SpectralImage([550.0], 10.0, 40.0, data=np.zeros((16, 16, 1)), header={"diffraction": False})

@@ -1,4 +1,4 @@
-"""The score's own arithmetic, and the memory of everything after the render."""
+"""Arithmetic of the score, and memory of everything after the render."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def chart(n: int, header: bool = True) -> SpectralImage:
     """The CSF chart under D65, at 1000 cd/m² behind f/4 or so."""
     at = (np.arange(n, dtype=np.float32) + 0.5) / n
     picture = csf_value(at, at[:, None]).astype(np.float32)
-    told = {"luminance_cd_per_m2": 1000.0} if header else {}
-    return SpectralImage(NM, 10.0, 2713.6 / n, factors=(6e-6 * d65(NM), picture[None]), header=told)
+    message = {"luminance_cd_per_m2": 1000.0} if header else {}
+    return SpectralImage(NM, 10.0, 2713.6 / n, factors=(6e-6 * d65(NM), picture[None]), header=message)
 
 
 # --- Percentiles ---
@@ -44,7 +44,7 @@ def chart(n: int, header: bool = True) -> SpectralImage:
         np.array([1e308, 3.0, 1e307]),
     ],
 )
-def test_percentiles_are_numpys(values):
+def test_percentiles_match_numpy(values):
     percent = (0, 1.7, 50, 90, 99, 100)
     np.testing.assert_allclose(score.percentiles(values, percent), np.percentile(values, percent), rtol=1e-14)
 
@@ -52,38 +52,38 @@ def test_percentiles_are_numpys(values):
 # --- One way and another ---
 
 
-def test_a_score_is_the_difference_of_the_two_shown_pictures():
-    """Through XYZ in three channels with two whole CIELAB pictures, as a stranger would."""
+def test_evaluate_matches_filtered_colour_images():
+    """Computed through XYZ in three channels and two complete CIELAB pictures."""
     display = Display(dots=128)
-    found = score.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
+    actual = score.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
     view = {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg}
-    ideal, image = (filtered_lab(displays.to_xyz(each), **view) for each in (found.ideal, found.image))
-    np.testing.assert_allclose(found.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.delta_e, delta_e(ideal, image), rtol=0, atol=1e-10)
+    ideal, image = (filtered_lab(displays.to_xyz(item), **view) for item in (actual.ideal, actual.image))
+    np.testing.assert_allclose(actual.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(actual.delta_e, delta_e(ideal, image), rtol=0, atol=1e-10)
 
 
-def test_a_running_integral_too_large_to_keep_changes_nothing(monkeypatch):
+def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
     physics, display = derive(Pixel(pitch_um=15.0)), Display(dots=128)
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
     kept = score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s
     assert light.running_integral is not None
-    monkeypatch.setattr(score, "MAX_KEPT_SAMPLES", 256**2 - 1)
+    monkeypatch.setattr(score, "MAX_STORED_SAMPLES", 256**2 - 1)
     light = score.prepare_scene(chart(256), CAMERA, physics, display)
     assert light.running_integral is None
     np.testing.assert_allclose(score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s, kept, rtol=1e-13)
 
 
 @pytest.mark.parametrize("bands", [0, 5])
-def test_the_light_is_weighed_in_strips_as_in_one_piece(monkeypatch, bands):
+def test_weighted_strips_match_whole(monkeypatch, bands):
     image = chart(40)
     if bands:
         image = SpectralImage(NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands)))
     monkeypatch.setattr("pixsim.light.spectral.STRIP_VALUES", 100)
     weight = np.random.default_rng(4).normal(size=image.wavelength_nm.size)
     exact = np.einsum("yxb,b->yx", image.data.astype(float), weight)
-    found = image.weighted(weight)
+    actual = image.weighted(weight)
     # The bands of a factored image are rounded to float32 where they are asked for.
-    np.testing.assert_allclose(found, exact, rtol=0, atol=(1e-6 if not bands else 1e-14) * np.abs(exact).max())
+    np.testing.assert_allclose(actual, exact, rtol=0, atol=(1e-6 if not bands else 1e-14) * np.abs(exact).max())
 
 
 # --- Memory ---
@@ -91,7 +91,7 @@ def test_the_light_is_weighed_in_strips_as_in_one_piece(monkeypatch, bands):
 
 def peak_planes(work, samples: int) -> float:
     """Memory that work takes at its peak, what it returns included, over that of a float64 picture."""
-    work()  # tables that are kept
+    work()  # fills the caches
     tracemalloc.start()
     try:
         work()
@@ -100,8 +100,8 @@ def peak_planes(work, samples: int) -> float:
         tracemalloc.stop()
 
 
-def test_large_films_need_little_more_than_one_plane():
-    """2048² and more must not need 2.5 planes beside the float32 picture; what is returned is one of them, or less."""
+def test_memory_of_large_film_is_bounded():
+    """2048² and more must not need 2.5 planes besides the float32 picture; the result counts as one of them, or less."""
     n, physics, display = 1536, derive(Pixel(pitch_um=5.3)), Display(dots=256)
     image, silent = chart(n), chart(n, header=False)
     light = score.prepare_scene(image, CAMERA, physics, display)
@@ -115,16 +115,16 @@ def test_large_films_need_little_more_than_one_plane():
         "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),
         "pixels on demand": (lambda: integrate_pixels(on_demand, *grid), 0.4, 0.8),
         "ideal image": (lambda: displays.ideal_luminance(image, CAMERA, physics, display, edges_um), 1.0, 1.6),
-        "white": (lambda: displays.measured_white(silent, CAMERA), 2.0, 2.6),
+        "white": (lambda: displays.white_header(silent, CAMERA, display), 2.0, 2.6),
         "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
     }
-    with pytest.warns(UserWarning, match="does not tell its white"):
-        found = {name: peak_planes(work, n * n) for name, (work, _, _) in works.items()}
-    wrong = {name: each for name, each in found.items() if not works[name][1] <= each <= works[name][2]}
-    assert not wrong, found
+    with pytest.warns(UserWarning, match="does not define its white"):
+        actual = {name: peak_planes(work, n * n) for name, (work, _, _) in works.items()}
+    wrong = {name: item for name, item in actual.items() if not works[name][1] <= item <= works[name][2]}
+    assert not wrong, actual
 
 
-def test_many_bands_need_two_planes_beside_them():
+def test_memory_of_many_bands_is_two_planes():
     n = 512
     data = np.ones((n, n, 7), np.float32)
     image = SpectralImage(NM[:7], 10.0, 2.65, data=data)
