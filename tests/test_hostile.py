@@ -484,7 +484,7 @@ def test_a_cache_of_garbage(tmp_path, monkeypatch):
                 cache.store_arrays("a", path.stem, {"x": np.ones(3)})
     for path in list(no_files(tmp_path / "b", ".json"))[:4]:
         with in_time():
-            assert cache.kept("b", path.stem, dict, lambda: {"x": 1}, dict) == {"x": 1}
+            assert cache.load_or_compute("b", path.stem, dict, lambda: {"x": 1}, dict) == {"x": 1}
     npz(tmp_path / "a/k.npz", x=npy((1 << 40,)))
     (tmp_path / "stray").write_text("")
     assert cache.arrays("a", "k") is None

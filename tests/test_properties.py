@@ -217,7 +217,7 @@ def made(chain: dict[str, Any]) -> dict[str, Any]:
 
 # The cross-field refusals of the records do not have "got …; allowed: …"; what they name instead.
 IN_WORDS = re.compile(
-    r"got .+; allowed: .+|no real image forms|must be at least 0\.5|leaves no codes below \d+|exceeds \w+ = |keeps a charge: "
+    r"got .+; allowed: .+|no real image forms|must be at least 0\.5|is not below the highest code|exceeds \w+ = |keeps a charge: "
 )
 ALSO_TOLD = ".*brighter than display white"
 

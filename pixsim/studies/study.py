@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.config import beside, checked, packaged, read_toml, study_layers
+from pixsim.base.config import checked, packaged, read_toml, resolve_file, study_layers
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
@@ -49,12 +49,12 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
 def _name_files(table: dict[str, Any], path: Path) -> None:
     """Technologies, scene and quantum efficiency of a study's table as files beside it, where there are such."""
     if isinstance(names := table.get("technologies"), list):
-        table["technologies"] = [beside(path, each) for each in names]
+        table["technologies"] = [resolve_file(path, each) for each in names]
     if isinstance(numbers := table.get("process"), dict):
-        table["process"] = {beside(path, each): own for each, own in numbers.items()}
+        table["process"] = {resolve_file(path, each): own for each, own in numbers.items()}
     for room, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
         if isinstance(own := table.get(room), dict) and key in own:
-            own[key] = beside(path, own[key])
+            own[key] = resolve_file(path, own[key])
 
 
 def load_study(

@@ -43,7 +43,7 @@ def kept(number: float = 1.0, key: str = "key") -> tuple[dict, int]:
         made.append(1)
         return {"number": number}
 
-    return cache.kept("kind", key, read, make, dict), len(made)
+    return cache.load_or_compute("kind", key, read, make, dict), len(made)
 
 
 def test_made_once(folder):
@@ -98,7 +98,7 @@ def test_what_cannot_be_made_leaves_nothing(folder):
         raise ValueError("no such thing")
 
     with pytest.raises(ValueError, match="no such thing"):
-        cache.kept("kind", "key", read, fail, dict)
+        cache.load_or_compute("kind", "key", read, fail, dict)
     assert not list(folder.rglob("*"))
 
 

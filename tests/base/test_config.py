@@ -339,9 +339,9 @@ def test_a_name_that_is_near_nothing_is_answered_with_all_of_them() -> None:
 
 
 def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
-    with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs into \[camera\]\."):
+    with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs in \[camera\]\."):
         checked(Run, [Layer({"f_number": 2.8}, "a.toml")])
-    with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs into \[pitch\]\."):
+    with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs in \[pitch\]\."):
         checked(Study, [Layer({"name": "a", "min_um": 2.8}, "a.toml")])
     with pytest.raises(PixsimError, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
         checked(Run, [Layer({"pixl": {}})])

@@ -120,7 +120,7 @@ UNUSABLE = {
     f"run flat {SMALL} --out taken": ["taken", "cannot be written", "--out"],
     f"run flat {SMALL} --out taken/deeper": ["taken/deeper", "cannot be written", "--out"],
     f"run flat {SMALL} --out /proc/pixsim": ["/proc/pixsim", "cannot be written", "--out"],
-    "run flat --config sheet_curve.toml": ["sheet_curve.toml: pixel.quantum_efficiency: got 'qe.csv'", "Divide per cent by 100"],
+    "run flat --config sheet_curve.toml": ["sheet_curve.toml: pixel.quantum_efficiency: got 'qe.csv'", "Divide percentages by 100"],
     "run sheet.toml": ["a TOML file", "pixsim run csf --config"],
     "run": ["SCENE"],
     "run cfs": ["Did you mean 'csf'?"],

@@ -10,10 +10,10 @@ HANG_S = 600
 SIGNALLED = """
 import signal
 from pixsim.cli import command
-from pixsim.viewer.score import Bench
+from pixsim.viewer.score import ImagingChain
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-view, begun = Bench.view, []
+view, begun = ImagingChain.view, []
 
 def counted(self, frame):
     begun.append(frame)
@@ -21,7 +21,7 @@ def counted(self, frame):
         signal.raise_signal({signal})
     return view(self, frame)
 
-Bench.view = counted
+ImagingChain.view = counted
 command()
 """
 
