@@ -153,9 +153,6 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
         _written_bytes = 0
 
 
-# --- The folder as a whole --------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Entry:
     """A file of the cache; its kind is the name of its folder."""

@@ -45,15 +45,6 @@ class Memory:
         return min((size for size in (self.available, self.limit) if size is not None), default=None)
 
 
-@dataclass(frozen=True)
-class Folder:
-    """A folder that exists or can be created: why it cannot be written, if so, and its free bytes."""
-
-    path: Path
-    fault: str | None
-    free: int | None
-
-
 def processors(root: Path = Path("/")) -> Processors:
     """Processors of this process; tests set `root`."""
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
@@ -93,8 +84,8 @@ def _text(path: Path) -> str:
         return ""
 
 
-def folder_at(path: Path) -> Folder:
-    """Check whether a folder, or its nearest existing parent, can be written; nothing is left behind."""
+def check_folder(path: Path) -> tuple[str | None, int | None]:
+    """Why a folder, or its nearest existing parent, cannot be written (None if it can), and the free bytes there."""
     there = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), Path("/"))
     try:
         with tempfile.TemporaryFile(dir=there):
@@ -105,7 +96,7 @@ def folder_at(path: Path) -> Folder:
         free = shutil.disk_usage(there).free
     except OSError:
         free = None
-    return Folder(path, fault, free)
+    return fault, free
 
 
 def graphics_cards() -> list[str]:

@@ -229,11 +229,11 @@ class PixelOptions(Record):
 
     capacitance: Literal["mosis", "paper"] = Field(
         "mosis",
-        description="'mosis': junction capacitance of the process; 'paper': 2.6 fF + 0.22 fF/µm² and a voltage swing of 1 V",
+        description="capacitance: 'mosis', junctions of the process; 'paper', 2.6 fF + 0.22 fF/µm² and a voltage swing of 1 V",
     )
     well_limit: Literal["swing", "diode"] = Field(
         "swing",
-        description="limit of the full well: 'swing', voltage swing; 'diode', forward bias of the photodiode, twice the charge",
+        description="limit of full well: 'swing', voltage swing; 'diode', forward bias of the photodiode, about twice the charge",
     )
     conversion: Literal["linear", "junction"] = Field(
         "linear",
@@ -261,7 +261,7 @@ class PixelOptions(Record):
     read_noise_e: NoiseElectrons | None = Field(None, description="temporal read noise without reset noise")
     reset_noise_factor: ResetFactor | None = Field(
         None,
-        description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, hard reset and double sampling 2",
+        description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, delta double sampling 2",
     )
     prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean (PRNU)")
     dsnu: DarkSpread | None = Field(

@@ -52,7 +52,7 @@ def test_all_errors_of_all_files_at_once_each_with_its_file(tmp_path: Path) -> N
         (
             RuntimeError("the moon is out"),
             1,
-            "unexpected RuntimeError: the moon is out\nThis is a mistake of pixsim's. --verbose",
+            "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose",
         ),
         (MemoryError(), 1, "the system is out of memory"),
         (KeyboardInterrupt(), 130, "interrupted"),
@@ -156,7 +156,7 @@ def test_kernels_are_kept_where_the_user_says(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("DRJIT_CACHE_DIR", "mine")
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
-    options.keep_helpers_files_together()
+    options.set_cache_folders()
     assert os.environ["DRJIT_CACHE_DIR"] == "mine"
     assert os.environ["MPLCONFIGDIR"] == str(tmp_path / "matplotlib")
 

@@ -15,7 +15,7 @@ import pytest
 from helpers.processes import HANG_S
 
 from pixsim import cli
-from pixsim.cli.options import manner
+from pixsim.cli.options import verbosity
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 
@@ -25,7 +25,7 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(warnings, "showwarning", warnings.showwarning)  # main() sets it
-        patch.setattr(manner, "__dict__", vars(manner).copy())
+        patch.setattr(verbosity, "__dict__", vars(verbosity).copy())
         with pytest.raises(SystemExit) as end:
             cli.main([*shlex.split(line), *map(str, words)])
     return end.value.code, out.getvalue(), err.getvalue()

@@ -248,7 +248,7 @@ def test_the_command_prints_the_table(tmp_path, monkeypatch):
         assert each.saved in line
     assert "bound on e-" in out
     assert "1 of 12 passes" in out
-    assert "asked for 0.001" in out
+    assert "tolerance 0.001" in out
     assert not list(tmp_path.iterdir())
 
 
