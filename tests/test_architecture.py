@@ -73,13 +73,13 @@ def type_checked_names() -> set[str]:
     return {f"{node.module}.{alias.name}" for node in block.body for alias in node.names}
 
 
-def test_one_place_speaks_mitsuba() -> None:
+def test_mitsuba_is_imported_in_one_module() -> None:
     assert {name for name, tree in TREES.items() if "mitsuba" in roots(tree)} == {"scene.mitsuba"}
     assert {name for name, tree in TREES.items() if "drjit" in roots(tree)} <= {"scene.mitsuba"}
 
 
 @pytest.mark.parametrize("module", TREES)
-def test_nothing_heavy_is_imported_at_the_top(module: str) -> None:
+def test_module_imports_nothing_heavy_at_top(module: str) -> None:
     assert not HEAVY & roots(TREES[module], at_top_only=True)
 
 
@@ -101,24 +101,24 @@ def package_arrows() -> set[tuple[str, str]]:
     }
 
 
-def test_every_file_is_in_a_package() -> None:
+def test_files_are_in_packages() -> None:
     assert {module.partition(".")[0] for module in MODULES} == set(ALLOWED)
     assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
-def test_packages_import_only_what_comes_before_them() -> None:
+def test_packages_import_allowed_packages_only() -> None:
     backwards = {(one, other) for one, other in package_arrows() if other not in ALLOWED[one]}
     assert not backwards
 
 
-def test_neither_packages_nor_files_import_in_circles() -> None:
+def test_imports_have_no_cycles() -> None:
     files, packages = arrows(), {name: {other for one, other in package_arrows() if one == name} for name in ALLOWED}
     assert files["cli"], "no arrows found: the graph says nothing"
     for graph in (files, packages):
         TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
-def test_the_packages_stand_on_few_floors_with_few_arrows() -> None:
+def test_package_graph_is_small() -> None:
     """12 packages; the longest chain of imports goes through at most 11, and there are at most 52 arrows between them."""
     between = package_arrows()
 
@@ -129,7 +129,7 @@ def test_the_packages_stand_on_few_floors_with_few_arrows() -> None:
     assert len(between) <= 52
 
 
-def test_names_come_from_where_they_are_defined() -> None:
+def test_names_are_not_reexported_by_modules() -> None:
     """Only a package's `__init__` hands names on: elsewhere `from a import x as x` would make a second home."""
     handed_on = {
         (module, alias.name)
@@ -142,7 +142,7 @@ def test_names_come_from_where_they_are_defined() -> None:
     assert not handed_on
 
 
-def test_only_the_command_line_prints_or_exits() -> None:
+def test_only_cli_prints_or_exits() -> None:
     speaking = {
         module
         for module in MODULES
@@ -152,13 +152,13 @@ def test_only_the_command_line_prints_or_exits() -> None:
     assert {module.partition(".")[0] for module in speaking} == {"cli"}
 
 
-def test_no_module_hides_a_public_function() -> None:
+def test_packages_do_not_shadow_public_functions() -> None:
     """Importing a module `pixsim.study` would put it in the place of the function `pixsim.study`."""
     assert set(ALLOWED) & set(pixsim.__all__) <= {"optics"}  # a package on purpose: pixsim.optics.irradiance_factor
 
 
 @pytest.mark.parametrize("name", pixsim.__all__)
-def test_every_public_name_is_there_and_documented(name: str) -> None:
+def test_public_name_exists_and_is_documented(name: str) -> None:
     thing = getattr(pixsim, name)
     own = thing.__doc__ if not isinstance(thing, type) else vars(thing).get("__doc__")
     assert own, "no docstring"
@@ -166,12 +166,12 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
     assert name in dir(pixsim)
 
 
-def test_the_type_checker_is_told_the_same_names() -> None:
+def test_type_checking_imports_match_lazy_names() -> None:
     homes = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
     assert type_checked_names() == homes | {f"pixsim.{module}" for module in pixsim._MODULES.values()}
 
 
-def test_the_version_is_the_same_everywhere() -> None:
+def test_version_is_consistent() -> None:
     from importlib.metadata import version
 
     assert pixsim.__version__ == version("pixsim")

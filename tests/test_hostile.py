@@ -122,14 +122,14 @@ def no_files(folder: Path, suffix: str) -> Iterator[Path]:
         (".csv", "run csf --pixel.quantum-efficiency {}"),
     ],
 )
-def test_what_is_no_file_is_not_waited_for(tmp_path, monkeypatch, suffix, line):
+def test_command_irregular_file_does_not_block(tmp_path, monkeypatch, suffix, line):
     monkeypatch.chdir(tmp_path)
     for path in no_files(tmp_path, suffix):
         refused_command(line.format(path))
     assert not (tmp_path / "pixsim-out").exists()
 
 
-def test_a_control_character_does_not_reach_the_terminal():
+def test_invalid_escapes_control_characters():
     assert str(invalid("x", "\x1b[2J\u202e\0", "y")) == "x: got \\x1b[2J\\u202e\\x00; allowed: y."
     assert len(str(invalid("x", "y" * 10**6, "z"))) < 21_000
 
@@ -156,7 +156,7 @@ TOMLS = {
 
 
 @pytest.mark.parametrize("content", TOMLS.values(), ids=TOMLS.keys())
-def test_a_hostile_toml(tmp_path, content):
+def test_read_toml_hostile_file_raises(tmp_path, content):
     (path := tmp_path / "a.toml").write_bytes(content)
     for read in (lambda: SceneOptions([path]).settings(), lambda: load_study(path), lambda: load_technology(str(path))):
         with refused("a.toml"):
@@ -164,14 +164,14 @@ def test_a_hostile_toml(tmp_path, content):
 
 
 @pytest.mark.parametrize("name", ["..", ".", "../x", "a/b", "-x", "", "a" * 200, "a\\u0000b", "a\\n"])
-def test_a_study_does_not_name_a_folder_elsewhere(tmp_path, name):
+def test_load_study_name_with_path_raises(tmp_path, name):
     (tmp_path / "a.toml").write_text(f'name = "{name}"')
     with refused("name"):
         load_study(tmp_path / "a.toml")
 
 
 @pytest.mark.parametrize("more", ['[sources]\nx = "y"', "[name]\nvalue = 1", "[prnu]\nvalue = []", "[junction]\nvalue = 3"])
-def test_a_technology_with_what_is_none_of_its_entries(tmp_path, more):
+def test_load_technology_invalid_entry_raises(tmp_path, more):
     own = (Path(pixsim.__file__).parent / "data/technologies/0.35um.toml").read_text().replace("[prnu]", "[other]")
     (tmp_path / "t.toml").write_text(own + "\n" + more)
     with refused("t.toml"):
@@ -243,7 +243,7 @@ TWINS = '<bsdf type="diffuse" id="t0"/>' + "".join(
         ("<shape", '<shape type="sphere"><string name="to_world" value="x"/></shape>', "to_world"),
     ],
 )  # fmt: skip
-def test_a_hostile_scene(stage, before, more, words):
+def test_load_scene_hostile_xml_raises(stage, before, more, words):
     os.mkfifo(stage / "pipe.xml")
     (stage / "link.xml").symlink_to("../outside.xml")
     (stage / "bomb.png").write_bytes(png_bomb())
@@ -253,13 +253,13 @@ def test_a_hostile_scene(stage, before, more, words):
 
 
 @pytest.mark.parametrize("content", [b"", b"\0", b"<scene version='3.0.0'", b"{}", b"\x7fELF", b"<" * (9 << 20), b"<a " * 10**6])
-def test_what_is_no_xml(tmp_path, content):
+def test_load_scene_not_xml_raises(tmp_path, content):
     (tmp_path / "a.xml").write_bytes(content)
     with refused("a.xml"):
         load(tmp_path / "a.xml")
 
 
-def test_files_that_the_user_names_may_lie_anywhere(stage, tmp_path):
+def test_load_scene_parameter_file_may_be_anywhere(stage, tmp_path):
     path = with_more(stage, '<default name="part" value="part.xml"/><include filename="$part"/>', "<include")
     path.write_text(path.read_text().replace('<include filename="part.xml"/>', ""))
     assert load(path, part=tmp_path / "outside.xml").names == {"part", "scale", "spp"}
@@ -269,7 +269,7 @@ def test_files_that_the_user_names_may_lie_anywhere(stage, tmp_path):
     load(path, part="sub/part.xml")
 
 
-def test_comments_that_are_no_xml_do_no_harm(stage):
+def test_load_scene_malformed_comments_are_harmless(stage):
     """Mitsuba's parser takes them, and they hide nothing: what stands in quotes is no comment."""
     load(with_more(stage, '<!-- -- a "quote -- <include filename="ghost.xml"/> --->'))
     with refused("scene.xml"):
@@ -285,7 +285,7 @@ def test_comments_that_are_no_xml_do_no_harm(stage):
         "=", "spp",
     ],
 )  # fmt: skip
-def test_a_hostile_parameter(tmp_path, setting):
+def test_run_hostile_parameter_is_rejected(tmp_path, setting):
     refused_command(f"run csf {SMALL} --out", tmp_path / "out", "-D", setting)
     assert not (tmp_path / "out").exists()
 
@@ -301,7 +301,7 @@ def exr_with(path: Path, old: bytes, new: bytes) -> Path:
 
 
 @pytest.mark.parametrize("sides", [(1 << 31) - 1, 65535, 99_999, -5])
-def test_an_exr_that_declares_more_than_it_has(tmp_path, sides):
+def test_read_exr_oversized_header_raises(tmp_path, sides):
     pixsim.write_exr(tmp_path / "a.exr", light())
     exr_with(tmp_path / "a.exr", struct.pack("<4i", 0, 0, 4, 3), struct.pack("<4i", 0, 0, sides, sides))
     for read in (read_picture, read_channels, read_edge_picture):
@@ -309,7 +309,7 @@ def test_an_exr_that_declares_more_than_it_has(tmp_path, sides):
             read(tmp_path / "a.exr")
 
 
-def test_an_exr_of_other_kinds(tmp_path, capfd):
+def test_read_exr_unsupported_kinds_raise(tmp_path, capfd):
     y = np.ones((8, 8), np.float32)
     tiles = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
     with OpenEXR.File(tiles, {"Y": y}) as file:
@@ -337,7 +337,7 @@ def test_an_exr_of_other_kinds(tmp_path, capfd):
 
 
 @pytest.mark.parametrize("bits", ["x", 1e9, -1, float("nan")])
-def test_an_edge_picture_with_a_hostile_header(tmp_path, bits):
+def test_read_edge_picture_invalid_bits_raises(tmp_path, bits):
     with OpenEXR.File({"type": OpenEXR.scanlineimage, "bits": bits}, {"Y": np.ones((8, 8), np.float32)}) as file:
         file.write(str(tmp_path / "a.exr"))
     with refused("bits"):
@@ -351,7 +351,7 @@ def test_an_edge_picture_with_a_hostile_header(tmp_path, bits):
         {"luminance_cd_per_m2": "x"}, {"luminance_cd_per_m2": -1}, {"lamp_w_per_m2_sr_nm": [1]}, {"lamp_w_per_m2_sr_nm": "x"},
     ],
 )  # fmt: skip
-def test_an_own_exr_with_a_hostile_header(tmp_path, header):
+def test_read_picture_invalid_header_raises(tmp_path, header):
     image = light()
     image.header |= header
     pixsim.write_exr(tmp_path / "a.exr", image)
@@ -379,7 +379,7 @@ def npz(path: Path, **members: bytes) -> Path:
         b"x" * 99,
      npy((), "<U100000000"), npy((4, 5, 3), "<U1", b"\0" * 240), npy((1,), "|V9", b"x" * 9), npy((4, 5, 3), "<c8", b"\0" * 480)],
 )  # fmt: skip
-def test_a_hostile_npz(tmp_path, data):
+def test_read_npz_hostile_array_raises(tmp_path, data):
     nm = npy((3,), "<f8", np.array([450.0, 550, 650]).tobytes())
     path = npz(tmp_path / "a.npz", data=data, wavelength_nm=nm, units=npy((), "<U1", b"W\0\0\0"))
     with refused("a.npz"):
@@ -389,7 +389,7 @@ def test_a_hostile_npz(tmp_path, data):
         pixsim.edge_response(read_edge_picture(tmp_path / "a.npy").data)
 
 
-def test_a_zip_bomb(tmp_path):
+def test_read_npz_zip_bomb_raises(tmp_path):
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file, file.open("data.npy", "w") as member:
         member.write(npy((1 << 20,), "|u1"))
@@ -419,7 +419,7 @@ def png_bomb(side: int = 40_000) -> bytes:
 
 
 @pytest.mark.parametrize("side", [40_000, 16_000, 100])
-def test_a_png_that_unpacks_into_more_than_can_be(tmp_path, side):
+def test_read_png_bomb_raises(tmp_path, side):
     (tmp_path / "a.png").write_bytes(png_bomb(side)[: None if side > 100 else 60])
     with refused("a.png"):
         read_edge_picture(tmp_path / "a.png")
@@ -435,7 +435,7 @@ def test_a_png_that_unpacks_into_more_than_can_be(tmp_path, side):
      ("fwhm", "\n" * 30_000 + "fwhm"), ("fwhm", "x" * (1 << 20) + " = 3\nfwhm"), ("pitch_um = 5", "pitch_um = 1e30"),
      ("pitch_um = 5", "pitch_um = 5\ndata file = /etc/passwd")],
 )  # fmt: skip
-def test_a_hostile_envi_header(tmp_path, old, new):
+def test_read_envi_hostile_header_raises(tmp_path, old, new):
     if "/etc/passwd" in new:
         os.mkfifo(tmp_path / "a.img")
     else:
@@ -453,7 +453,7 @@ def test_a_hostile_envi_header(tmp_path, old, new):
     [b"\0" * 1000, b"\xff\xfe\n" * 9, ",".join(COLUMNS).encode() + b"\n" + b"x" * 500_000 + b"\n", b'"' + b"\n" * 1000, b"\r" * 99,
      ",".join(COLUMNS).encode() + b"\nkey1,0.35um,1.5,1e18" + b",1.5" * 10 + b"\n"],
 )  # fmt: skip
-def test_rows_that_were_changed_by_hand_are_made_again(tmp_path, content):
+def test_results_file_damaged_rows_are_dropped(tmp_path, content):
     (tmp_path / "results.csv").write_bytes(content)
 
     def wanted(row: dict[str, str]) -> bool:
@@ -465,7 +465,7 @@ def test_rows_that_were_changed_by_hand_are_made_again(tmp_path, content):
     assert list(ResultsFile(tmp_path / "results.csv").begin(wanted)) == ["key1"]
 
 
-def test_rows_without_end(tmp_path):
+def test_results_file_too_large_raises(tmp_path):
     with (tmp_path / "results.csv").open("wb") as file:
         file.truncate(1 << 32)
     with refused("results.csv"):
@@ -473,7 +473,7 @@ def test_rows_without_end(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:cache")
-def test_a_cache_of_garbage(tmp_path, monkeypatch):
+def test_cache_of_garbage_is_ignored(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     for kind in ("a", "b"):
         (tmp_path / kind).mkdir()
@@ -499,7 +499,7 @@ NAMES = ["a b", "a'b\"c", "ünï", "n\nl", "$x$", "[b]", "%s{}", "-dash", "...",
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_any_name_works_or_is_refused_in_words(tmp_path, monkeypatch, name):
+def test_command_any_file_name_works_or_is_rejected(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     (folder := tmp_path / name).mkdir()
     seeds_folder = folder if name != "caf\udce9" else tmp_path
@@ -528,7 +528,7 @@ def test_any_name_works_or_is_refused_in_words(tmp_path, monkeypatch, name):
         ("template study -o out/a.toml", 100),
     ],
 )
-def test_a_full_disk_leaves_no_half_file(tmp_path, line, room):
+def test_command_full_disk_leaves_no_partial_file(tmp_path, line, room):
     def limit() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
@@ -555,7 +555,7 @@ MARKUP = "</h1><script>alert(1)</script>\"'&<img src=x onerror=alert(1)>"
 @pytest.mark.parametrize(
     "name", ["report.html.j2", "run.html.j2", "macros.html.j2", "datasheet.html.j2", "accuracy.html.j2", "sensitivity.html.j2"]
 )
-def test_no_template_lets_markup_through(name):
+def test_templates_escape_markup(name):
     """Strings are escaped but for those that a template marks as safe: none."""
     text = (Path(pixsim.__file__).parent / "data" / name).read_text(encoding="utf-8")
     assert not re.search(r"\|\s*safe\b", text)
@@ -563,7 +563,7 @@ def test_no_template_lets_markup_through(name):
 
 
 @pytest.mark.parametrize("name", [MARKUP, "$x", "$\\frac{$", "a\\b", "$$", "\\$x\\$", "x\x01y", "--->", "[b]"])
-def test_a_name_in_a_figure_is_shown_as_it_is(name):
+def test_literal_shows_name_unchanged(name):
     figure = figures.new_figure(12, 4)
     axes = figure.subplots()
     axes.plot([1, 2], label=figures.literal(name))
@@ -574,7 +574,7 @@ def test_a_name_in_a_figure_is_shown_as_it_is(name):
 
 
 @pytest.mark.parametrize("line", ["study study.toml --jobs 1", "datasheet 't$<b>$.toml'"])
-def test_a_report_escapes_what_files_say(line, tmp_path, monkeypatch):
+def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
     """A study and a data sheet whose title, technology, sources and parameters are markup and mathematics."""
     monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, **FEW))
     monkeypatch.chdir(tmp_path)
@@ -610,7 +610,7 @@ def targets(tmp_path_factory: pytest.TempPathFactory) -> dict:
     return {name: (path, path.read_bytes(), reader) for name, (path, reader) in found.items()}
 
 
-def test_the_seeds_are_read(targets):
+def test_seeds_are_readable(targets):
     assert sorted(targets) == sorted(KINDS)
     for name, (path, _, reader) in targets.items():
         assert reader(path) is not None, name
@@ -618,7 +618,7 @@ def test_the_seeds_are_read(targets):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", PICTURES)
-def test_a_torn_picture_is_refused_at_every_length(targets, kind, capfd):
+def test_reader_truncated_picture_raises(targets, kind, capfd):
     path, whole, reader = targets[kind]
     with given_back(path, whole):
         for length in range(0, len(whole) - 1, 37):
@@ -644,7 +644,7 @@ def given_back(path: Path, whole: bytes) -> Iterator[None]:
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("contents", "examples"), [("changed", 120), ("random", 40)])
-def test_a_changed_file_is_read_or_refused(targets, kind, contents, examples):
+def test_reader_changed_file_is_read_or_rejected(targets, kind, contents, examples):
     path, whole, reader = targets[kind]
     a_change = st.builds(partial(changed, whole), CHANGES, st.just(1.0) | st.floats(0, 1), st.sampled_from([0, 0, 0, 2]))
 

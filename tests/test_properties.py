@@ -248,7 +248,7 @@ def assert_possible(frame: Frame) -> None:
     assert 0 <= frame.saturated_fraction <= 1
 
 
-def test_the_chain_is_finite_and_in_range_or_refuses() -> None:
+def test_evaluate_is_finite_and_in_range_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
     @settings(max_examples=1100, **REPEATABLE)
@@ -281,7 +281,7 @@ def any_technology() -> st.SearchStrategy[Technology]:
     return st.builds(of_a_kind, fields.map(dict), junctions, st.booleans())
 
 
-def test_any_process_takes_pictures_or_is_refused() -> None:
+def test_capture_any_technology_is_possible_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
     @settings(max_examples=540, **REPEATABLE)
@@ -304,7 +304,7 @@ def test_any_process_takes_pictures_or_is_refused() -> None:
 
 @settings(max_examples=60, **REPEATABLE)
 @given(chains())
-def test_a_seed_gives_the_same_bits(chain: dict[str, Any]) -> None:
+def test_evaluate_same_seed_is_identical(chain: dict[str, Any]) -> None:
     with nothing_but_refusals(Counter()):
         one, same = (pixsim.evaluate(**made(chain)) for _ in range(2))
         np.testing.assert_array_equal(one.frame.dn, same.frame.dn)
@@ -329,7 +329,7 @@ FIELDS = [(record, name) for record in RECORDS for name in record.model_fields i
 
 
 @pytest.mark.parametrize(("record", "name"), FIELDS, ids=lambda part: getattr(part, "__name__", part))
-def test_a_number_has_both_bounds_and_is_refused_beyond_them(record: type[Record], name: str) -> None:
+def test_record_number_outside_bounds_raises(record: type[Record], name: str) -> None:
     number = number_of(record, name)
     assert math.isfinite(number.low)
     assert math.isfinite(number.high)
@@ -343,7 +343,7 @@ def test_a_number_has_both_bounds_and_is_refused_beyond_them(record: type[Record
         assert "; allowed: " in message
 
 
-def test_names_are_refused_with_those_that_exist() -> None:
+def test_record_invalid_choice_lists_choices() -> None:
     named = [(record, name) for record in RECORDS for name in record.model_fields if choices_of(record, name)]
     assert len(named) > 8
     for record, name in named:
@@ -364,7 +364,7 @@ JUNK = st.recursive(
 
 @settings(max_examples=300, **REPEATABLE)
 @given(st.sampled_from(FIELDS), JUNK)
-def test_whatever_a_field_gets_it_is_within_bounds_or_refused(field: tuple[type[Record], str], junk: object) -> None:
+def test_record_any_value_is_within_bounds_or_raises(field: tuple[type[Record], str], junk: object) -> None:
     record, name = field
     value, number, told = None, number_of(record, name), ""
     try:

@@ -61,8 +61,7 @@ def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
 def reuse_freed_memory() -> None:
     """Make glibc reuse freed arrays of up to 32 MiB.
 
-    glibc returns blocks larger than the largest one freed so far to the system. Mapping their pages again takes 2 µs each, a
-    fifth of the time of an image of 512². Freeing one untouched array raises that threshold.
+    glibc unmaps blocks larger than any freed before; mapping a page again takes 2 µs, a fifth of the time of an image of 512².
     """
     np.empty(MAX_FREED, np.uint8)
 

@@ -389,12 +389,8 @@ class Camera(Record):
         v_mm = die_mm / (2 * math.tan(math.radians(fov_deg) / 2))
         u_mm = 1e3 * focus_distance_m
         f_mm = u_mm * v_mm / (u_mm + v_mm)
-        return cls(
-            focal_length_mm=f_mm,
-            f_number=f_mm / (2e3 * aperture_radius_m),
-            die_mm=die_mm,
-            object_distance_m=focus_distance_m,
-        )
+        f_number = f_mm / (2e3 * aperture_radius_m)
+        return cls(focal_length_mm=f_mm, f_number=f_number, die_mm=die_mm, object_distance_m=focus_distance_m)
 
 
 class CameraOptions(Record):

@@ -102,10 +102,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     out : output folder to check; it need not exist
     limit_s : time limit of each trial, s
     """
-    try:
-        required = requirements(metadata.requires("pixsim") or [])
-    except metadata.PackageNotFoundError:
-        required = {}  # pixsim is on the path but not installed
+    required = requirements(metadata.requires("pixsim") or []) if installed("pixsim") else {}
     with ThreadPoolExecutor() as pool:
         pending = [pool.submit(attempt, kind, limit_s=limit_s) for kind in ("libraries", "driver")]
         libraries, driver = (trial.result() for trial in pending)

@@ -1,7 +1,6 @@
 """Checks that may abort or hang (LLVM, Mitsuba, graphics driver), run in child processes with a time limit.
 
-The child writes JSON lines to a separate pipe, so that output of libraries does not interfere. Lines written before an abort
-are used.
+The child writes JSON lines to a pipe of its own, apart from the output of libraries. Lines before an abort are used.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from pixsim.base import arrays as planes
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (2, 5, 512), (4, 1024), (7, 1000)])
-def test_rows_begin_an_odd_number_of_cache_lines_apart(shape):
+def test_empty_planes_row_stride_is_odd_in_cache_lines(shape):
     made = planes.empty_planes(*shape)
     assert made.shape == shape
     assert made.strides[-2] // 8 % 16 == 8
@@ -15,7 +15,7 @@ def test_rows_begin_an_odd_number_of_cache_lines_apart(shape):
 
 
 @pytest.mark.parametrize(("count", "width", "samples"), [(1, 1, 1), (10, 3, 7), (10, 3, 2), (10, 0, 5), (1000, 1000, None)])
-def test_strips_cover_all_lines_once(count, width, samples):
+def test_strips_cover_all_rows_once(count, width, samples):
     found = list(planes.strips(count, width, samples))
     lines = np.concatenate([np.arange(count)[rows] for rows in found])
     np.testing.assert_array_equal(lines, np.arange(count))
@@ -23,7 +23,7 @@ def test_strips_cover_all_lines_once(count, width, samples):
     assert longest == min(count, max(1, (samples or planes.STRIP_SAMPLES) // max(width, 1)))
 
 
-def test_strips_work_in_one_memory(monkeypatch):
+def test_strips_of_share_one_work_array(monkeypatch):
     monkeypatch.setattr(planes, "STRIP_SAMPLES", 12)
     found = list(planes.strips_of((3, 10, 4)))
     assert [(rows.start, rows.stop, strip.shape) for rows, strip in found] == [
@@ -36,7 +36,7 @@ def test_strips_work_in_one_memory(monkeypatch):
 
 
 @pytest.mark.parametrize("shape", [(5, 8), (2, 6, 16)])
-def test_the_transform_is_the_sum_over_cosines_and_back(shape):
+def test_dct_matches_cosine_sum_and_inverts(shape):
     values = np.random.default_rng(1).normal(size=shape)
     cosines = [2 * np.cos(np.pi * np.arange(n)[:, None] * (np.arange(n) + 0.5) / n) for n in shape[-2:]]
     made = planes.empty_planes(*shape)

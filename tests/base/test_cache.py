@@ -46,7 +46,7 @@ def kept(number: float = 1.0, key: str = "key") -> tuple[dict, int]:
     return cache.load_or_compute("kind", key, read, make, dict), len(made)
 
 
-def test_made_once(folder):
+def test_load_or_compute_computes_once(folder):
     assert kept(1.5) == ({"number": 1.5}, 1)
     assert kept(2.5) == ({"number": 1.5}, 0)
     assert kept(2.5, "other") == ({"number": 2.5}, 1)
@@ -61,7 +61,7 @@ def test_made_once(folder):
     ],
     ids=lambda content: repr(content[:20]),
 )
-def test_a_damaged_entry_is_made_again_with_a_warning(folder, content):
+def test_load_or_compute_damaged_entry_warns_and_recomputes(folder, content):
     kept(1.5)
     (folder / "kind/key.json").write_bytes(content)
     with pytest.warns(UserWarning, match="damaged"):
@@ -69,14 +69,14 @@ def test_a_damaged_entry_is_made_again_with_a_warning(folder, content):
     assert kept(3.5) == ({"number": 2.5}, 0)
 
 
-def test_nan_comes_back(folder):
+def test_load_or_compute_preserves_nan(folder):
     kept(math.nan)
     found, made = kept(1.0)
     assert math.isnan(found["number"])
     assert made == 0
 
 
-def test_a_folder_that_cannot_be_written_is_one_warning_and_no_error(tmp_path, monkeypatch):
+def test_load_or_compute_unwritable_folder_warns_once(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "file"))
     with warnings.catch_warnings(record=True) as caught:
@@ -86,14 +86,14 @@ def test_a_folder_that_cannot_be_written_is_one_warning_and_no_error(tmp_path, m
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_read_only_folder(folder):
+def test_load_or_compute_read_only_folder_warns(folder):
     folder.mkdir()
     folder.chmod(0o500)
     with pytest.warns(UserWarning, match="cannot be written"):
         assert kept(1.5) == ({"number": 1.5}, 1)
 
 
-def test_what_cannot_be_made_leaves_nothing(folder):
+def test_load_or_compute_failure_leaves_no_file(folder):
     def fail() -> dict:
         raise ValueError("no such thing")
 
@@ -112,7 +112,7 @@ def write_many(name: str, barrier) -> int:
     return 0
 
 
-def test_two_processes_may_write_the_same_entries(folder):
+def test_load_or_compute_two_processes_share_entries(folder):
     context = multiprocessing.get_context("fork")
     barrier = context.Barrier(2)
     processes = [context.Process(target=write_many, args=(str(folder), barrier)) for _ in range(2)]
@@ -125,7 +125,7 @@ def test_two_processes_may_write_the_same_entries(folder):
         assert json.loads((folder / f"kind/key{number}.json").read_text(encoding="utf-8")) == {"number": number}
 
 
-def test_the_folder_is_the_users_cache(monkeypatch, tmp_path):
+def test_folder_follows_xdg(monkeypatch, tmp_path):
     monkeypatch.delenv(FOLDER_VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache.folder() == tmp_path / "pixsim"
@@ -151,7 +151,7 @@ def assert_same(found: cache.Arrays | None) -> None:
         np.testing.assert_array_equal(found[name], values)
 
 
-def test_arrays_come_back_bit_for_bit(folder):
+def test_arrays_round_trip_is_exact(folder):
     assert cache.arrays("kind", "key") is None
     cache.store_arrays("kind", "key", CONTENT)
     assert_same(cache.arrays("kind", "key"))
@@ -160,7 +160,7 @@ def test_arrays_come_back_bit_for_bit(folder):
     assert not list(folder.rglob(".*")), "partial files"
 
 
-def test_every_damage_is_noticed(folder):
+def test_arrays_damaged_file_is_rejected(folder):
     """Every third byte with a bit flipped, and files cut off: another answer is never given (dates in the table are no content)."""
     cache.store_arrays("kind", "key", CONTENT)
     path = folder / "kind/key.npz"
@@ -183,7 +183,7 @@ def test_every_damage_is_noticed(folder):
     assert_same(cache.arrays("kind", "key"))
 
 
-def test_what_belongs_to_others_stays_and_ends_nothing(small, monkeypatch):
+def test_clear_skips_files_of_other_users(small, monkeypatch):
     for number in range(12):
         cache.store_arrays("kind", f"{number:02d}", big(1))
     unlink = Path.unlink
@@ -199,7 +199,7 @@ def test_what_belongs_to_others_stays_and_ends_nothing(small, monkeypatch):
     assert {entry.path.stem for entry in cache.entries()} <= {f"{number:02d}" for number in range(8)}
 
 
-def test_files_of_mitsuba_and_matplotlib_are_theirs(folder):
+def test_clear_keeps_kernels_unless_named(folder):
     cache.store_arrays("kind", "key", CONTENT)
     (folder / "kernels").mkdir()
     (folder / "kernels/a.bin").write_bytes(b"kernel")
@@ -213,7 +213,7 @@ def big(mib: float) -> cache.Arrays:
     return {"zeros": np.zeros(int(mib * 2**20), np.uint8)}
 
 
-def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(small):
+def test_trim_removes_least_recently_used(small):
     for number in range(12):
         cache.store_arrays("kind", f"{number:02d}", big(1))
         os.utime(small / f"kind/{number:02d}.npz", (number, number))
@@ -225,19 +225,19 @@ def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(small):
     assert sorted(left) == ["00", "06", "07", "08", "09", "10", "11"], "7 of a little more than 1 MiB fit into 8 MiB"
 
 
-def test_a_process_that_writes_much_trims_by_itself(small):
+def test_store_arrays_trims_automatically(small):
     for number in range(40):
         cache.store_arrays("kind", f"{number}", big(1))
         assert sum(entry.size_bytes for entry in cache.entries()) <= 9.5 * 2**20
 
 
-def test_an_entry_that_would_drive_out_the_rest_is_not_kept(small):
+def test_store_arrays_skips_large_entry(small):
     cache.store_arrays("kind", "small", big(1.9))
     cache.store_arrays("kind", "large", big(2.1))
     assert [entry.path.stem for entry in cache.entries()] == ["small"]
 
 
-def test_a_limit_of_nothing_keeps_nothing_and_reads_nothing(folder, monkeypatch):
+def test_limit_zero_disables_cache(folder, monkeypatch):
     cache.store_arrays("kind", "key", CONTENT)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     assert cache.arrays("kind", "key") is None
@@ -248,13 +248,13 @@ def test_a_limit_of_nothing_keeps_nothing_and_reads_nothing(folder, monkeypatch)
 
 
 @pytest.mark.parametrize("text", ["", "many", "-1", "nan", "inf", "1e12"])
-def test_a_limit_that_is_none_is_refused(monkeypatch, text):
+def test_limit_bytes_invalid_value_raises(monkeypatch, text):
     monkeypatch.setenv(cache.LIMIT_VARIABLE, text)
     with pytest.raises(pixsim.PixsimError, match=r"PIXSIM_CACHE_GIB.*allowed: a size in GiB"):
         cache.limit_bytes()
 
 
-def test_what_a_killed_process_left_goes_after_an_hour(folder):
+def test_trim_removes_old_partial_files(folder):
     cache.store_arrays("kind", "key", CONTENT)
     for name, age_s in ((".old", 7200), (".new", 60)):
         (folder / "kind" / name).write_bytes(b"half")
@@ -276,7 +276,7 @@ def test_clear_removes_one_kind_or_all(folder):
     assert cache.entries() == []
 
 
-def test_a_change_of_any_source_makes_other_keys(monkeypatch, tmp_path):
+def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
     package = tmp_path / "pixsim"
     (package / "data").mkdir(parents=True)
     monkeypatch.setattr(cache, "PACKAGE", package)

@@ -40,7 +40,7 @@ def written(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("pitch_um", [1.0, 4.0, 9.0])
-def test_well_and_dark_current_go_with_the_area(pitch_um: float) -> None:
+def test_derive_data_sheet_scales_with_area(pitch_um: float) -> None:
     measured = {"full_well_e": 12000, "read_noise_e": 2.5, "dark_current_e_per_s": 8, "quantum_efficiency": 0.6}
     physics = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, data_sheet_pitch_um=4.0, **measured))
     assert physics.full_well_e == pytest.approx(12000 * (pitch_um / 4) ** 2, rel=1e-12)
@@ -50,7 +50,7 @@ def test_well_and_dark_current_go_with_the_area(pitch_um: float) -> None:
     assert (alone.full_well_e, alone.dark_current_e_per_s) == (12000, 8)
 
 
-def test_the_area_is_the_photodiode_s() -> None:
+def test_derive_scales_with_photodiode_area() -> None:
     """At 0.35 µm a pixel of 8 µm has more photodiode beside its transistors than one of 6 µm, not (8/6)² as much."""
     process = pixsim.load_technology("0.35um")
     physics = pixsim.derive(pixsim.Pixel(pitch_um=8.0, full_well_e=40000, data_sheet_pitch_um=6.0))
@@ -61,7 +61,7 @@ def test_the_area_is_the_photodiode_s() -> None:
     assert physics.dark_current_e_per_s == pixsim.derive(pixsim.Pixel(pitch_um=8.0)).dark_current_e_per_s
 
 
-def test_a_well_of_no_electron_is_refused() -> None:
+def test_derive_well_below_one_electron_raises() -> None:
     with pytest.raises(pixsim.PixsimError, match=r"0\.01.*12000 electrons at 4 µm.*full well of 1 to 1e\+18"):
         pixsim.derive(pixsim.Pixel(pitch_um=0.01, technology="none", data_sheet_pitch_um=4.0, full_well_e=12000, read_noise_e=1,
                                    dark_current_e_per_s=0, quantum_efficiency=0.5))  # fmt: skip
@@ -77,7 +77,7 @@ def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study
     return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
 
 
-def test_a_data_sheet_becomes_the_study_s_sensor(tmp_path: Path) -> None:
+def test_study_layers_data_sheet_becomes_the_sensor(tmp_path: Path) -> None:
     study = study_of(SHEET, tmp_path)
     assert study.technologies == ("none",)
     assert (study.camera.die_mm, study.camera.f_number, study.pixel.bits) == (2.0, 2.8, 12)
@@ -87,20 +87,20 @@ def test_a_data_sheet_becomes_the_study_s_sensor(tmp_path: Path) -> None:
     np.testing.assert_allclose(wells_e, 12000 * (pitches_um / 4) ** 2, rtol=1e-12)
 
 
-def test_the_study_says_from_where_to_where(tmp_path: Path) -> None:
+def test_study_layers_pitch_range_of_study_is_used(tmp_path: Path) -> None:
     own = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
     study = study_of(SHEET, tmp_path, str(own))
     np.testing.assert_allclose(study_pitches_um(study, "none"), np.geomspace(2, 6, 5), atol=5e-5)
 
 
-def test_a_technology_replaces_the_study_s(tmp_path: Path) -> None:
+def test_study_layers_technology_replaces_that_of_study(tmp_path: Path) -> None:
     study = study_of('[pixel]\ntechnology = "0.25um"\npitch_um = 7\nbits = 11\n[scene]\nresolution = 128\n', tmp_path)
     assert (study.technologies, study.pixel.bits) == (("0.25um",), 11)
     assert study.scene.parameters["resolution"] == 128
     assert study.pixel.data_sheet_pitch_um is None
 
 
-def test_a_data_sheet_needs_a_pitch_and_stands_alone() -> None:
+def test_study_incomplete_data_sheet_raises() -> None:
     table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
     with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
         Study.model_validate(table)
@@ -111,7 +111,7 @@ def test_a_data_sheet_needs_a_pitch_and_stands_alone() -> None:
         Study.model_validate(table | {"technologies": ["none", "0.35um"]})
 
 
-def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
+def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
     """With a parameter of its scene, and in full where it is asked to be quick and has no table for that."""
     own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n")
@@ -126,7 +126,7 @@ def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
     assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
 
 
-def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
+def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
     path = written(tmp_path / "sensor.toml", SHEET)
     study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
     assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
@@ -154,7 +154,7 @@ def sheet(tmp_path: Path) -> Path:
     return written(tmp_path / "data sheet/my_sensor.toml", CURVED)
 
 
-def test_a_data_sheet_is_enough(sheet: Path, tmp_path: Path) -> None:
+def test_run_command_data_sheet_sets_all_values(sheet: Path, tmp_path: Path) -> None:
     """Its numbers are those of the picture; nothing of a process is added to them."""
     small = "-D resolution=64 --display.dots 64 --json"
     code, out, err = command(f"run csf {small} --config", sheet, "--out", tmp_path / "out")
@@ -167,7 +167,7 @@ def test_a_data_sheet_is_enough(sheet: Path, tmp_path: Path) -> None:
     assert (physics.read_noise_e, physics.dark_current_e_per_s) == (2.5, 8.0)
 
 
-def test_its_curve_is_straight_between_points_and_nothing_beyond(sheet: Path) -> None:
+def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> None:
     nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
     found = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
     np.testing.assert_allclose(found, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
@@ -175,14 +175,14 @@ def test_its_curve_is_straight_between_points_and_nothing_beyond(sheet: Path) ->
 
 @pytest.mark.parametrize("lost", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
 @pytest.mark.parametrize("line", ["run csf", "study pixel-size"])
-def test_what_a_data_sheet_lacks_is_named(line: str, lost: str, sheet: Path, tmp_path: Path) -> None:
+def test_is_data_sheet_missing_value_raises(line: str, lost: str, sheet: Path, tmp_path: Path) -> None:
     written(sheet, "\n".join(each for each in CURVED.splitlines() if not each.startswith(lost)))
     told = f"{sheet}: pixel: got a sensor without a technology, and without {lost};"
     assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [told, 'technology = "4t-bsi"'])
     assert not (tmp_path / "out").exists()
 
 
-def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> None:
+def test_settings_with_technology_measured_values_replace_derived(sheet: Path) -> None:
     written(sheet, '[pixel]\ntechnology = "0.35um"\npitch_um = 8.0\nread_noise_e = 5.0\n')
     physics = pixsim.derive(settings_of(sheet).pixel)
     derived = pixsim.derive(pixsim.Pixel(technology="0.35um", pitch_um=8.0))
@@ -190,7 +190,7 @@ def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> 
     assert (physics.full_well_e, physics.dark_current_e_per_s) == (derived.full_well_e, derived.dark_current_e_per_s)
 
 
-def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resolve_file_prefers_folder_of_config(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     written(Path("qe.csv"), "400,0.1\n500,0.1\n")
     assert settings_of(sheet).pixel.quantum_efficiency[0] == (400.0, 0.3)
@@ -198,7 +198,7 @@ def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, 
     assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
 
 
-def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:
+def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
     pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
     from_file = settings_of(sheet).pixel
     assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
@@ -207,7 +207,7 @@ def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:
 # --- What says more, and what less -------------------------------------------------------------------------------------
 
 
-def test_quick_gives_way_to_files_and_options(tmp_path: Path) -> None:
+def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
     """[quick] of `modern` names a technology: with a data sheet over it the study would be neither."""
     paths = [written(tmp_path / "sensor.toml", SHEET)]
     study = checked_study(study_layers(read_study("modern"), paths)).quickened
@@ -222,7 +222,7 @@ def test_quick_gives_way_to_files_and_options(tmp_path: Path) -> None:
     assert (study.camera.f_number, study.repeats) == (2.8, 2)
 
 
-def test_later_files_win(tmp_path: Path) -> None:
+def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
     first = written(tmp_path / "a.toml", SHEET)
     second = written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")
     study = checked_study(study_layers(read_study("pixel-size"), [first, second]))
@@ -230,7 +230,7 @@ def test_later_files_win(tmp_path: Path) -> None:
     assert checked_study(study_layers(read_study("pixel-size"), [second, first])).pixel.read_noise_e == 2.5
 
 
-def test_what_a_file_measured_goes_with_the_area_whatever_its_technology(tmp_path: Path) -> None:
+def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
     text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
     study = study_of(text, tmp_path)
     assert study.pixel.data_sheet_pitch_um == 6.5
@@ -240,7 +240,7 @@ def test_what_a_file_measured_goes_with_the_area_whatever_its_technology(tmp_pat
     assert study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path).pixel.data_sheet_pitch_um is None
 
 
-def test_a_file_s_own_pitch_of_measurement_is_kept(tmp_path: Path) -> None:
+def test_study_layers_data_sheet_pitch_is_preserved(tmp_path: Path) -> None:
     text = SHEET.replace("pitch_um = 4.0", "pitch_um = 4.0\ndata_sheet_pitch_um = 2.0")
     study = study_of(text, tmp_path)
     run = pixsim.derive(pixsim.Pixel.model_validate(study.pixel.model_dump() | {"technology": "none", "pitch_um": 4.0}))
@@ -249,14 +249,14 @@ def test_a_file_s_own_pitch_of_measurement_is_kept(tmp_path: Path) -> None:
     assert study.pitch.max_um == 16.0
 
 
-def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
+def test_study_layers_data_sheet_disables_paper(tmp_path: Path) -> None:
     study = study_of(SHEET, tmp_path, "chen2000")
     assert not study.paper
     assert "camera.die_mm" not in study.sources
     assert study.sources["display.dots"].startswith("assumed")
 
 
-def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
+def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
     """Rows are known by their content: two names of one process would share them, and one curve would have none."""
     source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     for name in ("a", "b"):
@@ -283,7 +283,7 @@ def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
         ("offset_fpn = 0.2", "to keep it takes more bits (pixel.bits)"),
     ],
 )
-def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, tmp_path: Path) -> None:
+def test_run_command_low_black_level_gives_note(options: str, told: str, tmp_path: Path) -> None:
     film = "--no-irradiance -D resolution=64 -D spp=4 --display.dots 64"
     sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
     path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
@@ -301,7 +301,7 @@ def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, t
     assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(told)
 
 
-def test_a_study_tells_once_a_curve_what_its_black_level_cuts_off(tmp_path: Path) -> None:
+def test_study_command_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
     """The worst size has the least white: the smallest pixel, of a well in proportion to its area."""
     table = """name = "dark"
 technologies = ["0.35um", "4t-bsi"]
@@ -333,12 +333,12 @@ bits = 14
 # --- Messages -------------------------------------------------------------------------------------------------------
 
 
-def test_a_name_that_is_near_nothing_is_answered_with_all_of_them() -> None:
+def test_run_command_unknown_scene_lists_all() -> None:
     code, _, err = command("run qwertz")
     assert (code, "Did you mean" in err, "still_life" in err) == (2, False, True)
 
 
-def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
+def test_checked_misplaced_field_names_its_table() -> None:
     with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs in \[camera\]\."):
         checked(Run, [Layer({"f_number": 2.8}, "a.toml")])
     with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs in \[pitch\]\."):

@@ -165,14 +165,14 @@ UNUSABLE = {
 
 
 @pytest.mark.parametrize("line", UNUSABLE)
-def test_bad_input_is_refused_in_one_message_and_leaves_nothing(line: str, desk: Path) -> None:
+def test_command_invalid_input_gives_one_message_and_no_files(line: str, desk: Path) -> None:
     before = contents(desk)
     code, out, err = command(line)
     assert_refused(code, out, err, UNUSABLE[line])
     assert contents(desk) == before
 
 
-def test_a_failed_run_leaves_an_earlier_one_as_it_was(desk: Path) -> None:
+def test_run_failure_preserves_earlier_results(desk: Path) -> None:
     assert command(f"run flat {SMALL} --out earlier")[0] == 0
     before = contents(desk)
     assert command(f"run turned_away.xml {SMALL} --out earlier")[0] == 2
@@ -189,7 +189,7 @@ def in_a_process(line: str, **environment: str) -> tuple[int, str, str]:
 
 
 @pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", "run perspective.xml"])
-def test_the_installed_command_refuses_alike(line: str, desk: Path) -> None:
+def test_installed_command_invalid_input_gives_same_message(line: str, desk: Path) -> None:
     before = contents(desk)
     assert in_a_process(line) == command(line)
     assert contents(desk) == before
@@ -199,7 +199,7 @@ OLD_LLVM = sorted(str(path) for number in (14, 15, 16) for path in Path("/usr/li
 
 
 @pytest.mark.parametrize("library", ["taken", *OLD_LLVM])
-def test_an_llvm_that_would_abort_the_process_is_refused(library: str, desk: Path) -> None:
+def test_run_unusable_llvm_is_rejected(library: str, desk: Path) -> None:
     before = contents(desk)
     assert_refused(*in_a_process("run flat", DRJIT_LIBLLVM_PATH=library), [library, "LLVM 17 or newer", "pip install"])
     assert contents(desk) == before
@@ -238,11 +238,11 @@ def away_from_edges(count: int) -> np.ndarray:
     return np.logical_and.outer(distance < 3 / 8, distance < 3 / 8)
 
 
-def test_run_writes_these_files_and_no_others(picture: Path) -> None:
+def test_run_writes_expected_files(picture: Path) -> None:
     assert {path.name for path in (picture / "out").iterdir()} == RUN_FILES
 
 
-def test_json_on_stdout_is_score_json(picture: Path) -> None:
+def test_run_json_equals_score_json(picture: Path) -> None:
     told = json.loads((picture / "stdout").read_text(encoding="utf-8"))
     assert told == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
     delta_e = read_channels(picture / "out/delta_e.exr")[0]["delta_e"]
@@ -252,7 +252,7 @@ def test_json_on_stdout_is_score_json(picture: Path) -> None:
     assert told["pitch_um"] == 8.0
 
 
-def test_the_ideal_png_decodes_to_the_luminance_shown(picture: Path) -> None:
+def test_run_ideal_png_decodes_to_luminance(picture: Path) -> None:
     """8 bits under gamma 2.2, on the display and in the PNG; half a code for rounding, a quarter for the render's 0.1 %."""
     png = imread(picture / "out/ideal.png")[:, :, :3]
     assert png.shape == (126, 126, 3)
@@ -261,7 +261,7 @@ def test_the_ideal_png_decodes_to_the_luminance_shown(picture: Path) -> None:
     assert np.abs(255.0 * png[:, :, 0] - codes)[away_from_edges(128)[1:-1, 1:-1]].max() < 0.75
 
 
-def test_the_sensors_picture_has_the_same_sides_and_greys(picture: Path) -> None:
+def test_run_image_png_has_orientation_and_greys(picture: Path) -> None:
     """Means over a quadrant's middle, 2304 dots: noise and gamma's curvature stay below 0.5 %."""
     png = np.pad(imread(picture / "out/image.png")[:, :, 0].astype(float), 1)  # a dot of border is not shown
     middles = np.where(away_from_edges(128), 1.0, np.nan)
@@ -272,7 +272,7 @@ def test_the_sensors_picture_has_the_same_sides_and_greys(picture: Path) -> None
     assert imread(picture / "out/delta_e.png").shape[0] > 128, "a map with axes and a scale"
 
 
-def test_raw_exr_holds_digital_numbers_and_what_they_mean(picture: Path) -> None:
+def test_run_raw_exr_holds_digital_numbers(picture: Path) -> None:
     channels, header = read_channels(picture / "out/raw.exr")
     dn = channels["DN"]
     score = json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
@@ -297,9 +297,7 @@ main()
 """
 
 
-def test_the_same_command_gives_the_same_bytes_on_one_core_and_from_another_folder(
-    desk: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_run_is_reproducible_on_one_core_and_elsewhere(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     line = f"run csf {SMALL} --seed 3 --out "
     assert command(line + "here")[0] == 0
@@ -311,7 +309,7 @@ def test_the_same_command_gives_the_same_bytes_on_one_core_and_from_another_fold
     assert contents(desk / "other")["raw.exr"] != here["raw.exr"]
 
 
-def test_later_layers_win_and_the_rest_stays(desk: Path) -> None:
+def test_run_config_precedence(desk: Path) -> None:
     Path("first.toml").write_text("seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32")
     Path("second.toml").write_text("[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4")
     code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
@@ -326,7 +324,7 @@ def test_later_layers_win_and_the_rest_stays(desk: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["csf", "flat", "siemens_star", "slanted_edge"])
-def test_chart_writes_what_make_chart_returns(kind: str, desk: Path) -> None:
+def test_chart_writes_make_chart(kind: str, desk: Path) -> None:
     assert command(f"chart {kind} -o x.exr --width 96 --height 64")[0] == 0
     channels, _ = read_channels("x.exr")
     assert list(channels) == ["Y"]
@@ -334,7 +332,7 @@ def test_chart_writes_what_make_chart_returns(kind: str, desk: Path) -> None:
 
 
 @pytest.mark.parametrize("statement", ["import pixsim; pixsim.Camera()", "import pixsim.cli; pixsim.cli.main()"])
-def test_nothing_slow_is_imported_before_it_is_needed(statement: str) -> None:
+def test_import_is_lazy(statement: str) -> None:
     """Mitsuba takes 0.3 s, matplotlib 0.5 s, colour 2.6 s."""
     script = f"""
 import atexit, sys

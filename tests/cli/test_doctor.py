@@ -82,7 +82,7 @@ def healthy() -> Visit:
 # --- This machine ---
 
 
-def test_a_machine_that_renders_is_told_so():
+def test_doctor_working_machine_has_no_problems():
     seen = healthy()
     assert (seen.code, seen.found["ok"], seen.problems) == (0, True, [])
     assert seen.picture["mark"] == OK
@@ -98,7 +98,7 @@ def test_a_machine_that_renders_is_told_so():
     assert seen.about("scalar_spectral", "Mitsuba")["mark"] == OK
 
 
-def test_the_library_that_is_told_is_the_one_that_mitsuba_has():
+def test_doctor_reports_library_used_by_mitsuba():
     facts = healthy().picture["facts"]
     if facts["llvm"] is None:
         pytest.skip("no usable LLVM here")
@@ -107,7 +107,7 @@ def test_the_library_that_is_told_is_the_one_that_mitsuba_has():
     assert os.path.realpath(facts["llvm"]) in facts["mapped_llvm"]
 
 
-def test_the_closed_form_has_the_light_of_the_chart():
+def test_closed_form_lx_matches_hand_calculation():
     """Against numbers by hand: 0.5125 of 1000 cd/m² in the mean, π/(1 + 4·16·1.00387²) sr on the axis at f/4, f = 3.86 mm, 1 m."""
     import numpy as np
 
@@ -128,7 +128,7 @@ def test_the_closed_form_has_the_light_of_the_chart():
 
 @pytest.mark.skipif(not OLD_LLVM, reason="no LLVM 14 or 15 on this system")
 @pytest.mark.parametrize("path", [*OLD_LLVM[-1:], *(pytest.param(path, marks=pytest.mark.slow) for path in OLD_LLVM[:-1])])
-def test_an_old_llvm_in_the_variable_aborts_nothing(path: str, tmp_path: Path):
+def test_doctor_old_llvm_in_variable_is_problem(path: str, tmp_path: Path):
     """That `pixsim run` refuses it is in test_variant."""
     seen = visit(**{variant.LLVM_VARIABLE: path})
     assert seen.code == 1
@@ -138,7 +138,7 @@ def test_an_old_llvm_in_the_variable_aborts_nothing(path: str, tmp_path: Path):
     assert seen.about("scalar_spectral")["mark"] == OK
 
 
-def test_with_old_libraries_only_no_home_and_no_cache_renders_are_slow_but_work(tmp_path: Path):
+def test_doctor_old_libraries_no_home_no_cache_gives_notes(tmp_path: Path):
     """With the libraries of this system, where it has some; the wheel is hidden."""
     hidden = written(tmp_path / "hidden", {"sitecustomize.py": HIDES_THE_WHEEL})
     lacking = before(hidden) | {"HOME": None, "PIXSIM_CACHE_DIR": "/dev/null/there"}
@@ -156,7 +156,7 @@ def test_with_old_libraries_only_no_home_and_no_cache_renders_are_slow_but_work(
 
 
 @pytest.mark.parametrize(("kind", "word"), [("gone", "no such file"), ("text", "no library"), ("folder", "a folder")])
-def test_a_variable_that_leads_to_no_library(kind: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_llvm_invalid_variable_is_problem(kind: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "text").write_text("no library")
     (tmp_path / "folder").mkdir()
     monkeypatch.setenv(variant.LLVM_VARIABLE, str(tmp_path / kind))
@@ -179,7 +179,7 @@ def test_a_variable_that_leads_to_no_library(kind: str, word: str, tmp_path: Pat
     ],
     ids=["import", "hang"],
 )
-def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_render_broken_mitsuba_is_problem(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(written(tmp_path / "broken", {"mitsuba.py": text}))
     found = doctor._test_render(trial.attempt("render", limit_s=limit_s), None)
     assert found.mark == PROBLEM
@@ -187,7 +187,7 @@ def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tm
     assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(found.mend)
 
 
-def test_a_mitsuba_that_aborts_does_not_take_the_doctor_with_it(tmp_path: Path):
+def test_doctor_survives_aborting_mitsuba(tmp_path: Path):
     seen = visit(**before(written(tmp_path / "broken", {"mitsuba.py": "import os; os.abort()"})))
     assert seen.code == 1
     assert seen.problems == ["mitsuba", "Mitsuba"]  # the package, and the test render with it
@@ -195,7 +195,7 @@ def test_a_mitsuba_that_aborts_does_not_take_the_doctor_with_it(tmp_path: Path):
     assert seen.about("scalar_spectral")["mark"] == NOTE
 
 
-def test_a_wrong_picture_is_no_picture():
+def test_fault_wrong_image_is_reported():
     right = {"mean_error": 1e-5, "rms_error": 4e-3}
     judge = lambda **error: doctor._fault(trial.Trial([right | error], 1.0, 0, ""))  # noqa: E731
     assert judge() is None
@@ -204,7 +204,7 @@ def test_a_wrong_picture_is_no_picture():
     assert doctor._fault(trial.Trial([], 1.0, 0, "")) == "gives no result"
 
 
-def test_the_lines_before_an_abort_count():
+def test_broken_packages_uses_lines_before_abort():
     tried = trial.attempt("imports", "json", "nowhere_at_all", "antigravity_of_a_test", limit_s=HANG_S)
     assert [line["module"] for line in tried.lines if "module" in line] == ["nowhere_at_all", "antigravity_of_a_test"]
     aborting = trial.Trial([{"importing": "numpy"}, {"importing": "OpenEXR"}], 0.1, -6, "")
@@ -217,7 +217,7 @@ def test_the_lines_before_an_abort_count():
 # --- Packages ---
 
 
-def test_packages_that_are_missing_or_too_old_are_told():
+def test_broken_packages_missing_or_old_are_problems():
     required = requirements(
         ["numpy>=2.0", "mitsuba==3.9.*", "drjit", 'dask[distributed]>=2024.8; extra == "cluster"', "rich >=14.3"]
     )
@@ -228,13 +228,13 @@ def test_packages_that_are_missing_or_too_old_are_told():
     assert found[0].mend == doctor.pip("numpy>=2.0")
 
 
-def test_a_checkout_on_the_path_is_not_installed():
+def test_software_without_metadata_is_problem():
     found = list(doctor._software({}, trial.Trial([], 0.1, 0, "")))
     assert [(each.subject, each.mark) for each in found if each.mark != OK] == [("pixsim", PROBLEM)]
     assert "pip install -e" in str(found[0].mend)
 
 
-def test_packages_are_imported_by_their_own_names():
+def test_module_of_returns_import_name():
     names = [doctor.module_of(each) for each in ("OpenEXR", "colour-science", "pillow", "a-b", "numpy")]
     assert names == ["OpenEXR", "colour", "PIL", "a_b", "numpy"]
 
@@ -244,7 +244,7 @@ def test_packages_are_imported_by_their_own_names():
     [("2.0.0rc1", ">=2.0", True), ("1.26.4", ">=2.0", False), ("10.0", ">=9", True), ("3.9", "==3.9.*", True),
      ("3.10.0", "==3.9.*", False), ("1.0+cpu2", ">=1.0", True), ("1", "", True), ("not a version", ">=1", False)],
 )  # fmt: skip
-def test_versions_in_a_range(version: str, wanted: str, fits: bool):
+def test_satisfies_compares_versions(version: str, wanted: str, fits: bool):
     assert satisfies(version, wanted) == fits
 
 
@@ -268,7 +268,7 @@ VERSION_1 = {
 
 
 @pytest.mark.parametrize("files", [VERSION_2, VERSION_1], ids=["version 2", "version 1"])
-def test_limits_of_a_container(files: dict[str, str], tmp_path: Path):
+def test_machine_container_limits_apply(files: dict[str, str], tmp_path: Path):
     root = written(tmp_path, files | {"proc/meminfo": "MemTotal: 4194304 kB\nMemAvailable: 2097152 kB\n"})
     assert machine.processors(root).granted == 1.5
     assert machine.processors(root).usable == 1
@@ -276,7 +276,7 @@ def test_limits_of_a_container(files: dict[str, str], tmp_path: Path):
     assert machine.memory(root).usable == 512 << 20
 
 
-def test_a_machine_that_tells_nothing_limits_nothing(tmp_path: Path):
+def test_machine_unknown_limits_are_none(tmp_path: Path):
     assert machine.processors(tmp_path).granted is None
     assert machine.memory(tmp_path) == machine.Memory(None, None, None)
     broken = written(tmp_path, {"proc/self/cgroup": "0::/\n", "sys/fs/cgroup/cpu.max": "max", "sys/fs/cgroup/memory.max": ""})
@@ -284,7 +284,7 @@ def test_a_machine_that_tells_nothing_limits_nothing(tmp_path: Path):
     assert machine.memory(broken).usable is None
 
 
-def test_a_folder_is_tried_without_a_trace(tmp_path: Path):
+def test_check_folder_leaves_no_files(tmp_path: Path):
     fault, free = machine.check_folder(tmp_path / "a" / "b")
     assert fault is None
     assert free
@@ -301,13 +301,13 @@ def test_a_folder_is_tried_without_a_trace(tmp_path: Path):
         ("PIXSIM_CACHE_DIR", "/dev/null/there", NOTE, "export PIXSIM_CACHE_DIR=FOLDER"),
     ],
 )
-def test_caches(name: str, value: str, mark: str, mend: str | None, monkeypatch: pytest.MonkeyPatch):
+def test_cache_settings_give_mark_and_fix(name: str, value: str, mark: str, mend: str | None, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv(name, value)
     found = doctor._cache()
     assert (found.mark, found.mend) == (mark, mend)
 
 
-def test_a_user_without_a_home_is_told_to_name_a_cache(monkeypatch: pytest.MonkeyPatch):
+def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
     def homeless() -> Path:
         raise RuntimeError("Could not determine home directory.")
 
@@ -320,7 +320,7 @@ def test_a_user_without_a_home_is_told_to_name_a_cache(monkeypatch: pytest.Monke
 # --- The report ---
 
 
-def test_the_report_is_words_and_commands_that_can_be_copied():
+def test_report_wraps_text_but_not_commands():
     mend = "export A=" + "x" * 200
     findings = [
         Finding("room", "good", OK, "it is there"),

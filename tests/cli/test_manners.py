@@ -26,7 +26,7 @@ SMALL = "-D resolution=64 --display.dots 64"
 # --- errors ------------------------------------------------------------------------------------------------------------
 
 
-def test_all_errors_of_all_files_at_once_each_with_its_file(tmp_path: Path) -> None:
+def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
     first, second = tmp_path / "a.toml", tmp_path / "b c.toml"
     first.write_text('[pixel]\nbitz = 3\nprnu = 2\n[camera]\nf_number = "wide"\n', encoding="utf-8")
     second.write_text("[display]\ndots = 1\n[exposur]\n", encoding="utf-8")
@@ -58,7 +58,7 @@ def test_all_errors_of_all_files_at_once_each_with_its_file(tmp_path: Path) -> N
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_exit_codes(failure: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_main_exception_sets_exit_code(failure: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """0 is in most tests, 2 in those of refusals."""
     monkeypatch.setattr("pixsim.report.run.run_and_write", Mock(side_effect=failure))
     assert command("run csf")[:2] == (code, "")
@@ -66,7 +66,7 @@ def test_exit_codes(failure: BaseException, code: int, said: str, monkeypatch: p
     assert "Traceback" in command("run csf --verbose")[2]
 
 
-def test_cache_tells_its_folder_and_frees_what_it_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     (tmp_path / "render").mkdir()
     (tmp_path / "render/a.npz").write_bytes(b"x" * (1 << 20))
@@ -79,7 +79,7 @@ def test_cache_tells_its_folder_and_frees_what_it_holds(tmp_path: Path, monkeypa
 # --- what is said, and where -------------------------------------------------------------------------------------------
 
 
-def test_help_goes_to_stdout_and_shows_json_and_an_example_of_every_command() -> None:
+def test_help_shows_usage_json_and_example() -> None:
     commands = sorted(name for name in app if not name.startswith("-"))
     assert {"run", "study", "plan", "accuracy", "datasheet", "sfr", "chart", "cache", "template", "schema"} <= set(commands)
     assert command("--version") == (0, f"{pixsim.__version__}\n", "")
@@ -91,7 +91,7 @@ def test_help_goes_to_stdout_and_shows_json_and_an_example_of_every_command() ->
         assert not name or re.search(rf"pixsim {name} \S|Example", text), name
 
 
-def test_results_go_to_stdout_and_all_else_to_stderr(tmp_path: Path) -> None:
+def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     # Brighter than the display can show: a warning.
     line = f"run csf {SMALL} --display.white-cd-per-m2 10 --out {tmp_path / 'out'}"
     plain = process(f"{line} --json")
@@ -106,13 +106,13 @@ def test_results_go_to_stdout_and_all_else_to_stderr(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["--help", "run --help", "cache", "run nothing"])
-def test_no_colours_where_there_is_no_terminal(line: str) -> None:
+def test_output_without_terminal_has_no_colours(line: str) -> None:
     done = process(line, FORCE_COLOR="", TERM="xterm-256color")
     assert "\x1b" not in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_shells_complete_commands_and_options(shell: str) -> None:
+def test_completion_prints_valid_script(shell: str) -> None:
     code, out, _ = command(f"completion {shell}")
     assert code == 0
     for word in ("run", "study", "pixsim"):
@@ -121,7 +121,7 @@ def test_shells_complete_commands_and_options(shell: str) -> None:
         assert subprocess.run(["bash", "-n"], input=out, text=True, check=False, timeout=HANG_S).returncode == 0
 
 
-def test_options_and_files_have_the_same_names() -> None:
+def test_options_match_fields_of_files() -> None:
     """What a help page lists as --table.name-of-field stands in a file as table.name_of_field."""
     text = process("run --help", COLUMNS="200").stdout
     options = {name.replace("-", "_") for name in re.findall(r"--((?:camera|pixel|exposure|display)\.[a-z0-9-]+)", text)}
@@ -133,7 +133,7 @@ def test_options_and_files_have_the_same_names() -> None:
     assert options == fields
 
 
-def test_nothing_is_written_outside_the_output_and_the_cache(tmp_path: Path) -> None:
+def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
     home, here, kept, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
     for folder in (home, here):
         folder.mkdir()
@@ -152,7 +152,7 @@ def test_nothing_is_written_outside_the_output_and_the_cache(tmp_path: Path) -> 
     assert {path.name for path in kept.iterdir()} >= {"kernels"}
 
 
-def test_kernels_are_kept_where_the_user_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_set_cache_folders_respects_user_variables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRJIT_CACHE_DIR", "mine")
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
@@ -161,7 +161,7 @@ def test_kernels_are_kept_where_the_user_says(tmp_path: Path, monkeypatch: pytes
     assert os.environ["MPLCONFIGDIR"] == str(tmp_path / "matplotlib")
 
 
-def test_readme_shows_no_setting_that_does_not_exist() -> None:
+def test_readme_settings_are_valid() -> None:
     readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", readme, re.DOTALL)]
     assert tables

@@ -42,7 +42,7 @@ def fields(record: type[BaseModel]) -> set[str]:
 
 
 @pytest.mark.parametrize("kind", RECORDS)
-def test_a_template_has_every_field_and_can_be_used_as_it_is(kind: str) -> None:
+def test_template_has_every_field_and_is_valid(kind: str) -> None:
     text = template(kind)
     record = RECORDS[kind]
     assert dotted(uncommented(text), record) == fields(record)
@@ -53,7 +53,7 @@ def test_a_template_has_every_field_and_can_be_used_as_it_is(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", RECORDS)
-def test_every_field_is_explained_before_it_stands(kind: str) -> None:
+def test_template_describes_every_field(kind: str) -> None:
     lines = template(kind).splitlines()
     for number, line in enumerate(lines):
         if re.match(r"(# )?\w+ = ", line):
@@ -64,7 +64,7 @@ def test_every_field_is_explained_before_it_stands(kind: str) -> None:
     assert 'a voltage swing of 1 V; "mosis", "paper"; default "mosis"\n# capacitance = "mosis"\n' in text
 
 
-def test_defaults_in_a_template_are_the_records_own() -> None:
+def test_template_shows_defaults_of_record() -> None:
     """Where a line is commented out and its record has a default, the line shows that."""
     text = template("study")
     shown = re.sub(r"^(\w+ = )", r"# \1", text, flags=re.MULTILINE).replace("# ", "")
@@ -80,7 +80,7 @@ def test_defaults_in_a_template_are_the_records_own() -> None:
         assert mine == theirs, path
 
 
-def test_a_sensor_of_the_template_is_known_by_its_data_sheet(tmp_path: Path) -> None:
+def test_template_sensor_is_data_sheet(tmp_path: Path) -> None:
     path = tmp_path / "my_sensor.toml"
     command("template sensor -o", path)
     settings = options.SceneOptions([path]).settings()
@@ -91,7 +91,7 @@ def test_a_sensor_of_the_template_is_known_by_its_data_sheet(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("kind", RECORDS)
-def test_a_schema_takes_what_its_record_takes(kind: str) -> None:
+def test_json_schema_agrees_with_record(kind: str) -> None:
     schema = json_schema(kind)
     jsonschema.Draft202012Validator.check_schema(schema)
     check = jsonschema.Draft202012Validator(schema)
@@ -104,7 +104,7 @@ def test_a_schema_takes_what_its_record_takes(kind: str) -> None:
     assert set(schema["properties"]) == set(RECORDS[kind].model_fields)
 
 
-def test_packaged_studies_fit_the_schema() -> None:
+def test_json_schema_accepts_packaged_studies() -> None:
     check = jsonschema.Draft202012Validator(json_schema("study"))
     names = [name for name, path in packaged("data/studies").items() if "vary" not in read_toml(path)]
     assert {"chen2000", "modern"} <= set(names)
@@ -112,7 +112,7 @@ def test_packaged_studies_fit_the_schema() -> None:
         assert not list(check.iter_errors(read_toml(packaged("data/studies")[name]))), name
 
 
-def test_units_are_those_that_names_end_in() -> None:
+def test_unit_of_follows_name() -> None:
     assert unit_of("dark_current_e_per_s") == "in electrons per second"
     assert unit_of("full_well_e") == "in electrons"
     assert unit_of("white_cd_per_m2") == "in cd/m²"
@@ -124,7 +124,7 @@ def test_units_are_those_that_names_end_in() -> None:
     assert UNITS["_e"] == "electrons"
 
 
-def test_ranges_in_words() -> None:
+def test_allowed_states_range() -> None:
     properties = json_schema("sensor")["$defs"]["Pixel"]["properties"]
     assert allowed(properties["bits"]) == "integer, 1 to 24"
     assert allowed(properties["prnu"]) == "0 to 0.3"
@@ -132,7 +132,7 @@ def test_ranges_in_words() -> None:
     assert allowed(properties["well_limit"]) == '"swing", "diode"'
 
 
-def test_commands(tmp_path: Path) -> None:
+def test_template_command_writes_template(tmp_path: Path) -> None:
     assert command("template study") == (0, template("study"), "")
     assert json.loads(command("schema study")[1]) == json_schema("study")
     code, out, _ = command("template study --json -o", tmp_path / "my study.toml")

@@ -144,13 +144,13 @@ FUNCTIONS = {name: function for name, thing in PUBLIC.items() if (function := fu
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_a_function_tells_what_it_takes_and_gives(name: str) -> None:
+def test_function_docstring_is_complete(name: str) -> None:
     found = [f"{rule}: {what}" for rule, what in complaints(name, FUNCTIONS[name]) if (rule, name) not in EXCEPTIONS]
     assert not found
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_a_class_tells_its_fields(name: str) -> None:
+def test_class_docstring_describes_fields(name: str) -> None:
     """Each by its own words: a record's by the field's description, a dataclass's in the docstring."""
     kind = CLASSES[name]
     text = inspect.cleandoc(vars(kind).get("__doc__") or "")
@@ -178,7 +178,7 @@ def bad(source: str) -> set[str]:
     return {rule for rule, _ in complaints(f"pixsim.optics.thin_lens.{tree.name}", scope[tree.name], tree)}
 
 
-def test_the_rules_can_fail() -> None:
+def test_rules_reject_incomplete_docstrings() -> None:
     assert bad("def f(x: Array) -> Array: pass") == {"docstring"}
     assert bad('def f(x: Array) -> Array:\n    """Of light."""') == {"parameter", "shape", "unit", "source"}
     assert bad('def f(x: Array) -> Array:\n    """Of x, (H, W) sr. Foote 1915."""') == set()
@@ -205,7 +205,7 @@ def examples() -> Iterator[doctest.DocTest]:
         yield from (each for each in finder.find(plain, name, globs=dict(scope)) if each.examples)
 
 
-def test_examples_are_true() -> None:
+def test_docstring_examples_pass() -> None:
     """Their numbers are published ones or closed forms, told beside them. They take 2 s."""
     runner = doctest.DocTestRunner()
     told: list[str] = []

@@ -28,7 +28,7 @@ def text_of(path: Path) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_a_page_does_what_it_says(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_blocks_give_shown_output(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three minutes in all; `.ci/run` takes them."""
     monkeypatch.setenv("MPLBACKEND", "agg")
     page = Page(path, tmp_path)
@@ -39,7 +39,7 @@ def test_a_page_does_what_it_says(path: Path, tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_no_block_is_left_out(path: Path) -> None:
+def test_page_blocks_are_all_checked(path: Path) -> None:
     """What is not run is a file that others use, what is printed, or is run elsewhere, and that place exists."""
     for block in blocks_of(text_of(path)):
         where = f"{path.name}, line {block.line}"
@@ -50,7 +50,7 @@ def test_no_block_is_left_out(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_readme_begins_with_the_commands_that_ci_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readme_first_study_gives_shown_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The study of its first line prints what README says, and draws its first picture."""
     elsewhere = [
         block for block in blocks_of(text_of(README)) if block.told.get("elsewhere", "").startswith((".ci", "tests/docs/test_d"))
@@ -83,7 +83,7 @@ UNIT_OF |= {"_e_per_s": "electrons/s", "delta_e": "ΔE", "_per_deg": "dots/degre
 
 
 @pytest.mark.parametrize(("words", "ours", "unit", "home"), [row for row in WORDS if row[3] in HOMES], ids=lambda word: word[:20])
-def test_names_of_the_glossary_exist(words: str, ours: str, unit: str, home: str) -> None:
+def test_glossary_names_exist(words: str, ours: str, unit: str, home: str) -> None:
     names = re.findall(r"`([\w.]+)`", ours)
     assert names
     for name in names:
@@ -99,7 +99,7 @@ def has(home: object, name: str) -> bool:
     return name in getattr(home, "model_fields", {}) | getattr(home, "__dataclass_fields__", {}) | vars(home)
 
 
-def test_the_glossary_has_the_symbols_of_both_equations() -> None:
+def test_glossary_has_all_symbols() -> None:
     said = " ".join(row[0] for row in WORDS)
     for symbol in ("q_max", "i_dc", "i_ph", "t_int", "σ_r²", "DR", "SNR", "fill factor", "MTF", "f/#", "ΔE"):
         assert symbol in said, symbol
@@ -108,7 +108,7 @@ def test_the_glossary_has_the_symbols_of_both_equations() -> None:
 # --- The runner itself can fail ---------------------------------------------------------------------------------------
 
 
-def test_blocks_and_what_is_told_of_them() -> None:
+def test_blocks_of_parses_comments() -> None:
     text = "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```sh\ntrue\n```\n\n<!-- picture: made.svg -->\n![a](b.svg)\n"
     file, command, picture = blocks_of(text)
     assert (file.language, file.text, file.told, file.line) == ("toml", "x = 1\n", {"file": "a.toml"}, 2)
@@ -135,7 +135,7 @@ def test_blocks_and_what_is_told_of_them() -> None:
         ("x 1.0e-04", "x 1.2e-04", False),
     ],
 )
-def test_what_is_printed_is_compared(said: str, printed: str, same: bool) -> None:
+def test_difference_compares_output(said: str, printed: str, same: bool) -> None:
     assert (difference(said, printed) == "") == same
 
 
@@ -154,13 +154,13 @@ def test_what_is_printed_is_compared(said: str, printed: str, same: bool) -> Non
         "```sh\ntrue\n",
     ],
 )
-def test_a_page_that_does_not_do_what_it_says_fails(text: str, tmp_path: Path) -> None:
+def test_page_with_wrong_output_fails(text: str, tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text(text, encoding="utf-8")
     with pytest.raises(AssertionError):
         Page(tmp_path / "page.md", tmp_path).run()
 
 
-def test_pictures_are_compared(tmp_path: Path) -> None:
+def test_alike_pictures_detects_changes(tmp_path: Path) -> None:
     from PIL import Image
 
     grey = np.full((20, 30), 100, np.uint8)

@@ -96,25 +96,25 @@ def dead_links(pages: dict[Path, Page]) -> tuple[list[str], int]:
     return wrong, checked
 
 
-def test_every_link_leads_somewhere(pages: dict[Path, Page]) -> None:
+def test_site_has_no_dead_links(pages: dict[Path, Page]) -> None:
     wrong, checked = dead_links(pages)
     assert not wrong
     assert checked > 1000
 
 
-def test_a_dead_link_is_found(tmp_path: Path) -> None:
+def test_dead_links_detects_missing_targets(tmp_path: Path) -> None:
     path = tmp_path.resolve() / "a.html"
     path.write_text('<p id="here"><a href="#here"></a><a href="a.html#gone"></a><a href="b.html"></a>', encoding="utf-8")
     assert dead_links({path: Page(path)}) == (["a.html: a.html#gone, no such anchor", "a.html: b.html"], 3)
 
 
-def test_links_to_elsewhere_are_well_formed(pages: dict[Path, Page]) -> None:
+def test_site_external_links_are_well_formed(pages: dict[Path, Page]) -> None:
     elsewhere = {link for page in pages.values() for link in page.links if urlsplit(link).scheme not in ("", "mailto")}
     assert elsewhere
     assert all(urlsplit(link).scheme == "https" and re.fullmatch(r"[\w.-]+\.\w+", urlsplit(link).netloc) for link in elsewhere)
 
 
-def test_nothing_comes_from_the_network(site: Path, pages: dict[Path, Page]) -> None:
+def test_site_loads_nothing_from_network(site: Path, pages: dict[Path, Page]) -> None:
     fetched = [(path, link) for path, page in pages.items() for link in page.fetched]
     assert fetched
     for path, link in fetched:
@@ -129,7 +129,7 @@ def test_nothing_comes_from_the_network(site: Path, pages: dict[Path, Page]) -> 
         assert not re.search(r"(fetch|importScripts|import|open)\(\s*['\"`](https?:)?//", code), script
 
 
-def test_every_public_name_has_an_entry(site: Path, pages: dict[Path, Page]) -> None:
+def test_reference_has_every_public_name(site: Path, pages: dict[Path, Page]) -> None:
     """Functions, classes, methods, and fields of records; those that a public record has all of are told there."""
     told = {each for path, page in pages.items() if "reference" in path.parts for each in page.ids}
     public = [getattr(pixsim, name) for name in pixsim.__all__]
@@ -148,7 +148,7 @@ def commands() -> Iterator[tuple[str, Any]]:
 
 
 @pytest.mark.parametrize("name", [name for name, _ in commands()])
-def test_every_command_is_told_with_its_options(name: str, site: Path) -> None:
+def test_reference_has_every_command_and_option(name: str, site: Path) -> None:
     text = re.sub(r"<[^>]+>", "", (site / "reference/command_line.html").read_text(encoding="utf-8"))
     words = {word for argument in app[name].assemble_argument_collection() if argument.show for word in argument.names}
     words = {word for word in words if not word.startswith(("--no-", "--empty-"))}  # the app has none
@@ -171,7 +171,7 @@ def anchors(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_links_in_markdown_lead_somewhere(path: Path) -> None:
+def test_markdown_has_no_dead_links(path: Path) -> None:
     text = re.sub(r"^(```|~~~).*?^\1|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     for link in re.findall(r"\]\(([^()\s]+)\)", text):
         parts = urlsplit(link)
@@ -183,7 +183,7 @@ def test_links_in_markdown_lead_somewhere(path: Path) -> None:
         assert not parts.fragment or parts.fragment in anchors(target), link
 
 
-def test_markdown_links_become_pages_or_paths(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rewritten_converts_markdown_links(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     """A page's link stays one wherever its text is shown; another file's becomes its path; one to nothing is told."""
     monkeypatch.syspath_prepend(str(DOCS))
     from from_markdown import rewritten
@@ -227,7 +227,7 @@ def looked_at(shown: list[Path], width: int, folder: Path) -> list[Any]:
 
 @needs_browser
 @pytest.mark.parametrize("width", [400, 1280])
-def test_nothing_sticks_out_of_a_page(width: int, pages: dict[Path, Page], tmp_path: Path) -> None:
+def test_site_pages_fit_width(width: int, pages: dict[Path, Page], tmp_path: Path) -> None:
     """A telephone and a desk; wide tables and code scroll within themselves."""
     shown = written(pages)
     assert len(shown) > 15
@@ -240,7 +240,7 @@ def test_nothing_sticks_out_of_a_page(width: int, pages: dict[Path, Page], tmp_p
 
 
 @needs_browser
-def test_what_sticks_out_is_found(tmp_path: Path) -> None:
+def test_looked_at_detects_overflow(tmp_path: Path) -> None:
     page = tmp_path / "wide.html"
     page.write_text('<title>w</title><article><p style="width: 600px">w<img src="gone.png"></article>', encoding="utf-8")
     ((room, wide, _, missing, out),) = looked_at([page], 400, tmp_path)
@@ -256,7 +256,7 @@ PRINTED = {
 
 @needs_browser
 @pytest.mark.parametrize("name", PRINTED)
-def test_a_page_as_pdf_has_its_words(name: str, site: Path, tmp_path: Path) -> None:
+def test_printed_page_contains_text(name: str, site: Path, tmp_path: Path) -> None:
     pytest.importorskip("pypdf", reason="pypdf is not installed")
     sheets = print_page(site / f"{name}.html", tmp_path).pages
     words = re.sub(r"\s+", " ", " ".join(sheet.extract_text() for sheet in sheets))
@@ -267,7 +267,7 @@ def test_a_page_as_pdf_has_its_words(name: str, site: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_the_site_is_the_same_bytes_each_time(site: Path, tmp_path: Path) -> None:
+def test_site_build_is_reproducible(site: Path, tmp_path: Path) -> None:
     again = tmp_path / "html"
     assert sphinx("html", again).returncode == 0
     files = {path.relative_to(site): path.read_bytes() for path in site.rglob("*") if path.is_file()}
@@ -277,7 +277,7 @@ def test_the_site_is_the_same_bytes_each_time(site: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_pages_elsewhere_are_there(tmp_path: Path) -> None:
+def test_site_external_links_exist(tmp_path: Path) -> None:
     try:
         socket.create_connection(("www.python.org", 443), 5).close()
     except OSError as error:

@@ -80,7 +80,7 @@ def contents(wheel: Path) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-def test_the_wheel_holds_everything_that_runs(shipped: dict[str, Path]):
+def test_wheel_contains_package_and_scenes_only(shipped: dict[str, Path]):
     names = set(contents(shipped["wheel"]))
     info = f"pixsim-{PROJECT['version']}.dist-info"
     package = ROOT / "pixsim"
@@ -96,7 +96,7 @@ def test_the_wheel_holds_everything_that_runs(shipped: dict[str, Path]):
     assert names == ours | scenes | rest  # so: no tests, no caches
 
 
-def test_nothing_of_this_machine_is_shipped(shipped: dict[str, Path]):
+def test_wheel_contains_no_local_paths(shipped: dict[str, Path]):
     for name, content in contents(shipped["wheel"]).items():
         if name.endswith(LANGUAGE_FILES):
             text = content.decode("utf-8")
@@ -104,7 +104,7 @@ def test_nothing_of_this_machine_is_shipped(shipped: dict[str, Path]):
             assert not [word for word in machine if word in text], name
 
 
-def test_the_source_distribution_gives_the_same_wheel_and_holds_no_caches(shipped: dict[str, Path]):
+def test_sdist_builds_same_wheel_without_caches(shipped: dict[str, Path]):
     assert contents(shipped["second"]) == contents(shipped["wheel"])
     with tarfile.open(shipped["sdist"]) as archive:
         names = archive.getnames()
@@ -112,7 +112,7 @@ def test_the_source_distribution_gives_the_same_wheel_and_holds_no_caches(shippe
     assert not [name for name in names if re.search(r"__pycache__|\.pyc$|_cache/|pixsim-out|\.part$|/\.git/", name)]
 
 
-def test_metadata_promise_only_what_was_tried(shipped: dict[str, Path]):
+def test_metadata_state_tested_systems(shipped: dict[str, Path]):
     (text,) = (content.decode() for name, content in contents(shipped["wheel"]).items() if name.endswith("/METADATA"))
     systems = re.findall(r"^Classifier: Operating System :: (.*)$", text, re.MULTILINE)
     assert systems == ["POSIX :: Linux"]
@@ -153,7 +153,7 @@ def assert_it_works(python: Path, folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
-def test_it_works_where_nothing_else_is_installed(kind: str, shipped: dict[str, Path], tmp_path: Path):
+def test_installed_package_works_in_empty_environment(kind: str, shipped: dict[str, Path], tmp_path: Path):
     python = venv(tmp_path / "empty environment")
     pip_install(python, f"{shipped[kind]}[llvm]", folder=tmp_path)
     assert_it_works(python, tmp_path / "some where")
@@ -184,14 +184,14 @@ def lowest(requirement: str) -> str:
     return requirement.replace(">=", "==").replace(".*", ".0")
 
 
-def test_lowest_versions():
+def test_lowest_pins_every_dependency():
     found = [lowest(each) for each in PROJECT["dependencies"]]
     assert "mitsuba==3.9.0" in found
     assert not [each for each in found if re.search(r"[<>*~!]", each)], "a bound that this test does not know"
 
 
 @pytest.mark.slow
-def test_the_lowest_versions_allowed_work(shipped: dict[str, Path], tmp_path: Path):
+def test_installed_package_works_with_lowest_versions(shipped: dict[str, Path], tmp_path: Path):
     """On the oldest Python, with the quick tests that most of the packages have a part in."""
     oldest = shutil.which("python3.11")
     if oldest is None:
