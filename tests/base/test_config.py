@@ -272,10 +272,7 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
         ("", "cuts off dark noise: 72 % of dark pixels stand at 0 DN and darkness reads 0.93 e- too bright"),
         ("black_level_dn = 7", ""),
         # Offsets count: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
-        (
-            "black_level_dn = 7\noffset_fpn = 0.002",
-            "21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright",
-        ),
+        ("black_level_dn = 7\noffset_fpn = 0.002", "21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright"),
         ("black_level_dn = 50\noffset_fpn = 0.002", ""),
         # So do kTC and offsets of a process.
         ('technology = "0.35um"', "pixel.black_level_dn = 15 keeps it"),

@@ -1,4 +1,4 @@
-"""Records: what they refuse, what their hash depends on, and the geometry of the camera."""
+"""Records: validation, content hash, quantum efficiency curves, and the geometry of the camera."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_quickened_applies_quick_table():
     "text",
     [
         *("400;0,3\n500;0,4\n", "400\t0.3\n500\t0.4\n", "nm;QE\n400,0;0,3\n500;0.4\n"),
-        "\ufeff400,0.3\n500,0.4\n",  # a spreadsheet's "CSV UTF-8" begins with a byte order mark
+        "\ufeff400,0.3\n500,0.4\n",  # with a byte order mark, as spreadsheets write
     ],
 )
 def test_read_curve_accepts_other_separators(text, tmp_path):
@@ -101,7 +101,7 @@ def test_read_curve_accepts_other_separators(text, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("400,0.3\n350,0.4\n", "400 nm followed by 350 nm"),
         ("0.4,0.3\n0.5,0.4\n", "Multiply wavelengths in µm by 1000"),
@@ -123,11 +123,11 @@ def test_read_curve_accepts_other_separators(text, tmp_path):
         ("4" * 10**6 + ",1", "file of wavelength in nm"),
     ],
 )
-def test_read_curve_invalid_file_raises(text, told, tmp_path):
+def test_read_curve_invalid_file_raises(text, message, tmp_path):
     (tmp_path / "qe.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match="allowed") as refusal:
+    with pytest.raises(ValueError, match="allowed") as error:
         as_quantum_efficiency(str(tmp_path / "qe.csv"))
-    assert told in str(refusal.value)
+    assert message in str(error.value)
 
 
 # --- Layers ---

@@ -49,11 +49,7 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("failure", "code", "said"),
     [
-        (
-            RuntimeError("the moon is out"),
-            1,
-            "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose",
-        ),
+        (RuntimeError("the moon is out"), 1, "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose"),
         (MemoryError(), 1, "the system is out of memory"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
