@@ -1,4 +1,4 @@
-"""Settings: a sensor's file is the same for one picture and for a study of its pixel size; messages mend what they refuse."""
+"""Settings files for runs and studies, sensors from data sheets, and messages of invalid settings."""
 
 from __future__ import annotations
 
@@ -40,24 +40,23 @@ def written(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("pitch_um", [1.0, 4.0, 9.0])
-def test_derive_data_sheet_scales_with_area(pitch_um: float) -> None:
+@pytest.mark.parametrize("exponent", [0, 2])
+def test_derive_data_sheet_scales_with_area_if_pitch_is_given(pitch_um: float, exponent: int) -> None:
     measured = {"full_well_e": 12000, "read_noise_e": 2.5, "dark_current_e_per_s": 8, "quantum_efficiency": 0.6}
-    physics = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, data_sheet_pitch_um=4.0, **measured))
-    assert physics.full_well_e == pytest.approx(12000 * (pitch_um / 4) ** 2, rel=1e-12)
-    assert physics.dark_current_e_per_s == pytest.approx(8 * (pitch_um / 4) ** 2, rel=1e-12)
-    assert physics.read_noise_e == 2.5
-    alone = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, **measured))
-    assert (alone.full_well_e, alone.dark_current_e_per_s) == (12000, 8)
+    measured |= {"data_sheet_pitch_um": 4.0} if exponent else {}
+    physics = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, **measured))
+    values = physics.full_well_e, physics.dark_current_e_per_s, physics.read_noise_e
+    assert values == pytest.approx((12000 * (pitch_um / 4) ** exponent, 8 * (pitch_um / 4) ** exponent, 2.5), rel=1e-12)
 
 
 def test_derive_scales_with_photodiode_area() -> None:
-    """At 0.35 µm a pixel of 8 µm has more photodiode beside its transistors than one of 6 µm, not (8/6)² as much."""
+    """In the 0.35 µm technology the transistors have a fixed area: the photodiode grows faster than the pixel."""
     process = pixsim.load_technology("0.35um")
     physics = pixsim.derive(pixsim.Pixel(pitch_um=8.0, full_well_e=40000, data_sheet_pitch_um=6.0))
     areas_um2 = fill_factor_law([8.0, 6.0], process) * np.array([64.0, 36.0])
     assert areas_um2[0] / areas_um2[1] > 2
     assert physics.full_well_e == pytest.approx(40000 * areas_um2[0] / areas_um2[1], rel=1e-12)
-    # What is not measured stays the process's.
+    # Values that are not measured come from the technology.
     assert physics.dark_current_e_per_s == pixsim.derive(pixsim.Pixel(pitch_um=8.0)).dark_current_e_per_s
 
 
@@ -83,7 +82,7 @@ def test_study_layers_data_sheet_becomes_the_sensor(tmp_path: Path) -> None:
     assert (study.camera.die_mm, study.camera.f_number, study.pixel.bits) == (2.0, 2.8, 12)
     pitches_um = study_pitches_um(study, "none")
     assert pitches_um[[0, -1]] == pytest.approx([1.0, 16.0])
-    wells_e = [pixsim.derive(pixel_of(study, "none", each)).full_well_e for each in pitches_um.tolist()]
+    wells_e = [pixsim.derive(pixel_of(study, "none", pitch_um)).full_well_e for pitch_um in pitches_um.tolist()]
     np.testing.assert_allclose(wells_e, 12000 * (pitches_um / 4) ** 2, rtol=1e-12)
 
 
@@ -112,7 +111,7 @@ def test_study_incomplete_data_sheet_raises() -> None:
 
 
 def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
-    """With a parameter of its scene, and in full where it is asked to be quick and has no table for that."""
+    """With a scene parameter, and --quick for a study without a [quick] table."""
     own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n")
     line = f"study {own} --config {path} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
@@ -155,30 +154,29 @@ def sheet(tmp_path: Path) -> Path:
 
 
 def test_run_command_data_sheet_sets_all_values(sheet: Path, tmp_path: Path) -> None:
-    """Its numbers are those of the picture; nothing of a process is added to them."""
     small = "-D resolution=64 --display.dots 64 --json"
     code, out, err = command(f"run csf {small} --config", sheet, "--out", tmp_path / "out")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["pixel"]["technology"] == "none"
-    assert (told["full_well_e"], told["fill_factor"], told["pitch_um"]) == (12000.0, 1.0, 4.0)
-    physics = pixsim.derive(pixsim.Pixel.model_validate(told["pixel"]))
+    score = json.loads(out)
+    assert score["pixel"]["technology"] == "none"
+    assert (score["full_well_e"], score["fill_factor"], score["pitch_um"]) == (12000.0, 1.0, 4.0)
+    physics = pixsim.derive(pixsim.Pixel.model_validate(score["pixel"]))
     assert (physics.reset_noise_e, physics.offset_fpn_e, physics.column_fpn_e) == (0.0, 0.0, 0.0)
     assert (physics.read_noise_e, physics.dark_current_e_per_s) == (2.5, 8.0)
 
 
 def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> None:
     nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
-    found = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
-    np.testing.assert_allclose(found, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
+    efficiency = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
+    np.testing.assert_allclose(efficiency, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
 
 
-@pytest.mark.parametrize("lost", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
+@pytest.mark.parametrize("missing", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
 @pytest.mark.parametrize("line", ["run csf", "study pixel-size"])
-def test_is_data_sheet_missing_value_raises(line: str, lost: str, sheet: Path, tmp_path: Path) -> None:
-    written(sheet, "\n".join(each for each in CURVED.splitlines() if not each.startswith(lost)))
-    told = f"{sheet}: pixel: got a sensor without a technology, and without {lost};"
-    assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [told, 'technology = "4t-bsi"'])
+def test_is_data_sheet_missing_value_raises(line: str, missing: str, sheet: Path, tmp_path: Path) -> None:
+    written(sheet, "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)))
+    message = f"{sheet}: pixel: got a sensor without a technology, and without {missing};"
+    assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [message, 'technology = "4t-bsi"'])
     assert not (tmp_path / "out").exists()
 
 
@@ -204,11 +202,11 @@ def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
     assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
 
 
-# --- What says more, and what less -------------------------------------------------------------------------------------
+# --- Precedence of study, files and options -------------------------------------------------------------------------------------
 
 
 def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
-    """[quick] of `modern` names a technology: with a data sheet over it the study would be neither."""
+    """[quick] of `modern` sets a technology, which must not replace the data sheet."""
     paths = [written(tmp_path / "sensor.toml", SHEET)]
     study = checked_study(study_layers(read_study("modern"), paths)).quickened
     assert (study.technologies, study.pitch.count) == (("none",), 10)
@@ -257,7 +255,7 @@ def test_study_layers_data_sheet_disables_paper(tmp_path: Path) -> None:
 
 
 def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
-    """Rows are known by their content: two names of one process would share them, and one curve would have none."""
+    """Rows are identified by content: two names of one process would share them."""
     source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     for name in ("a", "b"):
         written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
@@ -266,40 +264,40 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
         ("", "cuts off dark noise: 72 % of dark pixels stand at 0 DN and darkness reads 0.93 e- too bright"),
         ("black_level_dn = 7", ""),
-        # Offsets count: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
+        # With offsets: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
         ("black_level_dn = 7\noffset_fpn = 0.002", "21 % of dark pixels stand at 0 DN and darkness reads 2.6 e- too bright"),
         ("black_level_dn = 50\noffset_fpn = 0.002", ""),
-        # So do kTC and offsets of a process.
+        # With reset noise and offsets of a technology.
         ('technology = "0.35um"', "pixel.black_level_dn = 15 keeps it"),
         ('technology = "0.35um"\nblack_level_dn = 15', ""),
         ("offset_fpn = 0.2", "to keep it takes more bits (pixel.bits)"),
     ],
 )
-def test_run_command_low_black_level_gives_note(options: str, told: str, tmp_path: Path) -> None:
+def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_path: Path) -> None:
     film = "--no-irradiance -D resolution=64 -D spp=4 --display.dots 64"
     sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
     path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
     code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
     assert code == 0, err
     notes = [line for line in out.splitlines() if line.startswith("note: ")]
-    assert len(notes) == bool(told)
+    assert len(notes) == bool(message)
     assert out.startswith("mean ΔE ")
     page = read(tmp_path / "out/report.html")
-    assert ("cuts off dark noise" in page) == bool(told)
-    if told:
-        assert told in notes[0]
+    assert ("cuts off dark noise" in page) == bool(message)
+    if message:
+        assert message in notes[0]
         assert notes[0] in page
     dark = json.loads(read(tmp_path / "out/score.json"))["dark"]
-    assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(told)
+    assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(message)
 
 
 def test_study_command_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
-    """The worst size has the least white: the smallest pixel, of a well in proportion to its area."""
+    """The smallest pixel has the smallest full well, and so the largest error."""
     table = """name = "dark"
 technologies = ["0.35um", "4t-bsi"]
 repeats = 2
@@ -313,11 +311,11 @@ bits = 14
         path = written(tmp_path / "dark.toml", table + black)
         code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
         assert code == 0, err
-        told = [line for line in out.splitlines() if line.startswith("note: ")]
+        lines = [line for line in out.splitlines() if line.startswith("note: ")]
         page = read(tmp_path / "out/report.html")
-        assert len(told) == notes == page.count("cuts off dark noise")
+        assert len(lines) == notes == page.count("cuts off dark noise")
         curves = json.loads(read(tmp_path / "out/summary.json"))["curves"]
-        for line, curve in zip(told, curves, strict=bool(notes)):
+        for line, curve in zip(lines, curves, strict=bool(notes)):
             dark = curve["dark"]
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"
             assert line.startswith(f"note: {curve['technology']}: a black level of 0 DN cuts off dark noise {where}: ")

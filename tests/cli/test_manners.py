@@ -1,4 +1,4 @@
-"""What a shell and its user expect: what goes where, which exit code, how much is said, and what is left behind."""
+"""Behaviour in a shell: stdout and stderr, exit codes, verbosity, and files written."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pixsim.cli.options import app
 SMALL = "-D resolution=64 --display.dots 64"
 
 
-# --- errors ------------------------------------------------------------------------------------------------------------
+# --- Errors ------------------------------------------------------------------------------------------------------------
 
 
 def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
@@ -32,7 +32,7 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
     second.write_text("[display]\ndots = 1\n[exposur]\n", encoding="utf-8")
     code, out, err = command("run csf --pixel.dsnu much --display.gamma 0 --config", first, "--config", second)
     assert (code, out) == (2, "")
-    wanted = [
+    expected = [
         rf"{first}: camera.f_number: got 'wide'; .*",
         rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\.",
         r"pixel.dsnu: got 'much'; .*",
@@ -42,23 +42,23 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
         rf"{second}: exposur: unknown name; .* Did you mean 'exposure'\?",
     ]
     lines = err.removeprefix("pixsim: ").splitlines()
-    assert len(lines) == len(wanted)
-    assert all(re.fullmatch(pattern, line) for pattern, line in zip(wanted, lines, strict=True)), err
+    assert len(lines) == len(expected)
+    assert all(re.fullmatch(pattern, line) for pattern, line in zip(expected, lines, strict=True)), err
 
 
 @pytest.mark.parametrize(
-    ("failure", "code", "said"),
+    ("failure", "code", "message"),
     [
         (RuntimeError("the moon is out"), 1, "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose"),
         (MemoryError(), 1, "the system is out of memory"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_main_exception_sets_exit_code(failure: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """0 is in most tests, 2 in those of refusals."""
+def test_main_exception_sets_exit_code(failure: BaseException, code: int, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Codes 0 and 2 are checked in other tests."""
     monkeypatch.setattr("pixsim.report.run.run_and_write", Mock(side_effect=failure))
     assert command("run csf")[:2] == (code, "")
-    assert command("run csf")[2].startswith(f"pixsim: {said}")
+    assert command("run csf")[2].startswith(f"pixsim: {message}")
     assert "Traceback" in command("run csf --verbose")[2]
 
 
@@ -72,7 +72,7 @@ def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.Mo
     assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, 1 << 20, {})
 
 
-# --- what is said, and where -------------------------------------------------------------------------------------------
+# --- Output -------------------------------------------------------------------------------------------
 
 
 def test_help_shows_usage_json_and_example() -> None:
@@ -88,7 +88,7 @@ def test_help_shows_usage_json_and_example() -> None:
 
 
 def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
-    # Brighter than the display can show: a warning.
+    # Brighter than display white, which gives a warning.
     line = f"run csf {SMALL} --display.white-cd-per-m2 10 --out {tmp_path / 'out'}"
     plain = process(f"{line} --json")
     assert plain.returncode == 0, plain.stderr
@@ -96,9 +96,9 @@ def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     assert "warning: " in plain.stderr
     quiet = process(f"{line} --json --quiet")
     assert (quiet.returncode, quiet.stderr, quiet.stdout) == (0, "", plain.stdout)
-    told = process(f"-v {line}")
-    assert re.search(r"^render: \d+\.\d\d s$", told.stderr, re.MULTILINE)
-    assert told.stdout.startswith("mean ΔE")
+    verbose = process(f"-v {line}")
+    assert re.search(r"^render: \d+\.\d\d s$", verbose.stderr, re.MULTILINE)
+    assert verbose.stdout.startswith("mean ΔE")
 
 
 @pytest.mark.parametrize("line", ["--help", "run --help", "cache", "run nothing"])
@@ -118,7 +118,7 @@ def test_completion_prints_valid_script(shell: str) -> None:
 
 
 def test_options_match_fields_of_files() -> None:
-    """What a help page lists as --table.name-of-field stands in a file as table.name_of_field."""
+    """An option --table.name-of-field has the name table.name_of_field in a file."""
     text = process("run --help", COLUMNS="200").stdout
     options = {name.replace("-", "_") for name in re.findall(r"--((?:camera|pixel|exposure|display)\.[a-z0-9-]+)", text)}
     fields = {
@@ -130,22 +130,22 @@ def test_options_match_fields_of_files() -> None:
 
 
 def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
-    home, here, kept, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
+    home, here, cache, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
     for folder in (home, here):
         folder.mkdir()
-    own = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
-    own |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(kept)}
+    environment = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
+    environment |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(cache)}
     study = tmp_path / "s.toml"
     study.write_text(
         'name = "s"\nrepeats = 2\n[scene]\nparameters = { resolution = 64 }\n[display]\ndots = 64\n[pitch]\ncount = 5\n',
         encoding="utf-8",
     )
     for line in (f"run csf {SMALL} --out {out}/run", f"study {study} --jobs 2 --out {out}/study"):
-        done = process(line, folder=here, **own)
+        done = process(line, folder=here, **environment)
         assert done.returncode == 0, done.stderr
     assert list(home.rglob("*")) == []
-    assert list(here.rglob("*")) == [], "temporary files stay"
-    assert {path.name for path in kept.iterdir()} >= {"kernels"}
+    assert list(here.rglob("*")) == [], "temporary files remain"
+    assert {path.name for path in cache.iterdir()} >= {"kernels"}
 
 
 def test_set_cache_folders_respects_user_variables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

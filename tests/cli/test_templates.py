@@ -1,4 +1,4 @@
-"""Templates and schemas say what the records say: every field, and nothing that a record would refuse."""
+"""Templates and schemas agree with the records."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ RECORDS = {"sensor": Run, "study": Study}
 
 
 def uncommented(text: str) -> dict[str, Any]:
-    """Every field set: lines of one # without it."""
+    """The table of a template with all commented fields set."""
     return tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE))
 
 
 def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:
-    """Dotted names of a table's fields, with all that an inner record has where the table does not say which."""
-    found = set()
+    """Dotted names of the fields of a table; all fields of an inner record if the table does not list them."""
+    names = set()
     for name, value in table.items():
         kind = record.model_fields[name].annotation
         inner = isinstance(kind, type) and issubclass(kind, BaseModel)
-        found |= dotted(value if isinstance(value, dict) else kind.model_fields, kind, f"{path}{name}.") if inner else {path + name}
-    return found
+        names |= dotted(value if isinstance(value, dict) else kind.model_fields, kind, f"{path}{name}.") if inner else {path + name}
+    return names
 
 
 def fields(record: type[BaseModel]) -> set[str]:
@@ -65,19 +65,19 @@ def test_template_describes_every_field(kind: str) -> None:
 
 
 def test_template_shows_defaults_of_record() -> None:
-    """Where a line is commented out and its record has a default, the line shows that."""
+    """A commented field shows the default of its record."""
     text = template("study")
     shown = re.sub(r"^(\w+ = )", r"# \1", text, flags=re.MULTILINE).replace("# ", "")
     assert shown != text
     for line in ("# repeats", "# count"):
-        assert line not in text, "shown, not commented out"
+        assert line not in text, "commented out"
     table = uncommented(text)
     defaults = Study(name="x").model_dump(mode="json")
     for path in ("seed", "max_repeats", "iso_delta_e", "paper", "display.gamma", "display.dots", "exposure.well_target"):
-        mine, theirs = table, defaults
+        value, default = table, defaults
         for part in path.split("."):
-            mine, theirs = mine[part], theirs[part]
-        assert mine == theirs, path
+            value, default = value[part], default[part]
+        assert value == default, path
 
 
 def test_template_sensor_is_data_sheet(tmp_path: Path) -> None:
@@ -98,9 +98,8 @@ def test_json_schema_agrees_with_record(kind: str) -> None:
     everything = uncommented(template(kind))
     assert not list(check.iter_errors(everything))
     wrong: dict[str, Any] = {"pixel": {"bits": 99}, "display": {"gama": 2.2}, "camera": {"f_number": -1.0}}
-    for table, own in wrong.items():
-        found = list(check.iter_errors(everything | {table: everything[table] | own}))
-        assert found, table
+    for table, values in wrong.items():
+        assert list(check.iter_errors(everything | {table: everything[table] | values})), table
     assert set(schema["properties"]) == set(RECORDS[kind].model_fields)
 
 
