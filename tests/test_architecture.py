@@ -86,12 +86,8 @@ def arrows() -> dict[str, set[str]]:
 
 
 def package_arrows() -> set[tuple[str, str]]:
-    return {
-        (module.partition(".")[0], other.partition(".")[0])
-        for module, others in arrows().items()
-        for other in others
-        if module.partition(".")[0] != other.partition(".")[0]
-    }
+    pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, others in arrows().items() for other in others}
+    return {(one, other) for one, other in pairs if one != other}
 
 
 def test_files_are_in_packages() -> None:

@@ -290,17 +290,12 @@ def test_run_hostile_parameter_is_rejected(tmp_path, setting):
 # --- EXR, npz, ENVI, PNG -----------------------------------------------------------------------------------------------
 
 
-def exr_with(path: Path, old: bytes, new: bytes) -> Path:
-    whole = path.read_bytes()
-    assert old in whole
-    path.write_bytes(whole.replace(old, new))
-    return path
-
-
 @pytest.mark.parametrize("sides", [(1 << 31) - 1, 65535, 99_999, -5])
 def test_read_exr_oversized_header_raises(tmp_path, sides):
     pixsim.write_exr(tmp_path / "a.exr", light())
-    exr_with(tmp_path / "a.exr", struct.pack("<4i", 0, 0, 4, 3), struct.pack("<4i", 0, 0, sides, sides))
+    whole, window = (tmp_path / "a.exr").read_bytes(), struct.pack("<4i", 0, 0, 4, 3)
+    assert window in whole
+    (tmp_path / "a.exr").write_bytes(whole.replace(window, struct.pack("<4i", 0, 0, sides, sides)))
     for read in (read_picture, read_channels, read_edge_picture):
         with rejected("a.exr"):
             read(tmp_path / "a.exr")

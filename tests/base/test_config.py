@@ -68,10 +68,6 @@ def test_derive_well_below_one_electron_raises() -> None:
         pixsim.derive(pixsim.Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0))
 
 
-def read(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
-
-
 def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
     return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
 
@@ -120,8 +116,8 @@ def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
     assert code == 0, err
     assert "warning: the study own has no [quick] table: it is done in full" in err
     assert out.startswith("data sheet: ")
-    assert len(read(tmp_path / "out/results.csv").splitlines()) == 1 + 5 * 2
-    assert json.loads(read(tmp_path / "out/summary.json"))["irradiance"]["luminance_cd_per_m2"] == 50
+    assert len((tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()) == 1 + 5 * 2
+    assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["irradiance"]["luminance_cd_per_m2"] == 50
     assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
 
 
@@ -287,12 +283,12 @@ def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_
     notes = [line for line in out.splitlines() if line.startswith("note: ")]
     assert len(notes) == bool(message)
     assert out.startswith("mean ΔE ")
-    page = read(tmp_path / "out/report.html")
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert ("cuts off dark noise" in page) == bool(message)
     if message:
         assert message in notes[0]
         assert notes[0] in page
-    dark = json.loads(read(tmp_path / "out/score.json"))["dark"]
+    dark = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["dark"]
     assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(message)
 
 
@@ -312,9 +308,9 @@ bits = 14
         code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
         assert code == 0, err
         lines = [line for line in out.splitlines() if line.startswith("note: ")]
-        page = read(tmp_path / "out/report.html")
+        page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
         assert len(lines) == notes == page.count("cuts off dark noise")
-        curves = json.loads(read(tmp_path / "out/summary.json"))["curves"]
+        curves = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["curves"]
         for line, curve in zip(lines, curves, strict=bool(notes)):
             dark = curve["dark"]
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"

@@ -37,15 +37,11 @@ def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> se
     return names
 
 
-def fields(record: type[BaseModel]) -> set[str]:
-    return dotted(record.model_fields, record)
-
-
 @pytest.mark.parametrize("kind", RECORDS)
 def test_template_has_every_field_and_is_valid(kind: str) -> None:
     text = template(kind)
     record = RECORDS[kind]
-    assert dotted(uncommented(text), record) == fields(record)
+    assert dotted(uncommented(text), record) == dotted(record.model_fields, record)
     record.model_validate(tomllib.loads(text))
     everything = uncommented(text)
     everything.pop("quick", None)
@@ -117,7 +113,7 @@ def test_unit_of_follows_name() -> None:
     assert unit_of("white_cd_per_m2") == "in cd/m²"
     assert unit_of("max_seconds") == "in s"
     assert unit_of("tolerance_e") == unit_of("delta_e") == unit_of("bits") == ""
-    names = {path.rpartition(".")[2] for record in RECORDS.values() for path in fields(record)}
+    names = {path.rpartition(".")[2] for record in RECORDS.values() for path in dotted(record.model_fields, record)}
     with_unit = {name for name in names if re.search(r"_(um|mm|nm|m|s|e|k|dn|cd_per_m2|e_per_s|per_deg|seconds)$", name)}
     assert {name for name in with_unit if not unit_of(name)} == {"tolerance_e", "delta_e"}
     assert UNITS["_e"] == "electrons"
