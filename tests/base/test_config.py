@@ -83,8 +83,8 @@ def test_study_layers_data_sheet_becomes_the_sensor(tmp_path: Path) -> None:
 
 
 def test_study_layers_pitch_range_of_study_is_used(tmp_path: Path) -> None:
-    own = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
-    study = study_of(SHEET, tmp_path, str(own))
+    study_path = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
+    study = study_of(SHEET, tmp_path, str(study_path))
     np.testing.assert_allclose(study_pitches_um(study, "none"), np.geomspace(2, 6, 5), atol=5e-5)
 
 
@@ -108,9 +108,9 @@ def test_study_incomplete_data_sheet_raises() -> None:
 
 def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
     """With a scene parameter, and --quick for a study without a [quick] table."""
-    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
+    study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n")
-    line = f"study {own} --config {path} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
+    line = f"study {study_path} --config {path} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
     with warnings.catch_warnings(action="always"):
         code, out, err = command(line)
     assert code == 0, err
@@ -118,7 +118,9 @@ def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
     assert out.startswith("data sheet: ")
     assert len((tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()) == 1 + 5 * 2
     assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["irradiance"]["luminance_cd_per_m2"] == 50
-    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
+    assert_refused(
+        *command(f"study {study_path} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"]
+    )
 
 
 def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
@@ -206,12 +208,12 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
     paths = [written(tmp_path / "sensor.toml", SHEET)]
     study = checked_study(study_layers(read_study("modern"), paths)).quickened
     assert (study.technologies, study.pitch.count) == (("none",), 10)
-    own = written(
+    study_path = written(
         tmp_path / "own.toml",
         'name = "own"\n[quick]\nrepeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n',
     )
     option = {"scene": {"parameters": {"resolution": 96}}}
-    study = checked_study(study_layers(read_study(own), paths, option)).quickened
+    study = checked_study(study_layers(read_study(study_path), paths, option)).quickened
     assert study.scene.parameters == {"resolution": 96, "spp": 4}
     assert (study.camera.f_number, study.repeats) == (2.8, 2)
 
@@ -255,8 +257,8 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
     source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     for name in ("a", "b"):
         written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
-    own = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
-    assert_refused(*command(f"study {own} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
+    study_path = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
+    assert_refused(*command(f"study {study_path} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
 
 
 @pytest.mark.parametrize(
