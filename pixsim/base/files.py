@@ -51,7 +51,7 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     """
     folder = Path(out)
     if not is_utf8(folder):
-        raise PixsimError(f"output folder: '{folder}' is not valid UTF-8. Choose another folder with --out.")
+        raise PixsimError(f"output folder: '{folder}' is not valid UTF-8. Choose another with --out.")
     created = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     probe = folder / ".pixsim-probe"
     try:
@@ -60,7 +60,7 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
             probe.touch()
             probe.unlink()
         except OSError as error:
-            message = f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another folder with --out."
+            message = f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
             raise PixsimError(message) from None
         yield folder
     except BaseException:

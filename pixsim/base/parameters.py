@@ -119,7 +119,7 @@ def as_quantum_efficiency(value: Any) -> Any:
     if isinstance(value, int | float):
         value = as_float(value)
         if not MIN_FRACTION <= value <= 1:
-            raise ValueError(f"got {value:g}; allowed: above 0 to 1, or a CSV file of wavelength in nm and value")
+            raise ValueError(f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in nm and value")
         return value
     try:
         pairs = tuple((as_float(nm), as_float(efficiency)) for nm, efficiency in value)

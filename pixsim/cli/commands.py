@@ -371,7 +371,9 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
     try:
         x0, y0, x1, y1 = (int(number) for number in region.split(","))
     except ValueError:
-        raise PixsimError(f"--region: got '{region}'; allowed: four integers, as in --region 100,0,400,512.") from None
+        raise PixsimError(
+            f"--region: got '{region}'; allowed: x0,y0,x1,y1 in whole pixels, as in --region 100,0,400,512."
+        ) from None
     return x0, y0, x1, y1
 
 

@@ -24,9 +24,9 @@ MAX_S = 6 * HANG_S  # packages are downloaded, and half of the tests run
 TEXT_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
 QUICK_TESTS = {  # about half of the quick tests of every package, which need no other tools than pytest
     **{"base": "arrays cache config parameters", "light": "spectral", "optics": "diffraction thin_lens"},
-    **{"sensor": "integration pixel raw readout", "scene": "charts plan scene", "show": "figures pictures"},
+    **{"sensor": "integration pixel readout technology", "scene": "charts plan scene", "show": "figures pictures"},
     **{"viewer": "display scielab score", "studies": "budget result study", "measure": "sfr"},
-    **{"report": "run views", "accuracy": "accuracy solvers", "cli": "cli manners"},
+    **{"report": "run views", "accuracy": "accuracy solvers", "cli": "cli doctor"},
 }
 STUDY = """
 name = "tiny"
