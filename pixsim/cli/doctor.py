@@ -83,8 +83,7 @@ SCALAR, LLVM, CUDA = "scalar_spectral", "llvm_ad_spectral", "cuda_ad_spectral"
 class Finding:
     """One line of the report; the names are keys of `pixsim doctor --json`.
 
-    room, subject : group of the line, and what was checked
-    mark : OK, NOTE or PROBLEM
+    room, subject, mark : group of the line, what was checked, and OK, NOTE or PROBLEM
     found, mend : result, and the command that fixes a problem
     """
 

@@ -107,7 +107,6 @@ INVALID = {
     "run flat -D resolutoin=64": ["resolutoin", "Did you mean 'resolution'?"],
     "run flat -D resolution=wide": ["wide", "integer"],
     "run flat -D resolution=0": ["resolution", "0", "1 to"],
-    "run flat -D spp=-4": ["spp", "-4", "1 to"],
     "run flat -D fov=0": ["fov", "0"],
     f"run flat {SMALL} -D luminance_cd_per_m2=-100": ["luminance_cd_per_m2", "-100", "positive"],
     f"run flat {SMALL} -D emitter_scale=-1": ["-1"],
