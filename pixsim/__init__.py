@@ -1,6 +1,6 @@
 """pixsim: from a Mitsuba 3 spectral scene to the pixel size with the least visible error.
 
-Names are imported when first used, so that `import pixsim` stays quick.
+Names are imported on first use, so that `import pixsim` is fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What tests share: a cache of their own, so that none reads or writes the user's, and a count of the pictures taken."""
+"""Shared fixtures: a temporary cache, a small study, and a record of captured frames."""
 
 from collections.abc import Iterator
 
@@ -13,24 +13,24 @@ from pixsim.viewer.score import ImagingChain
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
-        # More than a hundred processes are started: each would compile all of pixsim for itself.
+        # Otherwise each of more than a hundred processes would compile all of pixsim.
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield
 
 
 @pytest.fixture(scope="session")
 def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
-    """A study of one technology that is compared with the paper, on a display just larger than a detail."""
+    """A study of one technology with the comparison to the paper, on a display slightly larger than a detail."""
     return pixsim.study(tiny(paper=True, display={"dots": 120}), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 
 @pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Grows by one with every picture that is taken in this process."""
-    taken: list[Frame] = []
+    """Frames captured in this process so far."""
+    frames: list[Frame] = []
     view = ImagingChain.score_frame
-    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: taken.append(frame) or view(self, frame))
-    return taken
+    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: frames.append(frame) or view(self, frame))
+    return frames

@@ -1,4 +1,4 @@
-"""The shape of the package: who may import whom, and what the public face consists of."""
+"""Structure of the package: allowed imports between packages, and public names."""
 
 import ast
 import tomllib
@@ -14,7 +14,7 @@ PACKAGE = Path(pixsim.__file__).parent
 
 
 def module_name(path: Path) -> str:
-    """As it is imported, without `pixsim.`: cli, stability, stability.optics."""
+    """Import name without `pixsim.`, such as cli or accuracy.stability.optics."""
     parts = path.relative_to(PACKAGE).with_suffix("").parts
     return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
 
@@ -22,7 +22,7 @@ def module_name(path: Path) -> str:
 FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 MODULES = sorted(TREES.keys() - {"__init__", "__main__"})
-# In the order of the flow: what each package may import.
+# Package -> packages that it may import, in the order of the data flow.
 BELOW_SHOW = ("base", "light", "optics", "sensor")
 ALLOWED = {
     "base": (),
@@ -38,7 +38,7 @@ ALLOWED = {
     "accuracy": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
     "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "accuracy"),
 }
-# Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They come in where they are used.
+# Slow to import: 0.3 s (mitsuba) to 2.6 s (colour). They are imported inside functions.
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
 
 
@@ -47,7 +47,7 @@ def is_type_checking(node: ast.AST) -> bool:
 
 
 def imports(tree: ast.AST, at_top_only: bool = False) -> Iterator[str]:
-    """Dotted names that a module imports when it runs; those for the type checker are left out."""
+    """Dotted names that a module imports at run time, without those for the type checker."""
     for node in ast.iter_child_nodes(tree):
         if is_type_checking(node) or (at_top_only and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
             continue
@@ -66,25 +66,18 @@ def roots(tree: ast.AST, at_top_only: bool = False) -> set[str]:
     return {name.partition(".")[0] for name in imports(tree, at_top_only)}
 
 
-def type_checked_names() -> set[str]:
-    """What __init__ tells the type checker about."""
-    (block,) = filter(is_type_checking, TREES["__init__"].body)
-    assert all(alias.name == alias.asname for node in block.body for alias in node.names), "not re-exported"
-    return {f"{node.module}.{alias.name}" for node in block.body for alias in node.names}
-
-
-def test_one_place_speaks_mitsuba() -> None:
+def test_mitsuba_is_imported_in_one_module() -> None:
     assert {name for name, tree in TREES.items() if "mitsuba" in roots(tree)} == {"scene.mitsuba"}
     assert {name for name, tree in TREES.items() if "drjit" in roots(tree)} <= {"scene.mitsuba"}
 
 
 @pytest.mark.parametrize("module", TREES)
-def test_nothing_heavy_is_imported_at_the_top(module: str) -> None:
+def test_module_imports_nothing_heavy_at_top(module: str) -> None:
     assert not HEAVY & roots(TREES[module], at_top_only=True)
 
 
 def arrows() -> dict[str, set[str]]:
-    """Module -> pixsim's modules that it imports when it runs, in functions too."""
+    """Module -> modules of pixsim that it imports at run time, also inside functions."""
     graph: dict[str, set[str]] = {}
     for module in MODULES:
         names = (name.removeprefix("pixsim.") for name in imports(TREES[module]) if name.startswith("pixsim."))
@@ -93,33 +86,29 @@ def arrows() -> dict[str, set[str]]:
 
 
 def package_arrows() -> set[tuple[str, str]]:
-    return {
-        (module.partition(".")[0], other.partition(".")[0])
-        for module, others in arrows().items()
-        for other in others
-        if module.partition(".")[0] != other.partition(".")[0]
-    }
+    pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, others in arrows().items() for other in others}
+    return {(one, other) for one, other in pairs if one != other}
 
 
-def test_every_file_is_in_a_package() -> None:
+def test_files_are_in_packages() -> None:
     assert {module.partition(".")[0] for module in MODULES} == set(ALLOWED)
     assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
-def test_packages_import_only_what_comes_before_them() -> None:
+def test_packages_import_allowed_packages_only() -> None:
     backwards = {(one, other) for one, other in package_arrows() if other not in ALLOWED[one]}
     assert not backwards
 
 
-def test_neither_packages_nor_files_import_in_circles() -> None:
+def test_imports_have_no_cycles() -> None:
     files, packages = arrows(), {name: {other for one, other in package_arrows() if one == name} for name in ALLOWED}
-    assert files["cli"], "no arrows found: the graph says nothing"
+    assert files["cli"], "the graph is empty"
     for graph in (files, packages):
-        TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+        TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
 
 
-def test_the_packages_stand_on_few_floors_with_few_arrows() -> None:
-    """12 packages; the longest chain of imports goes through at most 11, and there are at most 52 arrows between them."""
+def test_package_graph_is_small() -> None:
+    """12 packages, at most 11 of them in one chain of imports, and at most 52 imports between packages."""
     between = package_arrows()
 
     def floor(name: str) -> int:
@@ -129,9 +118,9 @@ def test_the_packages_stand_on_few_floors_with_few_arrows() -> None:
     assert len(between) <= 52
 
 
-def test_names_come_from_where_they_are_defined() -> None:
-    """Only a package's `__init__` hands names on: elsewhere `from a import x as x` would make a second home."""
-    handed_on = {
+def test_names_are_not_reexported_by_modules() -> None:
+    """Only the `__init__` of a package re-exports names, with `from a import x as x`."""
+    reexported = {
         (module, alias.name)
         for module, path in FILES.items()
         for node in ast.walk(TREES[module])
@@ -139,41 +128,44 @@ def test_names_come_from_where_they_are_defined() -> None:
         for alias in node.names
         if alias.asname == alias.name
     }
-    assert not handed_on
+    assert not reexported
 
 
-def test_only_the_command_line_prints_or_exits() -> None:
-    speaking = {
+def test_only_cli_prints_or_exits() -> None:
+    printing = {
         module
         for module in MODULES
         for node in ast.walk(TREES[module])
         if isinstance(node, ast.Call) and ast.unparse(node.func) in {"print", "exit", "quit", "sys.exit", "os._exit"}
     }
-    assert {module.partition(".")[0] for module in speaking} == {"cli"}
+    assert {module.partition(".")[0] for module in printing} == {"cli"}
 
 
-def test_no_module_hides_a_public_function() -> None:
-    """Importing a module `pixsim.study` would put it in the place of the function `pixsim.study`."""
-    assert set(ALLOWED) & set(pixsim.__all__) <= {"optics"}  # a package on purpose: pixsim.optics.irradiance_factor
+def test_packages_do_not_shadow_public_functions() -> None:
+    """Importing a package `pixsim.study` would replace the function `pixsim.study`."""
+    assert set(ALLOWED) & set(pixsim.__all__) <= {"optics"}  # intended: pixsim.optics.irradiance_factor
 
 
 @pytest.mark.parametrize("name", pixsim.__all__)
-def test_every_public_name_is_there_and_documented(name: str) -> None:
+def test_public_name_exists_and_is_documented(name: str) -> None:
     thing = getattr(pixsim, name)
-    own = thing.__doc__ if not isinstance(thing, type) else vars(thing).get("__doc__")
-    assert own, "no docstring"
-    assert not own.startswith(f"{name}("), "the one that @dataclass writes"
+    docstring = thing.__doc__ if not isinstance(thing, type) else vars(thing).get("__doc__")
+    assert docstring, "no docstring"
+    assert not docstring.startswith(f"{name}("), "the default of @dataclass"
     assert name in dir(pixsim)
 
 
-def test_the_type_checker_is_told_the_same_names() -> None:
-    homes = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
-    assert type_checked_names() == homes | {f"pixsim.{module}" for module in pixsim._MODULES.values()}
+def test_type_checking_imports_match_lazy_names() -> None:
+    (block,) = filter(is_type_checking, TREES["__init__"].body)
+    assert all(alias.name == alias.asname for node in block.body for alias in node.names), "not re-exported"
+    names = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
+    names |= {f"pixsim.{module}" for module in pixsim._MODULES.values()}
+    assert {f"{node.module}.{alias.name}" for node in block.body for alias in node.names} == names
 
 
-def test_the_version_is_the_same_everywhere() -> None:
+def test_version_is_consistent() -> None:
     from importlib.metadata import version
 
     assert pixsim.__version__ == version("pixsim")
-    prepare_scene = Path(__file__).parents[1] / "pyproject.toml"
-    assert pixsim.__version__ == tomllib.loads(prepare_scene.read_text(encoding="utf-8"))["project"]["version"]
+    project = Path(__file__).parents[1] / "pyproject.toml"
+    assert pixsim.__version__ == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]

@@ -1,6 +1,6 @@
-"""What every package stands on, without physics: settings, errors, files, cache, arrays, progress, the machine.
+"""Foundation of all packages, without physics: settings, errors, files, cache, arrays, progress, the machine.
 
-In: TOML files, options, other people's files. Out: frozen records (`parameters`), whole files, arrays that can be trusted.
-`parameters`, `config`, `errors` and `files` load no NumPy, so that `--help` is quick.
+In: TOML files, options, files of other programs. Out: frozen records (`parameters`), complete files, validated arrays.
+`parameters`, `config`, `errors` and `files` do not import NumPy, so that `--help` is fast.
 May import: no other package.
 """

@@ -1,4 +1,4 @@
-"""Arrays: the alias, transforms in place, strips, random streams, and .npy and .npz files that are judged before they are read."""
+"""Arrays: type alias, in-place DCT, strips of rows, random streams, and validated reading of .npy and .npz files."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from pixsim.base.files import check_zip, opened
 Array = NDArray[np.float64]
 MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
 CACHE_LINE = 8  # float64 numbers
-STRIP_SAMPLES = 1 << 15  # of float64, 256 KiB: three such, and what is made of them, stay in a core's second cache
+STRIP_SAMPLES = 1 << 15  # float64, 256 KiB: three strips and the arrays computed from them fit into the L2 cache of a core
 
 
 def empty_planes(*shape: int) -> Array:
-    """(…, H, W) float64, not filled, whose rows begin an odd number of cache lines apart.
+    """Uninitialised float64 array (…, H, W) whose row stride is an odd number of cache lines.
 
-    Rows a power of two apart fall on the same few lines of the caches, which makes a transform along columns 3 times as long.
+    A stride of a power of two maps all rows to the same few cache lines: transforms along columns would take 3 times as long.
     """
     reuse_freed_memory()
     lines = -(-shape[-1] // CACHE_LINE) | 1
@@ -40,15 +40,15 @@ def empty_planes(*shape: int) -> Array:
 
 
 def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice]:
-    """Slices of `count` lines of `width` numbers, each of about `samples` numbers (`STRIP_SAMPLES`), one line at least."""
+    """Slices that divide `count` rows of `width` numbers into strips of about `samples` numbers, at least one row each."""
     lines = max(1, (samples or STRIP_SAMPLES) // max(width, 1))
     return (slice(first, min(first + lines, count)) for first in range(0, count, lines))
 
 
 def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
-    """(rows, an array (…, rows, W) to work in, not filled) of each strip of planes (…, H, W).
+    """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H, W).
 
-    It is the same memory each time: the pages of a new array cost more than the arithmetic on them.
+    All strips share one work array: allocating the pages of a new one costs more than the arithmetic.
     """
     scratch = None
     for rows in strips(*shape[-2:]):
@@ -59,23 +59,22 @@ def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
 
 @cache
 def reuse_freed_memory() -> None:
-    """Let glibc keep freed arrays of up to 32 MiB for the next ones.
+    """Make glibc reuse freed arrays of up to 32 MiB.
 
-    It gives back what is larger than the largest array freed so far, and to get its pages again takes 2 µs each, a fifth of
-    the time of a picture of 512². Not one page of this array is touched.
+    glibc unmaps blocks larger than any freed before; mapping a page again takes 2 µs, a fifth of the time of an image of 512².
     """
     np.empty(MAX_FREED, np.uint8)
 
 
 def dct(planes: Array, workers: int = 1) -> Array:
-    """DCT-II over the last two axes, in the place of (…, H, W); the result does not depend on `workers`."""
-    from scipy.fft import dctn  # 0.1 s, which settings and files do not need
+    """DCT-II over the last two axes of (…, H, W), in place; the result does not depend on `workers`."""
+    from scipy.fft import dctn  # imported here: it takes 0.1 s
 
     return np.asarray(dctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=workers))
 
 
 def inverse_dct(planes: Array, workers: int = 1) -> Array:
-    """What undoes `dct`, in place too."""
+    """Inverse of `dct`, in place."""
     from scipy.fft import idctn
 
     return np.asarray(idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=workers))
@@ -87,38 +86,38 @@ DAMAGE += (TypeError, OverflowError, IndexError, AttributeError)
 DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
 
 
-def read_arrays(path: Path, what: str, allowed: str) -> dict[str, NDArray[Any]]:
-    """Name -> array of an `.npz`, whole and with its CRC compared; nothing pickled is loaded. PixsimError for what is none."""
-    found = {}
-    with _of_numpy(path, what, allowed) as file, zipfile.ZipFile(file) as archive:
+def read_arrays(path: Path, name: str, expected: str) -> dict[str, NDArray[Any]]:
+    """Read all arrays of an `.npz` by name. Raises PixsimError if it is damaged or holds pickled objects."""
+    result = {}
+    with _open_numpy(path, name, expected) as file, zipfile.ZipFile(file) as archive:
         check_zip(path, archive, MAX_ARRAYS)
-        for each in archive.infolist():
-            with archive.open(each) as member:
-                found[each.filename.removesuffix(".npy")] = _array(member, each.file_size)
-                member.read(1)  # the CRC is compared at the end
-    return found
+        for entry in archive.infolist():
+            with archive.open(entry) as member:
+                result[entry.filename.removesuffix(".npy")] = _read_npy(member, entry.file_size)
+                member.read(1)  # zipfile compares the CRC at the end of the member
+    return result
 
 
-def read_array(path: Path, what: str, allowed: str) -> NDArray[Any]:
-    """The array of an `.npy`. PixsimError for what is none."""
-    with _of_numpy(path, what, allowed) as file:
-        return _array(file, os.fstat(file.fileno()).st_size)
+def read_array(path: Path, name: str, expected: str) -> NDArray[Any]:
+    """Read the array of an `.npy`. Raises PixsimError if the file is not a valid one."""
+    with _open_numpy(path, name, expected) as file:
+        return _read_npy(file, os.fstat(file.fileno()).st_size)
 
 
 @contextmanager
-def _of_numpy(path: Path, what: str, allowed: str) -> Iterator[IO[bytes]]:
-    """An opened file; PixsimError in place of whatever damage raises."""
-    with opened(path, what, allowed) as file:
+def _open_numpy(path: Path, name: str, expected: str) -> Iterator[IO[bytes]]:
+    """Open a file; exceptions that a damaged file causes become PixsimError."""
+    with opened(path, name, expected) as file:
         try:
             yield file
         except PixsimError:
             raise
         except DAMAGE as error:
-            raise invalid(what, f"'{path}' ({error})", allowed) from None
+            raise invalid(name, f"'{path}' ({error})", expected) from None
 
 
-def _array(file: IO[bytes], size_bytes: int) -> NDArray[Any]:
-    """Raises ValueError, and what NumPy does, for no array of that many bytes."""
+def _read_npy(file: IO[bytes], size_bytes: int) -> NDArray[Any]:
+    """Read an array; ValueError if its header declares pickled objects or more than `size_bytes`."""
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(file)
@@ -131,6 +130,7 @@ def _array(file: IO[bytes], size_bytes: int) -> NDArray[Any]:
 
 
 def stream(*key: object) -> np.random.Generator:
-    """A random stream that depends on its key only, never on the order or the number of workers; NumPy's integers are integers."""
+    """Random generator that depends only on its key, not on the order or the number of workers."""
+    # `operator.index` treats NumPy integers as Python integers.
     digest = hashlib.blake2b(json.dumps(key, default=operator.index).encode(), digest_size=16).digest()
     return np.random.default_rng(np.random.SeedSequence(int.from_bytes(digest, "little")))

@@ -1,8 +1,7 @@
-"""What was computed once and is needed again: files in the user's cache folder, named by the hash of all that made them.
+"""Cache of computed results in the user's cache folder; the file name of an entry is the hash of all its inputs.
 
-An entry is JSON (numbers) or .npz (arrays, each with the zip's CRC). It is moved into place when whole, so that several
-processes may share the folder; one that is damaged is noticed and made again. When the folder grows beyond its limit, the
-entries that were not used for the longest time go.
+An entry is JSON (numbers) or .npz (arrays with CRC). Entries are written atomically, so that processes can share the folder.
+Damaged entries are detected and computed again. Above its size limit the cache removes the least recently used entries.
 """
 
 from __future__ import annotations
@@ -30,114 +29,115 @@ from pixsim.base.errors import invalid
 from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text
 from pixsim.base.version import VERSION
 
-Kept = TypeVar("Kept")
+Result = TypeVar("Result")
 Arrays = dict[str, NDArray[Any]]
+Json = dict[str, Any]
 PACKAGE = Path(__file__).parents[1]
 LIMIT_VARIABLE = "PIXSIM_CACHE_GIB"
 DEFAULT_GIB = 4.0
 GIB = 1 << 30
-MAX_SHARE = 0.25  # of the limit, for one entry: a larger one would drive out all others
-TRIM_SHARE = 1 / 16  # of the limit: a process that wrote so much looks whether the folder has grown too large
-HELPERS = ("kernels", "matplotlib")  # files that Mitsuba and Matplotlib keep, and tidy, by themselves
-ABANDONED_S = 3600.0  # a partial file of this age was left by a process that was killed
-NAMES = "names"  # an array of an entry: those that it has
-OWN_SUFFIXES = (".py", ".csv", ".toml")  # of pixsim's sources: formulas, spectra, technologies
+MAX_SHARE = 0.25  # of the limit, for one entry: a larger one would displace all others
+TRIM_SHARE = 1 / 16  # of the limit: a process that has written this much trims the cache
+HELPERS = ("kernels", "matplotlib")  # folders that Mitsuba and Matplotlib manage themselves
+ABANDONED_S = 3600.0  # a partial file of this age belongs to a killed process
+NAMES = "names"  # name of the array that lists all arrays of an entry
+SOURCE_SUFFIXES = (".py", ".csv", ".toml")  # formulas, spectra, technologies
 MAX_JSON = 1 << 26  # bytes
 DAMAGE = (OSError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RecursionError)
-_written_bytes = 0  # by this process since it last trimmed
+_written_bytes = 0  # by this process since it last trimmed the cache
 folder = cache_folder
 
 
 def limit_bytes() -> int:
-    """$PIXSIM_CACHE_GIB, else 4 GiB; 0 keeps nothing. PixsimError where it is no such number."""
+    """Size limit: $PIXSIM_CACHE_GIB, or else 4 GiB; 0 disables the cache. Raises PixsimError if it is not a size."""
     text = os.environ.get(LIMIT_VARIABLE, str(DEFAULT_GIB))
     try:
         gib = float(text)
     except ValueError:
         gib = -1.0
     if not 0 <= gib < 1e9:
-        raise invalid(LIMIT_VARIABLE, f"'{text}'", "a size in GiB, 0 and more", f"Unset it for {DEFAULT_GIB:g}.")
+        raise invalid(LIMIT_VARIABLE, f"'{text}'", "a size in GiB, at least 0", f"Unset it for the default of {DEFAULT_GIB:g} GiB.")
     return int(gib * GIB)
 
 
 @lru_cache
 def version_fingerprint(*packages: str) -> str:
-    """Names pixsim's version and its very sources, the machine's kind, and the versions of packages: part of each key.
+    """Text that identifies pixsim's version and sources, the machine type and the versions of packages.
 
-    The sources are in it so that nobody who changes a formula or a table is shown a result of the old one.
+    It is part of every key. It includes the sources, so that a changed formula or table invalidates old results.
     """
     digest = blake2b(digest_size=8)
     for path in sorted(PACKAGE.rglob("*")):
-        if path.suffix in OWN_SUFFIXES:
+        if path.suffix in SOURCE_SUFFIXES:
             digest.update(path.read_bytes())
     versions = [f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", *packages)]
     return ", ".join([f"pixsim {VERSION} {digest.hexdigest()}", platform.machine(), *versions])
 
 
-def kept(
-    kind: str, key: str, read: Callable[[dict[str, Any]], Kept], make: Callable[[], Kept], write: Callable[[Kept], dict[str, Any]]
-) -> Kept:
-    """The JSON entry of a key, made and kept where it is missing or damaged. A folder that cannot be written is warned of."""
+def load_or_compute(
+    kind: str, key: str, read: Callable[[Json], Result], compute: Callable[[], Result], to_json: Callable[[Result], Json]
+) -> Result:
+    """The JSON entry of a key, computed and stored if it is missing or damaged. Warns if the folder cannot be written."""
     path = folder() / kind / f"{key}.json"
-    found = _found(path, lambda: read(json.loads(read_text(path, "cache entry", "JSON", MAX_JSON))))
-    if found is None:
-        found = make()
-        text = json.dumps(write(found), sort_keys=True)
-        _keep(path, lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
-    return found
+    result = _load(path, lambda: read(json.loads(read_text(path, "cache entry", "JSON", MAX_JSON))))
+    if result is None:
+        result = compute()
+        text = json.dumps(to_json(result), sort_keys=True)
+        _store(path, lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
+    return result
 
 
 def arrays(kind: str, key: str) -> Arrays | None:
-    """The arrays of a key, or None where they are not kept, or damaged."""
+    """The arrays of a key, or None if the entry is missing or damaged."""
     path = folder() / kind / f"{key}.npz"
 
     def read() -> Arrays:
-        found = read_arrays(path, "cache entry", "arrays")
-        if sorted(found) != found.pop(NAMES).tolist():  # damage may hide an array from the file's own table
+        content = read_arrays(path, "cache entry", "arrays")
+        if sorted(content) != content.pop(NAMES).tolist():  # a damaged zip directory may hide an array
             raise ValueError("an array is missing")
-        return found
+        return content
 
-    return _found(path, read)
+    return _load(path, read)
 
 
 def store_arrays(kind: str, key: str, content: Arrays) -> None:
-    """Keep arrays for a key. A folder that cannot be written is warned of; too much for one entry is left out in silence."""
+    """Store the arrays of a key unless they are too large for one entry. Warns if the folder cannot be written."""
     named: dict[str, Any] = {**content, NAMES: np.array(sorted([*content, NAMES]))}
 
     def write(partial: Path) -> None:
-        with partial.open("wb") as file:  # a name would get the ending .npz
+        with partial.open("wb") as file:  # np.savez would append .npz to a name
             np.savez(file, **named)
 
-    _keep(folder() / kind / f"{key}.npz", write, sum(each.nbytes for each in content.values()))
+    _store(folder() / kind / f"{key}.npz", write, sum(array.nbytes for array in content.values()))
 
 
 def has_room(size_bytes: int) -> bool:
-    """Whether something of this size may be kept without driving out most of the rest."""
+    """Whether an entry of this size fits without displacing most of the others."""
     return size_bytes <= MAX_SHARE * limit_bytes()
 
 
-def _found(path: Path, read: Callable[[], Kept]) -> Kept | None:
+def _load(path: Path, read: Callable[[], Result]) -> Result | None:
     if not (limit_bytes() and os.path.lexists(path)):
         return None
     try:
-        found = read()
+        result = read()
     except (FileNotFoundError, NotADirectoryError):
         return None
     except DAMAGE as error:
-        warnings.warn(f"cache entry '{path}' is damaged ({error}) and is made again", stacklevel=4)
+        warnings.warn(f"cache entry '{path}' is damaged ({error}) and is computed again", stacklevel=4)
         return None
-    with suppress(OSError):  # a folder that can only be read serves as well
+    with suppress(OSError):  # a read-only cache works too
         os.utime(path)
-    return found
+    return result
 
 
-def _keep(path: Path, write: Callable[[Path], object], size_bytes: int) -> None:
+def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None:
     global _written_bytes
     if not has_room(size_bytes) or not limit_bytes():
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A name of its own, so that two processes with the same key do not write to one file.
+        # A unique name, so that two processes with the same key do not write to one file.
         partial = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
         try:
             write(partial)
@@ -149,20 +149,17 @@ def _keep(path: Path, write: Callable[[Path], object], size_bytes: int) -> None:
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():
-        trim()  # what belongs to others and cannot be removed stays
+        trim()
         _written_bytes = 0
-
-
-# --- the folder as a whole --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A file of the cache: kind is the folder that it is in."""
+    """A file of the cache; its kind is the name of its folder."""
 
     path: Path
     size_bytes: int
-    used_s: float  # when it was last used, since the epoch
+    used_s: float  # time of last use, since the epoch
 
     @property
     def kind(self) -> str:
@@ -170,44 +167,44 @@ class Entry:
 
 
 def entries(kind: str | None = None) -> list[Entry]:
-    """All entries, or those of a kind, the one used last at the end. Mitsuba's and Matplotlib's files only where named."""
-    found = [entry for entry in _files(kind) if not entry.path.name.startswith(".")]
-    return sorted(found, key=lambda entry: (entry.used_s, entry.path))
+    """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only if `kind` names them."""
+    visible = [entry for entry in _files(kind) if not entry.path.name.startswith(".")]
+    return sorted(visible, key=lambda entry: (entry.used_s, entry.path))
 
 
 def _files(kind: str | None) -> Iterator[Entry]:
-    """`entries` in any order, and partial files with them."""
+    """`entries` in any order, including partial files."""
     _, kinds, _ = next(os.walk(folder()), ("", [], []))
     for name in kinds:
         if name not in HELPERS if kind is None else name == kind:
             with suppress(OSError):  # another process has removed the folder
-                for each in os.scandir(folder() / name):
+                for file in os.scandir(folder() / name):
                     with suppress(OSError):  # or the file
-                        if each.is_file(follow_symlinks=False):
-                            yield Entry(Path(each), each.stat().st_size, each.stat().st_mtime)
+                        if file.is_file(follow_symlinks=False):
+                            yield Entry(Path(file), file.stat().st_size, file.stat().st_mtime)
 
 
 def trim() -> int:
-    """Remove what was not used for the longest time until the rest fits, and what killed processes left; bytes freed."""
-    found = entries()
-    excess, freed = sum(entry.size_bytes for entry in found) - limit_bytes(), 0
-    for entry in found:
+    """Remove the least recently used entries above the limit, and partial files of killed processes; return bytes freed."""
+    oldest_first = entries()
+    excess, freed = sum(entry.size_bytes for entry in oldest_first) - limit_bytes(), 0
+    for entry in oldest_first:
         if freed >= excess:
             break
-        freed += _removed(entry)
+        freed += _remove(entry)
     for entry in _files(None):
         if entry.path.name.startswith(".") and time.time() - entry.used_s > ABANDONED_S:
-            _removed(entry)
+            _remove(entry)
     return freed
 
 
 def clear(kind: str | None = None) -> int:
-    """Remove all entries, or those of a kind; bytes freed."""
-    return sum(_removed(entry) for entry in entries(kind))
+    """Remove all entries, or those of a kind; return bytes freed."""
+    return sum(_remove(entry) for entry in entries(kind))
 
 
-def _removed(entry: Entry) -> int:
-    """Bytes freed: none where the file belongs to another, or is gone."""
+def _remove(entry: Entry) -> int:
+    """Remove a file and return the bytes freed: 0 if it belongs to another user, or is gone."""
     try:
         entry.path.unlink()
     except OSError:

@@ -1,4 +1,4 @@
-"""The one error that pixsim raises on purpose."""
+"""PixsimError, the exception for invalid input, and the text of its messages."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ MAX_LENGTH = 20_000  # characters of a message
 
 
 class PixsimError(ValueError):
-    """Input that pixsim cannot use; the message tells what was asked, found and allowed, and how to mend it. A ValueError."""
+    """Invalid input. The message states what was given, what is allowed and how to fix it. A ValueError."""
 
     def __init__(self, message: str) -> None:
         super().__init__(shown(message))
 
 
 def shown(text: str) -> str:
-    """What files and names say, for a terminal: characters that would steer it are spelled out, and nothing has no end."""
+    """Text that is safe to print on a terminal: control characters are escaped, and the length is bounded."""
     text = CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
     return text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]} … ({len(text)} characters)"
 
 
-def invalid(what: str, got: object, allowed: str, mend: str = "") -> PixsimError:
-    """Build the error in the house's form; the caller raises it."""
-    return PixsimError(f"{what}: got {got}; allowed: {allowed}." + (f" {mend}" if mend else ""))
+def invalid(name: str, got: object, expected: str, hint: str = "") -> PixsimError:
+    """The PixsimError for an invalid value, in the form that all messages share; the caller raises it."""
+    return PixsimError(f"{name}: got {got}; allowed: {expected}." + (f" {hint}" if hint else ""))
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """How to mend a misspelt name; nothing where none is near."""
-    near = difflib.get_close_matches(name, known, 1)
-    return f"Did you mean '{near[0]}'?" if near else ""
+    """A hint with the known name that is most similar; empty if none is similar."""
+    similar = difflib.get_close_matches(name, known, 1)
+    return f"Did you mean '{similar[0]}'?" if similar else ""
 
 
 MAX_LABEL = 60  # characters of a label
 
 
 def one_line(text: str, longest: int = MAX_LABEL) -> str:
-    """What files and names say, as one line of bounded length."""
+    """Text from a file as one printable line of at most `longest` characters."""
     line = " ".join(shown(text).split())
     return line if len(line) <= longest else line[: longest - 1] + "…"

@@ -1,6 +1,6 @@
-"""What the machine has for pixsim: processors, memory, disk, graphics card, as the system tells; none of it is changed.
+"""Resources of the machine: processors, memory, disk, graphics cards.
 
-A container's limits (control groups) count, whatever the machine behind it has. None stands for what the system does not tell.
+Limits of a container (control groups) are included. None stands for a number that the system does not report.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-NO_LIMIT_BYTES = 1 << 60  # control groups of version 1 write a number near 2⁶³ where there is none
+NO_LIMIT_BYTES = 1 << 60  # control groups v1 report a number near 2⁶³ if there is no limit
 SMI_SECONDS = 5.0
 SMI = ("nvidia-smi", "--query-gpu=name,driver_version,memory.total", "--format=csv,noheader")
 
 
 @dataclass(frozen=True)
 class Processors:
-    """Cores of the machine, those that this process may run on, and how many of them a container grants."""
+    """Number of cores of the machine, of those allowed for this process, and of those granted to its container."""
 
     cores: int | None
     allowed: int | None
@@ -28,13 +28,13 @@ class Processors:
 
     @property
     def usable(self) -> int:
-        """Processes that do not wait for each other, 1 and more."""
-        return max(1, int(min(each for each in (self.allowed or self.cores or 1, self.granted) if each)))
+        """Number of processes that can run at the same time, at least 1."""
+        return max(1, int(min(count for count in (self.allowed or self.cores or 1, self.granted) if count)))
 
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes of the machine, those free for a new process, and the container's limit."""
+    """Bytes of the machine, bytes available to a new process, and the limit of the container."""
 
     total: int | None
     available: int | None
@@ -42,24 +42,15 @@ class Memory:
 
     @property
     def usable(self) -> int | None:
-        return min((each for each in (self.available, self.limit) if each is not None), default=None)
-
-
-@dataclass(frozen=True)
-class Folder:
-    """A folder that exists or could be made: whether it can be written, why not, and the bytes free there."""
-
-    path: Path
-    fault: str | None
-    free: int | None
+        return min((size for size in (self.available, self.limit) if size is not None), default=None)
 
 
 def processors(root: Path = Path("/")) -> Processors:
-    """Those of this process; `root` is for tests."""
+    """Processors of this process; tests set `root`."""
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
     granted = []
     for folder in _groups("cpu", root):
-        quota, _, period = _text(folder / "cpu.max").partition(" ")  # version 2 of control groups
+        quota, _, period = _text(folder / "cpu.max").partition(" ")  # control groups v2
         quota, period = quota or _text(folder / "cpu.cfs_quota_us"), period or _text(folder / "cpu.cfs_period_us")
         if quota.isdigit() and period.isdigit() and int(period) > 0:  # else "max" or -1
             granted.append(int(quota) / int(period))
@@ -67,7 +58,7 @@ def processors(root: Path = Path("/")) -> Processors:
 
 
 def memory(root: Path = Path("/")) -> Memory:
-    """That of this machine; `root` is for tests."""
+    """Memory of this machine; tests set `root`."""
     pairs = [line.split() for line in _text(root / "proc/meminfo").splitlines()]
     kib = {pair[0].rstrip(":"): int(pair[1]) for pair in pairs if len(pair) > 1 and pair[1].isdigit()}
     total, available = (kib[name] * 1024 if name in kib else None for name in ("MemTotal", "MemAvailable"))
@@ -76,14 +67,14 @@ def memory(root: Path = Path("/")) -> Memory:
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
-    """Folders of this process's control group and of those around it: the tightest limit holds."""
+    """Folders of the control group of this process and of its parents: the smallest limit applies."""
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, names, path = line.split(":", 2)
         if names and controller not in names.split(","):
             continue
-        own = PurePosixPath(path.lstrip("/"))
+        group = PurePosixPath(path.lstrip("/"))
         for base in {"", names, controller} if names else {""}:
-            yield from (root / "sys/fs/cgroup" / base / each for each in (own, *own.parents))
+            yield from (root / "sys/fs/cgroup" / base / folder for folder in (group, *group.parents))
 
 
 def _text(path: Path) -> str:
@@ -93,9 +84,9 @@ def _text(path: Path) -> str:
         return ""
 
 
-def folder_at(path: Path) -> Folder:
-    """Try a folder, or where it does not exist yet the nearest that does, by a file without a name; nothing is left."""
-    there = next((each for each in (path, *path.absolute().parents) if each.exists()), Path("/"))
+def check_folder(path: Path) -> tuple[str | None, int | None]:
+    """Why a folder, or its nearest existing parent, cannot be written (None if it can), and the free bytes there."""
+    there = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), Path("/"))
     try:
         with tempfile.TemporaryFile(dir=there):
             fault = None
@@ -105,11 +96,11 @@ def folder_at(path: Path) -> Folder:
         free = shutil.disk_usage(there).free
     except OSError:
         free = None
-    return Folder(path, fault, free)
+    return fault, free
 
 
 def graphics_cards() -> list[str]:
-    """Name, driver and memory of each NVIDIA card as `nvidia-smi` tells them; empty without it."""
+    """Name, driver and memory of each NVIDIA card, from `nvidia-smi`; empty without it."""
     try:
         done = subprocess.run(SMI, capture_output=True, text=True, errors="replace", timeout=SMI_SECONDS)
     except (OSError, subprocess.SubprocessError):

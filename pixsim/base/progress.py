@@ -1,4 +1,4 @@
-"""Progress bars on a terminal, and how long each stage took."""
+"""Progress bars and timing of the stages of a command."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-Progress = Callable[..., None]  # (fraction done, what to say after the stage's name)
+Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
 
 
 @contextmanager
 def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iterator[Stage]:
-    """Progress bars on a terminal's stderr, one a stage; `seconds` collects how long each took."""
+    """Show a progress bar for each stage if stderr is a terminal; `seconds` collects the duration of each stage."""
     from rich import progress
     from rich.console import Console
 
-    clock = {} if seconds is None else seconds
+    durations_s = {} if seconds is None else seconds
     current: list[tuple[str, float]] = []
     tasks: dict[str, Any] = {}
     console = Console(stderr=True)
@@ -34,12 +34,12 @@ def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iter
         def close() -> None:
             if current:
                 name, start = current.pop()
-                clock[name] = clock.get(name, 0.0) + time.perf_counter() - start
+                durations_s[name] = durations_s.get(name, 0.0) + time.perf_counter() - start
 
         def stage(name: str) -> Progress:
             close()
             current.append((name, time.perf_counter()))
-            if name not in tasks:  # a stage may come back, as the rounds of a study do
+            if name not in tasks:  # a stage may start again: a study has several rounds
                 tasks[name] = bars.add_task(name, total=1.0)
             task = tasks[name]
             return lambda done, note="": bars.update(task, completed=done, description=name + note)

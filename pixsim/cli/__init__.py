@@ -1,7 +1,7 @@
-"""The `pixsim` command: options in, messages and files out. The only place that prints or exits.
+"""The `pixsim` command: options in, messages and files out. Only this package prints or exits.
 
-Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 something unexpected, or a problem that doctor found, 2
-input that cannot be used, 130 interrupted.
+Results go to stdout, everything else to stderr. Exit codes: 0 success, 1 unexpected error or a problem that `doctor` reports,
+2 invalid input, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -21,60 +21,60 @@ from pydantic import ValidationError
 
 from pixsim.base.config import explain
 from pixsim.base.errors import PixsimError
-from pixsim.cli import commands as commands  # they join the app when imported
-from pixsim.cli.options import app, keep_helpers_files_together, manner
+from pixsim.cli import commands as commands  # importing it registers the commands
+from pixsim.cli.options import app, set_cache_folders, verbosity
 
-OK, UNEXPECTED, UNUSABLE_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+OK, UNEXPECTED, INVALID_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 
 def main(tokens: Sequence[str] | None = None) -> None:
-    """Run the command; one message and an exit code for whatever the user can mend.
+    """Run the command; errors of the user become one message and an exit code.
 
-    tokens : the words after `pixsim`; None takes those of the process
+    tokens : the arguments after `pixsim`; None takes those of the process
     """
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # else worker processes are orphaned
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # otherwise worker processes would be orphaned
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # names of files may be no UTF-8
+        if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
             stream.reconfigure(errors="backslashreplace")
-    words = manner.take(sys.argv[1:] if tokens is None else tokens)
-    keep_helpers_files_together()
-    warnings.showwarning = lambda message, *_, **__: manner.note(f"warning: {message}")
+    arguments = verbosity.parse(sys.argv[1:] if tokens is None else tokens)
+    set_cache_folders()
+    warnings.showwarning = lambda message, *_, **__: verbosity.note(f"warning: {message}")
     try:
-        app(words, exit_on_error=False, print_error=False)
+        app(arguments, exit_on_error=False, print_error=False)
     except (PixsimError, ValidationError) as error:
-        end(explain(error), UNUSABLE_INPUT)
+        end(explain(error), INVALID_INPUT)
     except CycloptsError as error:
-        end(f"{error}\nTry 'pixsim --help'.", UNUSABLE_INPUT)
-    except BrokenPipeError:  # the reader, as head, has seen enough
+        end(f"{error}\nTry 'pixsim --help'.", INVALID_INPUT)
+    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         sys.stderr.close()
         sys.exit(OK)
     except OSError as error:
-        end(f"{error.filename or 'system'}: {error.strerror or error}", UNUSABLE_INPUT)
+        end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
     except MemoryError:
-        end("the system is out of memory; a coarser film (-D resolution=512), larger pixels or fewer --jobs take less", UNEXPECTED)
+        end("the system is out of memory; use a coarser film (-D resolution=512), larger pixels or fewer --jobs", UNEXPECTED)
     except KeyboardInterrupt:
-        end("interrupted; what was finished is kept, and the same command goes on from there", INTERRUPTED)
+        end("interrupted; finished results are saved, and the same command continues from there", INTERRUPTED)
     except Exception as error:
-        end(f"unexpected {type(error).__name__}: {error}\nThis is a mistake of pixsim's. --verbose tells where.", UNEXPECTED)
+        end(f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows where it occurred.", UNEXPECTED)
     sys.exit(OK)
 
 
 def command() -> NoReturn:
-    """`main` as a process: it ends at once. Dr.Jit takes a fifth of a second to take itself down, with nothing left to do."""
+    """Run `main` as a process that ends at once: the clean-up of Dr.Jit would take 0.2 s and has no effect."""
     try:
         main()
-    except SystemExit as ending:
-        if "drjit" in sys.modules and "joblib" not in sys.modules and isinstance(ending.code, int):
-            with suppress(OSError, ValueError):  # a reader that has gone
+    except SystemExit as exit_request:
+        if "drjit" in sys.modules and "joblib" not in sys.modules and isinstance(exit_request.code, int):
+            with suppress(OSError, ValueError):  # the reader has closed the pipe
                 sys.stdout.flush()
                 sys.stderr.flush()
-            os._exit(ending.code)
+            os._exit(exit_request.code)
         raise
     sys.exit(OK)
 
 
 def end(message: str, code: int) -> NoReturn:
-    if manner.verbose:
+    if verbosity.verbose:
         traceback.print_exc()
     print(f"pixsim: {message}", file=sys.stderr)
     sys.exit(code)

@@ -1,4 +1,4 @@
-"""The commands: run, plan, study, accuracy, datasheet, sfr, chart, template, schema, cache, completion and doctor."""
+"""The commands of `pixsim`."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_s
 def run(
     scene: Annotated[
         str,
-        Parameter(help=f"{SCENE_HELP} Or a spectral picture made elsewhere (.exr, .npz, .hdr), in the camera's geometry."),
+        Parameter(help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen by the camera."),
     ],
     *,
     options: SceneOptions = NO_OPTIONS,
@@ -67,23 +67,23 @@ def run(
     full: Full = False,
     sensor: SensorId = None,
     variant: Variant = None,
-    units: Annotated[str | None, Parameter(help="Of a picture whose file does not tell them, as W.m^-2.nm^-1.")] = None,
+    units: Annotated[str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.")] = None,
     raw: Annotated[
         list[Literal["tiff", "png", "npz"]] | None,
-        Parameter(help="Write the raw frame in this format too, beside raw.exr.", consume_multiple=False),
+        Parameter(help="Also write the raw frame in this format.", consume_multiple=False),
     ] = None,
-    no_irradiance: Annotated[bool, Parameter(help="Leave out irradiance.exr, the largest file.")] = False,
+    no_irradiance: Annotated[bool, Parameter(help="Do not write irradiance.exr, the largest file.")] = False,
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Render a scene, take its picture with one sensor and score it.
+    """Render a scene, capture it with one sensor and score the image.
 
     Example: pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
 
     Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
-    Writes irradiance.exr, raw.exr (for --raw in other formats too), ideal.png, image.png, delta_e.exr, delta_e.png,
-    score.json, and report.html, which shows them.
+    Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json and
+    report.html.
     """
     from pixsim.report.run import run_and_write
     from pixsim.report.wording import budget_lines, dark_note, score_line
@@ -99,7 +99,7 @@ def run(
             sensor=sensor,
             variant=variant,
             units=units,
-            raw_suffixes=[f".{each}" for each in raw or []],
+            raw_suffixes=[f".{suffix}" for suffix in raw or []],
             irradiance_too=not no_irradiance,
             progress=stage,
         )
@@ -108,7 +108,7 @@ def run(
         result,
         json,
         score_line(result)
-        + (f"; noise of the render {noise['fraction']:.2g} of the sensor's" if noise else "")
+        + (f"; render noise {noise['fraction']:.2g} of the sensor's noise" if noise else "")
         + f"; report: {folder / 'report.html'}"
         + "".join(f"\n{line}" for line in [*dark_note(result), *budget_lines(result)]),
     )
@@ -125,7 +125,7 @@ def plan(
     variant: Variant = None,
     json: Json = False,
 ) -> None:
-    """What a scene needs, what is left out, why, and what leaving it out can cost at most; nothing is rendered.
+    """Show which effects a render would include or leave out, why, and the error bound of each; nothing is rendered.
 
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
@@ -134,32 +134,32 @@ def plan(
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
-    how: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
-    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **how)
+    render_options: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
+    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **render_options)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
     show(made.as_dict(), json, "" if json else plan_table(made, width))
 
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
-    """The decisions as a table, as wide as the terminal or as told."""
+    """Text table of the decisions of a plan, `width` columns wide or as wide as the terminal."""
     from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("", "", "why", "saved", "bound on e-"):
         table.add_column(name, justify="right" if name.startswith("bound") else "left")
-    for each in plan.decisions:
-        bound = f"{each.bound_e:.1e}" if each.bound_e else ("0" if not each.kept else "")
-        bound = bound if each.bounded else "not known"
-        table.add_row(each.subject, "kept" if each.kept else "left out", each.reason, each.saved, bound)
+    for decision in plan.decisions:
+        bound = f"{decision.bound_e:.1e}" if decision.bound_e else ("0" if not decision.kept else "")
+        bound = bound if decision.bounded else "unknown"
+        table.add_row(decision.subject, "kept" if decision.kept else "left out", decision.reason, decision.saved, bound)
     text = StringIO()
     Console(file=text, width=width or Console().width).print(table)
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
     lines += [f"warning: {note}" for note in plan.warnings]
     lines.append(
-        f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples (the scene says {plan.full_spp}); "
-        f"mean electrons right to {plan.bound_e:.1e}{'' if plan.bounded else ' and what is not known'}, "
-        f"asked for {plan.tolerance_e:g}"
+        f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples (scene file: {plan.full_spp}); "
+        f"relative error of the mean electrons at most {plan.bound_e:.1e}{'' if plan.bounded else ' plus unknown terms'}, "
+        f"tolerance {plan.tolerance_e:g}"
     )
     return "\n".join(lines)
 
@@ -174,24 +174,24 @@ def study(
     config: Config = None,
     define: Define = None,
     pixel: PixelTable = None,
-    quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, as the study's [quick] table says.")] = False,
-    jobs: Annotated[int | None, Parameter(help="Processes; one a core by default. Results do not depend on it.")] = None,
+    quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
+    jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Annotated[
-        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786), whose workers take the place of --jobs.")
+        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.")
     ] = None,
     effort: Effort = NO_EFFORT,
     variant: Variant = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Sweep the pixel size and find the one with the least visible error.
+    """Vary the pixel size and find the one with the least visible error.
 
     Example: pixsim study chen2000 --quick
 
     Example: pixsim study chen2000 --pixel.response scaled --out scaled
 
-    Writes results.csv, summary.json, figures (with a contact sheet), provenance.json, report.html; an interrupted
-    study goes on where it stopped when the same command is given again.
+    Writes results.csv, summary.json, figures (with a contact sheet), provenance.json and report.html. The same command
+    continues an interrupted study.
     """
     from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, target_notes
     from pixsim.studies import study as sweep
@@ -201,38 +201,38 @@ def study(
     if parameters := definitions(define):
         options["scene"] = {"parameters": parameters}
     if "vary" in table.table and (config or define or pixel):
-        mend = "Copy the study that it varies, set them there, and name the copy as its base."
-        raise invalid("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", mend)
+        hint = "Copy the study that it varies, set them there, and name the copy as its base."
+        raise invalid("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", hint)
     layers = study_layers(table, config or [], options)
     seconds: dict[str, float] = {}
-    how: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
+    run_options: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
     with stages(seconds) as stage:
         if "vary" in table.table:
             from pixsim.studies.sensitivity import Sensitivity, run_sensitivity, write_sensitivity_report
 
-            moved: Sensitivity = checked(Sensitivity, layers)
-            folder = study_folder(out, moved.name, quick)
-            outcome = run_sensitivity(moved, folder, progress=stage, **how)
+            sensitivity: Sensitivity = checked(Sensitivity, layers)
+            folder = study_folder(out, sensitivity.name, quick)
+            outcome = run_sensitivity(sensitivity, folder, progress=stage, **run_options)
             stage("report")
             report = write_sensitivity_report(outcome, folder, seconds)
-            found, lines = outcome.as_dict(), sensitivity_lines(outcome)
+            summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
         else:
             from pixsim.report.study import write_report
             from pixsim.studies.engine import Workers, workers_here
 
             plan = sweep.checked_study(layers)
             folder = study_folder(out, plan.name, quick)
-            result = sweep.study(plan, folder, progress=stage, **how)
+            result = sweep.study(plan, folder, progress=stage, **run_options)
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
-            found = result.as_dict()
+            summary = result.as_dict()
             lines = [
                 *(optimum_line(curve) for curve in result.curves),
                 *target_notes(result),
                 *study_dark_notes(result),
-                *budget_lines(found),
+                *budget_lines(summary),
             ]
-    show(found, json, "\n".join([*lines, f"report: {report}"]))
+    show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 
 def study_folder(out: Path | None, name: str, quick: bool) -> Path:
@@ -243,7 +243,7 @@ def study_folder(out: Path | None, name: str, quick: bool) -> Path:
 def accuracy(
     scene: Annotated[str, Parameter(help=SCENE_HELP)],
     *,
-    quick: Annotated[bool, Parameter(help="Fewer rungs, a minute in all.")] = False,
+    quick: Annotated[bool, Parameter(help="Fewer steps, about a minute in all.")] = False,
     options: SceneOptions = NO_OPTIONS,
     display: DisplayTable = None,
     seed: Seed = None,
@@ -252,22 +252,22 @@ def accuracy(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """How wrong a result may be, what it costs to be less wrong, and what holds at the extremes.
+    """Measure the error of a result against computing time, and check numerical stability at extreme settings.
 
     Example: pixsim accuracy csf --quick
 
-    Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json, report.html.
+    Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     from pixsim.accuracy.report import accuracy_lines, write_accuracy
     from pixsim.accuracy.survey import survey
 
     settings = options.settings(display=display, seed=seed)
-    with stages() as stage, output_folder(out) if out else nullcontext():  # told before a minute of work
-        found = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
+    with stages() as stage, output_folder(out) if out else nullcontext():  # an invalid folder fails before a minute of work
+        result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        folder = out or DEFAULT_OUT / f"{found.name}-accuracy"
-        report = write_accuracy(found, folder)
-    show(found.as_dict(), json, "\n".join([*accuracy_lines(found), f"report: {report}"]))
+        folder = out or DEFAULT_OUT / f"{result.name}-accuracy"
+        report = write_accuracy(result, folder)
+    show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
 
 
 @app.command
@@ -277,19 +277,19 @@ def datasheet(
         Parameter(
             name="PIXEL",
             help="A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a "
-            "table [pixel]; without one, the pixel of the options.",
+            "table [pixel]. If left out, the options define the pixel.",
         ),
     ] = None,
     *,
     config: Config = None,
     pixel: PixelTable = None,
     exposure: ExposureTable = None,
-    wavelength_nm: Annotated[float | None, Parameter(help="Of the light [default: where the response peaks].")] = None,
-    seed: Annotated[str | None, Parameter(help="Of the individual sensor and its noise [default: 0].")] = None,
+    wavelength_nm: Annotated[float | None, Parameter(help="Wavelength of the light [default: peak of the response].")] = None,
+    seed: Annotated[str | None, Parameter(help="Seed of the sensor and its noise [default: 0].")] = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Measure a pixel as EMVA 1288, ISO 15739 and ISO 12232 do, beside what is true.
+    """Measure a pixel by EMVA 1288, ISO 15739 and ISO 12232, and compare with the true values.
 
     Example: pixsim datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12
 
@@ -297,25 +297,25 @@ def datasheet(
 
     Example: pixsim datasheet --pixel.technology 4t-bsi --pixel.pitch-um 1.2 --seed 1
 
-    A photon-transfer experiment with one individual sensor of 200 × 200 pixels: 50 pairs of frames from dark to beyond
-    saturation, stacks for the spatial terms, dark series over time and temperature. A black level of less than 6 σ of the
-    dark is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv, report.html.
+    Simulates a photon-transfer experiment with one sensor of 200 × 200 pixels: 50 pairs of frames from dark to beyond
+    saturation, stacks for the spatial terms, dark series over time and temperature. A black level below 6 σ of the dark
+    signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
     from pixsim.measure.datasheet import make_datasheet
     from pixsim.measure.datasheet import sheet_summary as summary
     from pixsim.measure.datasheet_report import datasheet_lines, sheet_name, write_datasheet
 
-    files, own = list(config or []), given({"pixel": pixel}).get("pixel", {})
+    files, pixel_options = list(config or []), given({"pixel": pixel}).get("pixel", {})
     if pixel_file is not None and pixel_file.endswith(".toml") and "pixel" in read_toml(Path(pixel_file)):
         files.insert(0, Path(pixel_file))
     elif pixel_file is not None:
-        if "technology" in own:
-            raise PixsimError(f"PIXEL: got '{pixel_file}' beside --pixel.technology {own['technology']}; give one of them.")
-        own["technology"] = pixel_file
-    settings = SceneOptions(files, exposure=exposure).settings(pixel=own or None, seed=seed)
-    how: dict[str, Any] = {"wavelength_nm": wavelength_nm, "seed": settings.seed}
-    with output_folder(out) if out else nullcontext(), stages() as stage:  # refused before the measurement, not after it
-        sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, **how)
+        if "technology" in pixel_options:
+            technology = pixel_options["technology"]
+            raise PixsimError(f"PIXEL: got '{pixel_file}' and --pixel.technology {technology}; give only one of them.")
+        pixel_options["technology"] = pixel_file
+    settings = SceneOptions(files, exposure=exposure).settings(pixel=pixel_options or None, seed=seed)
+    with output_folder(out) if out else nullcontext(), stages() as stage:  # an invalid folder fails before the measurement
+        sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
         stage("report")
         report = write_datasheet(sheet, out or DEFAULT_OUT / sheet_name(sheet))
     show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
@@ -326,24 +326,27 @@ def sfr(
     image: Annotated[
         Path,
         Parameter(
-            help="A linear grey picture: raw.exr of `pixsim run`, another EXR of one channel, .npy, .npz, or a .png or .tiff of "
-            "16 bits."
+            help="A linear grey image: raw.exr of `pixsim run`, another one-channel EXR, .npy, .npz, or 16-bit .png or .tiff."
         ),
     ],
     *,
-    pitch_um: Annotated[float | None, Parameter(help="Of the pixels, where the file does not tell it; gives cycles/mm.")] = None,
-    black_level_dn: Annotated[float | None, Parameter(help="Where the file does not tell it [default: 0]; contrast only.")] = None,
-    region: Annotated[str | None, Parameter(help="x0,y0,x1,y1 in pixels from the upper left, ends not included.")] = None,
+    pitch_um: Annotated[float | None, Parameter(help="Pixel pitch, for cycles/mm [default: from the file].")] = None,
+    black_level_dn: Annotated[
+        float | None, Parameter(help="Black level, which affects the contrast only [default: from the file, or 0].")
+    ] = None,
+    region: Annotated[
+        str | None, Parameter(help="Region of the edge, x0,y0,x1,y1 in pixels from the upper left; x1 and y1 are excluded.")
+    ] = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Spatial frequency response of a slanted edge, as ISO 12233 measures it.
+    """Measure the spatial frequency response of a slanted edge by ISO 12233.
 
     Example: pixsim run slanted_edge
 
     Example: pixsim sfr pixsim-out/slanted_edge/raw.exr
 
-    Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json.
+    Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
     from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, write_sfr
     from pixsim.measure.sfr import sfr_summary as summary
@@ -354,21 +357,23 @@ def sfr(
     pitch = picture.pitch_um if pitch_um is None else pitch_um
     black = (picture.black_level_dn or 0.0) if black_level_dn is None else black_level_dn
     saturation = None if picture.top is None else picture.top - black
-    found = edge_response(picture.data.astype(float) - black, region=corners(region), saturation=saturation)
-    result = summary(found, pitch)
+    response = edge_response(picture.data.astype(float) - black, region=corners(region), saturation=saturation)
+    result = summary(response, pitch)
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
-    write_sfr(folder, found, pitch, result)
+    write_sfr(folder, response, pitch, result)
     show(result, json, f"{sfr_line(result)}; curves in {folder}")
 
 
 def corners(region: str | None) -> tuple[int, int, int, int] | None:
-    """Four whole numbers."""
+    """Parse `x0,y0,x1,y1`."""
     if region is None:
         return None
     try:
-        x0, y0, x1, y1 = (int(each) for each in region.split(","))
+        x0, y0, x1, y1 = (int(number) for number in region.split(","))
     except ValueError:
-        raise PixsimError(f"--region: got '{region}'; allowed: x0,y0,x1,y1, whole numbers. Write --region 100,0,400,512.") from None
+        raise PixsimError(
+            f"--region: got '{region}'; allowed: x0,y0,x1,y1 in whole pixels, as in --region 100,0,400,512."
+        ) from None
     return x0, y0, x1, y1
 
 
@@ -376,9 +381,9 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
 def chart(
     kind: Annotated[str, Parameter(help="csf, flat, siemens_star or slanted_edge.")],
     *,
-    output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR, row 0 on top.")],
-    width: Annotated[int | None, Parameter(help="Texels across.")] = None,
-    height: Annotated[int | None, Parameter(help="Texels down.")] = None,
+    output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR; row 0 is the top.")],
+    width: Annotated[int | None, Parameter(help="Width in texels.")] = None,
+    height: Annotated[int | None, Parameter(help="Height in texels.")] = None,
     die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
     json: Json = False,
 ) -> None:
@@ -391,8 +396,8 @@ def chart(
     texels = charts.make_chart(kind, width, height, die_mm)
     charts.write_chart(output, texels)
     height_texels, width_texels = texels.shape
-    found = {"file": str(output), "kind": kind, "width": width_texels, "height": height_texels}
-    show(found, json, f"{width_texels} × {height_texels} texels in {output}")
+    result = {"file": str(output), "kind": kind, "width": width_texels, "height": height_texels}
+    show(result, json, f"{width_texels} × {height_texels} texels in {output}")
 
 
 @app.command
@@ -421,10 +426,10 @@ def template(
         show({"template": text}, json, text.rstrip())
         return
     if output.suffix != ".toml":
-        raise invalid("--output", f"'{output}'", "a name that ends in .toml, as the commands know it by")
+        raise invalid("--output", f"'{output}'", "a name that ends in .toml")
     write_new(output, text)
     use = f"pixsim run csf --config {output}" if kind == "sensor" else f"pixsim study {output}"
-    show({"file": str(output), "use": use}, json, f"{output}: replace the numbers, then: {use}")
+    show({"file": str(output), "use": use}, json, f"{output} written. Replace the numbers, then run: {use}")
 
 
 @app.command
@@ -441,49 +446,48 @@ def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", 
 @app.command
 def cache(
     *,
-    clear: Annotated[bool, Parameter(help="Remove what is kept.")] = False,
-    kind: Annotated[str | None, Parameter(help="Only entries of this kind, as the list names them.")] = None,
+    clear: Annotated[bool, Parameter(help="Remove the entries.")] = False,
+    kind: Annotated[str | None, Parameter(help="Only entries of this kind; `pixsim cache` lists the kinds.")] = None,
     json: Json = False,
 ) -> None:
-    """Show or clear what is kept between runs: renders, frames of studies, calibrations.
+    """Show or clear the cache: renders, frames of studies, calibrations.
 
     Example: pixsim cache --clear
 
-    An entry is named by the hash of all that made it, so that nothing in it is ever out of date: clearing only frees
-    space. PIXSIM_CACHE_DIR moves the folder, PIXSIM_CACHE_GIB bounds it (4 by default, 0 keeps nothing); what was not used
-    for the longest time goes first. Mitsuba's kernels and Matplotlib's fonts lie beside the entries; --kind names them too.
+    The key of an entry is the hash of all its inputs, so that entries are never out of date; clearing only frees space.
+    PIXSIM_CACHE_DIR sets the folder, PIXSIM_CACHE_GIB its size limit (default 4; 0 disables the cache). The least recently
+    used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder, as kinds of their own.
     """
-    from pixsim.base import cache as kept
+    from pixsim.base import cache as entry_cache
 
-    kinds = summary()["kinds"]
+    kinds = cache_summary()["kinds"]
     if kind is not None and kind not in kinds:
-        raise invalid("--kind", f"'{kind}'", ", ".join(kinds) or "none, since nothing is kept")
-    freed = kept.clear(kind) if clear else None
-    found = summary(kind)
-    lines = [f"{kept.folder()}: {found['size_bytes'] / MIB:.1f} MiB of {found['limit_bytes'] / MIB:.0f}"]
-    lines += [
-        f"  {name:<12} {own['entries']:>6} entries {own['size_bytes'] / MIB:>10.1f} MiB" for name, own in found["kinds"].items()
-    ]
+        raise invalid("--kind", f"'{kind}'", ", ".join(kinds) or "none, since the cache is empty")
+    freed = entry_cache.clear(kind) if clear else None
+    summary = cache_summary(kind)
+    lines = [f"{summary['folder']}: {summary['size_bytes'] / MIB:.1f} MiB of {summary['limit_bytes'] / MIB:.0f}"]
+    for name, total in summary["kinds"].items():
+        lines.append(f"  {name:<12} {total['entries']:>6} entries {total['size_bytes'] / MIB:>10.1f} MiB")
     if freed is not None:
-        found["freed_bytes"] = freed
+        summary["freed_bytes"] = freed
         lines.insert(0, f"removed {freed / MIB:.1f} MiB")
-    show(found, json, "\n".join(lines))
+    show(summary, json, "\n".join(lines))
 
 
-def summary(kind: str | None = None) -> dict[str, Any]:
-    """The folder, its limit, and entries and bytes of each kind, or of one."""
-    from pixsim.base import cache as kept
+def cache_summary(kind: str | None = None) -> dict[str, Any]:
+    """Folder and size limit of the cache, and the entries and bytes of each kind, or of one."""
+    from pixsim.base import cache as entry_cache
 
     kinds: dict[str, dict[str, int]] = {}
-    for each in [kind] if kind else [None, *kept.HELPERS]:
-        for entry in kept.entries(each):
-            own = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
-            own["entries"] += 1
-            own["size_bytes"] += entry.size_bytes
+    for name in [kind] if kind else [None, *entry_cache.HELPERS]:
+        for entry in entry_cache.entries(name):
+            total = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
+            total["entries"] += 1
+            total["size_bytes"] += entry.size_bytes
     return {
-        "folder": str(kept.folder()),
-        "limit_bytes": kept.limit_bytes(),
-        "size_bytes": sum(own["size_bytes"] for own in kinds.values()),
+        "folder": str(entry_cache.folder()),
+        "limit_bytes": entry_cache.limit_bytes(),
+        "size_bytes": sum(total["size_bytes"] for total in kinds.values()),
         "kinds": dict(sorted(kinds.items())),
     }
 
@@ -494,7 +498,7 @@ def completion(
     *,
     json: Json = False,
 ) -> None:
-    """Print a script that makes a shell complete commands and options.
+    """Print the script for shell completion of commands and options.
 
     Example: pixsim completion bash > ~/.local/share/bash-completion/completions/pixsim
 
@@ -504,7 +508,7 @@ def completion(
     show({"shell": shell, "script": script}, json, script)
 
 
-SICK = 1  # exit code
+PROBLEM_FOUND = 1  # exit code
 SUBJECT_WIDTH = 20
 
 
@@ -512,45 +516,47 @@ SUBJECT_WIDTH = 20
 def doctor(
     *,
     out: Out = None,
-    limit_s: Annotated[float | None, Parameter(help="For each process that tries something [default: 20].")] = None,
+    limit_s: Annotated[float | None, Parameter(help="Time limit of each check, in s [default: 20].")] = None,
     json: Json = False,
 ) -> None:
-    """What this machine has for pixsim, whether renders work and are right, and the command that mends what does not.
+    """Check what pixsim needs on this machine and whether renders are correct; each problem comes with the command to fix it.
 
     Example: pixsim doctor
 
-    A line is marked ok, note (renders work all the same) or problem. The exit code is 0 without a problem, else 1.
+    A line is marked ok, note (renders work nevertheless) or problem. The exit code is 1 if there is a problem, else 0.
     """
     from pixsim.cli.doctor import LIMIT_S, PROBLEM, examine
 
     if limit_s is not None and not 0 < limit_s < float("inf"):
         raise invalid("--limit-s", f"{limit_s:g}", "a number above 0")
     findings = examine(Path(out or DEFAULT_OUT), LIMIT_S if limit_s is None else limit_s)
-    sick = any(each.mark == PROBLEM for each in findings)
+    has_problem = any(finding.mark == PROBLEM for finding in findings)
     if json:
-        print(json_format.dumps({"ok": not sick, "findings": [asdict(each) for each in findings]}, indent=2, ensure_ascii=False))
+        result = {"ok": not has_problem, "findings": [asdict(finding) for finding in findings]}
+        print(json_format.dumps(result, indent=2, ensure_ascii=False))
     else:
         print(report(findings, shutil.get_terminal_size().columns if sys.stdout.isatty() else FILE_WIDTH))
-    if sick:
-        sys.exit(SICK)
+    if has_problem:
+        sys.exit(PROBLEM_FOUND)
 
 
 def report(findings: list[Finding], width: int) -> str:
-    """A line for each finding under its room, the mending command below it, and a summary."""
+    """One line per finding, grouped, each with the command that fixes it; a summary at the end."""
     from pixsim.cli.doctor import NOTE, PROBLEM
 
     lines: list[str] = []
-    room = None
-    for each in findings:
-        if each.room != room:
-            room = each.room
-            lines += [*([""] if lines else []), room]
-        start = f"  {each.mark:<8} {each.subject:<{SUBJECT_WIDTH}} "
-        wrapped = textwrap.wrap(each.found, max(width - len(start), SUBJECT_WIDTH), break_long_words=False, break_on_hyphens=False)
+    group = None
+    for finding in findings:
+        if finding.room != group:
+            group = finding.room
+            lines += [*([""] if lines else []), group]
+        start = f"  {finding.mark:<8} {finding.subject:<{SUBJECT_WIDTH}} "
+        columns = max(width - len(start), SUBJECT_WIDTH)
+        wrapped = textwrap.wrap(finding.found, columns, break_long_words=False, break_on_hyphens=False)
         lines += [start + ("\n" + " " * len(start)).join(wrapped)]
-        if each.mend:  # never wrapped, so that it can be copied
-            lines.append(" " * 11 + f"mend it: {each.mend}")
-    problems, notes = (sum(each.mark == mark for each in findings) for mark in (PROBLEM, NOTE))
-    verdict = "pixsim does not work here as it is" if problems else "renders work here"
+        if finding.mend:  # not wrapped, so that it can be copied
+            lines.append(" " * 11 + f"to fix it: {finding.mend}")
+    problems, notes = (sum(finding.mark == mark for finding in findings) for mark in (PROBLEM, NOTE))
+    verdict = "pixsim does not work on this machine" if problems else "renders work on this machine"
     counts = (f"{number} {what}{'' if number == 1 else 's'}" for number, what in ((problems, "problem"), (notes, "note")))
     return "\n".join([*lines, "", f"{verdict}: {', '.join(counts)}"])

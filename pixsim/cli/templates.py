@@ -1,4 +1,4 @@
-"""Commented configuration files with every field, its unit, default and allowed range; made from the records themselves."""
+"""Commented configuration files with every field, its unit, range and default, generated from the records."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import DATA_SHEET, Record, Run, Study
+from pixsim.base.parameters import DATA_SHEET, Camera, Record, Run, Study
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
-# By the end of a name, the longest first.
+# Unit of a field by the end of its name; longer ends come first.
 UNITS = {
     "_cd_per_m2": "cd/m²",
     "_e_per_s": "electrons per second",
@@ -30,8 +30,8 @@ UNITS = {
     "_e": "electrons",
 }
 NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
-# Fields that are open unless said otherwise need a value to show; these are plausible ones.
-EXAMPLES: dict[str, Any] = {
+# Plausible values for fields without a default.
+EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study",
     "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"],
@@ -40,11 +40,7 @@ EXAMPLES: dict[str, Any] = {
     "tolerance_delta_e": 0.01,
     "target_ci_um": 0.1,
     "max_evaluations": 1000,
-    "focal_length_mm": 3.86,
     "f_number": 2.8,
-    "die_mm": 2.7136,
-    "object_distance_m": 1.0,
-    "transmittance": 0.95,
     "pitch_um": 3.75,
     "data_sheet_pitch_um": 3.75,
     "min_um": 2.0,
@@ -68,7 +64,7 @@ EXAMPLES: dict[str, Any] = {
     "sources": {"pixel.bits": "data sheet, page 3"},
     "quick": {"repeats": 4},
 }
-# What is not commented out: what a sensor or a study is about.
+# Fields that are not commented out.
 SENSOR_SHOWN = tuple(f"pixel.{name}" for name in ("pitch_um", *DATA_SHEET, "bits", "prnu", "dsnu"))
 STUDY_SHOWN = (
     *("name", "title", "technologies", "repeats"),
@@ -76,83 +72,82 @@ STUDY_SHOWN = (
 )
 SENSOR_HEAD = """
 A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet THIS_FILE`. The numbers below are
-examples: replace them with yours. Lines with one # are at their defaults, or open; remove the # to set them.
-Without a technology nothing is derived: the first lines of [pixel] are then all needed.
+examples: replace them with yours. Lines with one # show defaults, or examples of optional values; remove the # to set them.
+Without a technology, pitch_um, full_well_e, read_noise_e, dark_current_e_per_s and quantum_efficiency are required.
 """
 STUDY_HEAD = """
 A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours. Lines with one
-# are at their defaults, or open; remove the # to set them.
+# show defaults, or examples of optional values; remove the # to set them. Optional values of [pixel] come from the technology.
 """
 
 
 def template(kind: str) -> str:
-    """A TOML file with every field of a sensor's or a study's settings. PixsimError for another kind."""
+    """TOML file with every field of the settings of a sensor or a study. Raises PixsimError for another kind."""
     schema = json_schema(kind)
     head, shown = (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
     lines = [f"# {line}" for line in head.strip().splitlines()]
-    tables = {name: each for name, each in schema["properties"].items() if "$ref" in each}
-    rooms = ["pixel", *(name for name in tables if name != "pixel")] if kind == "sensor" else list(tables)
-    top = {name: each for name, each in schema["properties"].items() if name not in tables}
+    tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
+    order = ["pixel", *(name for name in tables if name != "pixel")] if kind == "sensor" else list(tables)
+    top = {name: field for name, field in schema["properties"].items() if name not in tables}
     lines += ["", *_fields(top, shown, "")]
-    for name in rooms:
-        record = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]
-        dotted = [f"{name}.{key}" for key in record["properties"]]
-        order = [key for key in shown if key in dotted] + [key for key in dotted if key not in shown]
-        own = {key.partition(".")[2]: record["properties"][key.partition(".")[2]] for key in order}
-        lines += ["", f"[{name}]", *_fields(own, shown, f"{name}.")]
+    for name in order:
+        properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
+        first = [key for dotted in shown if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
+        lines += ["", f"[{name}]", *_fields({key: properties[key] for key in [*first, *properties]}, shown, f"{name}.")]
     return "\n".join(lines) + "\n"
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of such a file, for editors. PixsimError for another kind."""
+    """JSON schema (draft 2020-12) of such a file, for editors. Raises PixsimError for another kind."""
     if kind not in KINDS:
         raise invalid("kind", f"'{kind}'", " or ".join(KINDS))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **KINDS[kind].model_json_schema()}
 
 
 def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> Iterator[str]:
-    for name, each in properties.items():
-        set_here = table + name in shown
-        value = each.get("default", {} if each.get("type") == "object" else ...)
-        is_open = value in (None, "", {})
-        default = "needed" if value is ... else "open" if is_open else f"default {toml_value(value)}"
-        told = [each.get("description", ""), unit_of(name), allowed(each), default]
-        yield from textwrap.wrap("; ".join(part for part in told if part), WIDTH, initial_indent="## ", subsequent_indent="##   ")
-        if name in EXAMPLES and (set_here or is_open or value is ...):
+    """A comment with description, unit, range and default, then the field itself, for each field."""
+    for name, field in properties.items():
+        is_set = table + name in shown
+        value = field.get("default", {} if field.get("type") == "object" else ...)
+        optional = value in (None, "", {})
+        default = "required" if value is ... else "optional" if optional else f"default {toml_value(value)}"
+        comment = "; ".join(filter(None, [field.get("description", ""), unit_of(name), allowed(field), default]))
+        yield from textwrap.wrap(comment, WIDTH, initial_indent="## ", subsequent_indent="##   ")
+        if name in EXAMPLES and (is_set or optional or value is ...):
             value = EXAMPLES[name]
-        yield ("" if set_here else "# ") + f"{name} = {toml_value(value)}"
+        yield ("" if is_set else "# ") + f"{name} = {toml_value(value)}"
 
 
 def unit_of(name: str) -> str:
-    """The unit that a name ends in, in words."""
+    """Unit of a field, from the end of its name."""
     return "" if name in NO_UNIT else next((f"in {unit}" for end, unit in UNITS.items() if name.endswith(end)), "")
 
 
-def allowed(each: dict[str, Any]) -> str:
-    """A field's range or choices, in words, from its JSON schema."""
-    if "anyOf" in each:
-        return " or ".join(dict.fromkeys(filter(None, map(allowed, each["anyOf"]))))
-    if "enum" in each or "const" in each:
-        return ", ".join(toml_value(value) for value in each.get("enum", [each.get("const")]))
-    kind = each.get("type")
+def allowed(field: dict[str, Any]) -> str:
+    """Range or choices of a field, in words, from its JSON schema."""
+    if "anyOf" in field:
+        return " or ".join(dict.fromkeys(filter(None, map(allowed, field["anyOf"]))))
+    if "enum" in field or "const" in field:
+        return ", ".join(toml_value(value) for value in field.get("enum", [field.get("const")]))
+    kind = field.get("type")
     if kind in ("number", "integer"):
-        low, above = each.get("minimum"), each.get("exclusiveMinimum")
-        high, below = each.get("maximum"), each.get("exclusiveMaximum")
+        low, above = field.get("minimum"), field.get("exclusiveMinimum")
+        high, below = field.get("maximum"), field.get("exclusiveMaximum")
         start = f"{number(low)} " if low is not None else f"above {number(above)} " if above is not None else ""
-        end = f"to {number(high)}" if high is not None else f"to below {number(below)}" if below is not None else "and more"
-        return f"{'whole numbers, ' if kind == 'integer' else ''}{start}{end}"
+        end = f"to {number(high)}" if high is not None else f"to below {number(below)}" if below is not None else "or more"
+        return f"{'integer, ' if kind == 'integer' else ''}{start}{end}"
     return {"array": "a list", "boolean": "true or false"}.get(str(kind), "")
 
 
 def number(value: float) -> str:
-    """Whole numbers in full, as long as they can be read."""
+    """Text of a number; integers below 1e9 in full."""
     return str(int(value)) if value == int(value) and abs(value) < 1e9 else f"{value:g}"
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML writes it; JSON's text is the same but for tables."""
+    """A value in TOML, which differs from JSON for tables only."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {toml_value(each)}" for key, each in value.items()) + " }"
+        return "{ " + ", ".join(f"{json.dumps(key)} = {toml_value(inner)}" for key, inner in value.items()) + " }"
     if isinstance(value, float) and value == int(value) and abs(value) < 1e16:
         return f"{value:.1f}"
     return json.dumps(value, ensure_ascii=False)

@@ -358,7 +358,7 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
          setup.display.model_dump(), setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
          plan.passes, cache.version_fingerprint("mitsuba", "drjit")]
     )  # fmt: skip
-    return cache.kept("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, setup), asdict)
+    return cache.load_or_compute("calibration", key, Calibration.from_dict, lambda: _measure(scene, camera, plan, setup), asdict)
 
 
 def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibration:

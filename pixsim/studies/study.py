@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.config import beside, checked, packaged, read_toml, study_layers
+from pixsim.base.config import checked, packaged, read_toml, resolve_file, study_layers
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
@@ -49,12 +49,12 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
 def _resolve_files(table: dict[str, Any], path: Path) -> None:
     """Replace file names in a study's table by their paths, for files that lie next to the study's file."""
     if isinstance(names := table.get("technologies"), list):
-        table["technologies"] = [beside(path, name) for name in names]
+        table["technologies"] = [resolve_file(path, name) for name in names]
     if isinstance(processes := table.get("process"), dict):
-        table["process"] = {beside(path, name): numbers for name, numbers in processes.items()}
+        table["process"] = {resolve_file(path, name): numbers for name, numbers in processes.items()}
     for group, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
         if isinstance(values := table.get(group), dict) and key in values:
-            values[key] = beside(path, values[key])
+            values[key] = resolve_file(path, values[key])
 
 
 def load_study(

@@ -1,4 +1,4 @@
-"""What is kept is what was made, whatever happened to the file in between."""
+"""The cache returns what was stored, or computes it again."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import json
 import math
 import multiprocessing
 import os
+import re
 import time
 import warnings
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from helpers.processes import HANG_S
 import pixsim
 from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
+
+NOT_ROOT = pytest.mark.skipif(os.geteuid() == 0, reason="root can write to any folder")
 
 
 @pytest.fixture
@@ -27,30 +31,26 @@ def small(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
-    return tmp_path / "kept"
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
 
 
 def read(values: dict) -> dict:
     return {"number": float(values["number"])}
 
 
-def kept(number: float = 1.0, key: str = "key") -> tuple[dict, int]:
-    """What comes back, and how often it was made."""
-    made = []
-
-    def make() -> dict:
-        made.append(1)
-        return {"number": number}
-
-    return cache.kept("kind", key, read, make, dict), len(made)
+def cached(number: float = 1.0, key: str = "key") -> tuple[dict, int]:
+    """The result of `load_or_compute`, and the number of computations."""
+    compute = Mock(return_value={"number": number})
+    return cache.load_or_compute("kind", key, read, compute, dict), compute.call_count
 
 
-def test_made_once(folder):
-    assert kept(1.5) == ({"number": 1.5}, 1)
-    assert kept(2.5) == ({"number": 1.5}, 0)
-    assert kept(2.5, "other") == ({"number": 2.5}, 1)
-    assert sorted(path.name for path in (folder / "kind").iterdir()) == ["key.json", "other.json"]
+def test_load_or_compute_computes_once(folder):
+    assert cached(1.5) == ({"number": 1.5}, 1)
+    assert cached(2.5) == ({"number": 1.5}, 0)
+    assert cached(2.5, "other") == ({"number": 2.5}, 1)
+    assert [str(cached(math.nan, "nan")) for _ in range(2)] == ["({'number': nan}, 1)", "({'number': nan}, 0)"]
+    assert sorted(path.name for path in (folder / "kind").iterdir()) == ["key.json", "nan.json", "other.json"]
 
 
 @pytest.mark.parametrize(
@@ -61,44 +61,27 @@ def test_made_once(folder):
     ],
     ids=lambda content: repr(content[:20]),
 )
-def test_a_damaged_entry_is_made_again_with_a_warning(folder, content):
-    kept(1.5)
+def test_load_or_compute_damaged_entry_warns_and_recomputes(folder, content):
+    cached(1.5)
     (folder / "kind/key.json").write_bytes(content)
     with pytest.warns(UserWarning, match="damaged"):
-        assert kept(2.5) == ({"number": 2.5}, 1)
-    assert kept(3.5) == ({"number": 2.5}, 0)
+        assert cached(2.5) == ({"number": 2.5}, 1)
+    assert cached(3.5) == ({"number": 2.5}, 0)
 
 
-def test_nan_comes_back(folder):
-    kept(math.nan)
-    found, made = kept(1.0)
-    assert math.isnan(found["number"])
-    assert made == 0
-
-
-def test_a_folder_that_cannot_be_written_is_one_warning_and_no_error(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "file"))
+@pytest.mark.parametrize("is_file", [True, pytest.param(False, marks=NOT_ROOT)])
+def test_load_or_compute_unwritable_folder_warns_once(folder, is_file):
+    folder.touch() if is_file else folder.mkdir(0o500)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        assert kept(1.5) == ({"number": 1.5}, 1)
-    assert [FOLDER_VARIABLE in str(each.message) for each in caught] == [True]
+        assert cached(1.5) == ({"number": 1.5}, 1)
+    (warning,) = caught
+    assert re.search(rf"cannot be written .*set {FOLDER_VARIABLE}", str(warning.message))
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_read_only_folder(folder):
-    folder.mkdir()
-    folder.chmod(0o500)
-    with pytest.warns(UserWarning, match="cannot be written"):
-        assert kept(1.5) == ({"number": 1.5}, 1)
-
-
-def test_what_cannot_be_made_leaves_nothing(folder):
-    def fail() -> dict:
-        raise ValueError("no such thing")
-
-    with pytest.raises(ValueError, match="no such thing"):
-        cache.kept("kind", "key", read, fail, dict)
+def test_load_or_compute_failure_leaves_no_file(folder):
+    with pytest.raises(ValueError, match="no result"):
+        cache.load_or_compute("kind", "key", read, Mock(side_effect=ValueError("no result")), dict)
     assert not list(folder.rglob("*"))
 
 
@@ -107,25 +90,24 @@ def write_many(name: str, barrier) -> int:
     warnings.simplefilter("error")
     barrier.wait()
     for number in range(40):
-        made, _ = kept(float(number), f"key{number}")
-        assert made == {"number": float(number)}
+        assert cached(float(number), f"key{number}")[0] == {"number": float(number)}
     return 0
 
 
-def test_two_processes_may_write_the_same_entries(folder):
+def test_load_or_compute_two_processes_share_entries(folder):
     context = multiprocessing.get_context("fork")
     barrier = context.Barrier(2)
     processes = [context.Process(target=write_many, args=(str(folder), barrier)) for _ in range(2)]
-    for each in processes:
-        each.start()
-    for each in processes:
-        each.join(HANG_S)
-    assert [each.exitcode for each in processes] == [0, 0]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(HANG_S)
+    assert [process.exitcode for process in processes] == [0, 0]
     for number in range(40):
         assert json.loads((folder / f"kind/key{number}.json").read_text(encoding="utf-8")) == {"number": number}
 
 
-def test_the_folder_is_the_users_cache(monkeypatch, tmp_path):
+def test_folder_follows_xdg(monkeypatch, tmp_path):
     monkeypatch.delenv(FOLDER_VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache.folder() == tmp_path / "pixsim"
@@ -134,7 +116,7 @@ def test_the_folder_is_the_users_cache(monkeypatch, tmp_path):
     assert cache.folder() == tmp_path / "home/.cache/pixsim"
 
 
-# --- arrays ------------------------------------------------------------------------------------------------------------
+# --- Arrays ------------------------------------------------------------------------------------------------------------
 
 CONTENT = {
     "picture": np.arange(24, dtype=np.float32).reshape(2, 3, 4),
@@ -143,63 +125,62 @@ CONTENT = {
 }
 
 
-def assert_same(found: cache.Arrays | None) -> None:
-    assert found is not None
-    assert found.keys() == CONTENT.keys()
+def assert_is_content(arrays: cache.Arrays | None) -> None:
+    assert arrays is not None
+    assert arrays.keys() == CONTENT.keys()
     for name, values in CONTENT.items():
-        assert found[name].dtype == np.asarray(values).dtype
-        np.testing.assert_array_equal(found[name], values)
+        assert arrays[name].dtype == np.asarray(values).dtype
+        np.testing.assert_array_equal(arrays[name], values)
 
 
-def test_arrays_come_back_bit_for_bit(folder):
+def test_arrays_round_trip_is_exact(folder):
     assert cache.arrays("kind", "key") is None
     cache.store_arrays("kind", "key", CONTENT)
-    assert_same(cache.arrays("kind", "key"))
+    assert_is_content(cache.arrays("kind", "key"))
     assert cache.arrays("kind", "other") is None
     assert [path.name for path in folder.rglob("*.npz")] == ["key.npz"]
     assert not list(folder.rglob(".*")), "partial files"
 
 
-def test_every_damage_is_noticed(folder):
-    """Every third byte with a bit flipped, and files cut off: another answer is never given (dates in the table are no content)."""
+def test_arrays_damaged_file_is_rejected(folder):
+    """Truncated files, and a bit flipped in every third byte: never another result (dates in the zip directory do not count)."""
     cache.store_arrays("kind", "key", CONTENT)
     path = folder / "kind/key.npz"
     whole = path.read_bytes()
     damaged = [whole[:length] for length in range(0, len(whole), 37)]
     damaged += [whole[:at] + bytes([whole[at] ^ (1 << at % 8)]) + whole[at + 1 :] for at in range(0, len(whole), 3)]
-    noticed = 0
+    rejected = 0
     for content in damaged:
         path.write_bytes(content)
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            found = cache.arrays("kind", "key")
-        if found is None:
-            assert ["damaged" in str(each.message) for each in told] == [True]
-            noticed += 1
+            arrays = cache.arrays("kind", "key")
+        if arrays is None:
+            assert ["damaged" in str(warning.message) for warning in caught] == [True]
+            rejected += 1
         else:
-            assert_same(found)
-    assert noticed > len(damaged) / 2
+            assert_is_content(arrays)
+    assert rejected > len(damaged) / 2
     cache.store_arrays("kind", "key", CONTENT)
-    assert_same(cache.arrays("kind", "key"))
+    assert_is_content(cache.arrays("kind", "key"))
 
 
-def test_what_belongs_to_others_stays_and_ends_nothing(small, monkeypatch):
+def test_clear_skips_files_of_other_users(small, monkeypatch):
     for number in range(12):
         cache.store_arrays("kind", f"{number:02d}", big(1))
     unlink = Path.unlink
 
-    def refused(self: Path, missing_ok: bool = False) -> None:
+    def fail(self: Path, missing_ok: bool = False) -> None:
         if self.stem < "08":
             raise PermissionError(13, "Permission denied")
         unlink(self, missing_ok)
 
-    monkeypatch.setattr(Path, "unlink", refused)
-    freed = cache.clear()
-    assert freed > 0
+    monkeypatch.setattr(Path, "unlink", fail)
+    assert cache.clear() > 0
     assert {entry.path.stem for entry in cache.entries()} <= {f"{number:02d}" for number in range(8)}
 
 
-def test_files_of_mitsuba_and_matplotlib_are_theirs(folder):
+def test_clear_keeps_kernels_unless_named(folder):
     cache.store_arrays("kind", "key", CONTENT)
     (folder / "kernels").mkdir()
     (folder / "kernels/a.bin").write_bytes(b"kernel")
@@ -213,48 +194,48 @@ def big(mib: float) -> cache.Arrays:
     return {"zeros": np.zeros(int(mib * 2**20), np.uint8)}
 
 
-def test_the_folder_stays_within_its_limit_and_keeps_what_was_used_last(small):
+def test_trim_removes_least_recently_used(small):
     for number in range(12):
         cache.store_arrays("kind", f"{number:02d}", big(1))
         os.utime(small / f"kind/{number:02d}.npz", (number, number))
         if number > 0:
-            assert cache.arrays("kind", "00") is not None, "used each time, but gone"
+            assert cache.arrays("kind", "00") is not None, "just used, but removed"
     cache.trim()
-    left = [entry.path.stem for entry in cache.entries()]
+    remaining = [entry.path.stem for entry in cache.entries()]
     assert sum(entry.size_bytes for entry in cache.entries()) <= 8 * 2**20
-    assert sorted(left) == ["00", "06", "07", "08", "09", "10", "11"], "7 of a little more than 1 MiB fit into 8 MiB"
+    assert sorted(remaining) == ["00", "06", "07", "08", "09", "10", "11"], "7 of a little more than 1 MiB fit into 8 MiB"
 
 
-def test_a_process_that_writes_much_trims_by_itself(small):
+def test_store_arrays_trims_automatically(small):
     for number in range(40):
         cache.store_arrays("kind", f"{number}", big(1))
         assert sum(entry.size_bytes for entry in cache.entries()) <= 9.5 * 2**20
 
 
-def test_an_entry_that_would_drive_out_the_rest_is_not_kept(small):
+def test_store_arrays_skips_large_entry(small):
     cache.store_arrays("kind", "small", big(1.9))
     cache.store_arrays("kind", "large", big(2.1))
     assert [entry.path.stem for entry in cache.entries()] == ["small"]
 
 
-def test_a_limit_of_nothing_keeps_nothing_and_reads_nothing(folder, monkeypatch):
+def test_limit_zero_disables_cache(folder, monkeypatch):
     cache.store_arrays("kind", "key", CONTENT)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     assert cache.arrays("kind", "key") is None
     cache.store_arrays("kind", "other", CONTENT)
-    assert kept(1.5) == ({"number": 1.5}, 1)
-    assert kept(2.5) == ({"number": 2.5}, 1)
+    assert cached(1.5) == ({"number": 1.5}, 1)
+    assert cached(2.5) == ({"number": 2.5}, 1)
     assert [entry.path.stem for entry in cache.entries()] == ["key"]
 
 
 @pytest.mark.parametrize("text", ["", "many", "-1", "nan", "inf", "1e12"])
-def test_a_limit_that_is_none_is_refused(monkeypatch, text):
+def test_limit_bytes_invalid_value_raises(monkeypatch, text):
     monkeypatch.setenv(cache.LIMIT_VARIABLE, text)
     with pytest.raises(pixsim.PixsimError, match=r"PIXSIM_CACHE_GIB.*allowed: a size in GiB"):
         cache.limit_bytes()
 
 
-def test_what_a_killed_process_left_goes_after_an_hour(folder):
+def test_trim_removes_old_partial_files(folder):
     cache.store_arrays("kind", "key", CONTENT)
     for name, age_s in ((".old", 7200), (".new", 60)):
         (folder / "kind" / name).write_bytes(b"half")
@@ -268,7 +249,7 @@ def test_what_a_killed_process_left_goes_after_an_hour(folder):
 def test_clear_removes_one_kind_or_all(folder):
     cache.store_arrays("render", "a", CONTENT)
     cache.store_arrays("frame", "b", CONTENT)
-    kept(1.0)
+    cached(1.0)
     size = (folder / "frame/b.npz").stat().st_size
     assert cache.clear("frame") == size
     assert sorted(entry.kind for entry in cache.entries()) == ["kind", "render"]
@@ -276,18 +257,18 @@ def test_clear_removes_one_kind_or_all(folder):
     assert cache.entries() == []
 
 
-def test_a_change_of_any_source_makes_other_keys(monkeypatch, tmp_path):
+def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
     package = tmp_path / "pixsim"
     (package / "data").mkdir(parents=True)
     monkeypatch.setattr(cache, "PACKAGE", package)
-    found = []
+    fingerprints = []
     for name, text in (("__init__.py", "a"), ("__init__.py", "b"), ("data/t.toml", "a"), ("data/q.csv", "1"), ("notes.txt", "")):
         (package / name).write_text(text, encoding="utf-8")
         cache.version_fingerprint.cache_clear()
-        found.append(cache.version_fingerprint())
-    assert len(set(found[:4])) == 4
-    assert found[4] == found[3], "a note changes nothing"
+        fingerprints.append(cache.version_fingerprint())
+    assert len(set(fingerprints[:4])) == 4
+    assert fingerprints[4] == fingerprints[3], "a text file is not a source"
     monkeypatch.setattr(cache, "VERSION", "99")
     cache.version_fingerprint.cache_clear()
-    assert cache.version_fingerprint() not in found
+    assert cache.version_fingerprint() not in fingerprints
     cache.version_fingerprint.cache_clear()

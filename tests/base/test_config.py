@@ -1,4 +1,4 @@
-"""Settings: a sensor's file is the same for one picture and for a study of its pixel size; messages mend what they refuse."""
+"""Settings files for runs and studies, sensors from data sheets, and messages of invalid settings."""
 
 from __future__ import annotations
 
@@ -40,28 +40,27 @@ def written(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("pitch_um", [1.0, 4.0, 9.0])
-def test_well_and_dark_current_go_with_the_area(pitch_um: float) -> None:
+@pytest.mark.parametrize("exponent", [0, 2])
+def test_derive_data_sheet_scales_with_area_if_pitch_is_given(pitch_um: float, exponent: int) -> None:
     measured = {"full_well_e": 12000, "read_noise_e": 2.5, "dark_current_e_per_s": 8, "quantum_efficiency": 0.6}
-    physics = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, data_sheet_pitch_um=4.0, **measured))
-    assert physics.full_well_e == pytest.approx(12000 * (pitch_um / 4) ** 2, rel=1e-12)
-    assert physics.dark_current_e_per_s == pytest.approx(8 * (pitch_um / 4) ** 2, rel=1e-12)
-    assert physics.read_noise_e == 2.5
-    alone = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, **measured))
-    assert (alone.full_well_e, alone.dark_current_e_per_s) == (12000, 8)
+    measured |= {"data_sheet_pitch_um": 4.0} if exponent else {}
+    physics = pixsim.derive(pixsim.Pixel(technology="none", pitch_um=pitch_um, **measured))
+    values = physics.full_well_e, physics.dark_current_e_per_s, physics.read_noise_e
+    assert values == pytest.approx((12000 * (pitch_um / 4) ** exponent, 8 * (pitch_um / 4) ** exponent, 2.5), rel=1e-12)
 
 
-def test_the_area_is_the_photodiode_s() -> None:
-    """At 0.35 µm a pixel of 8 µm has more photodiode beside its transistors than one of 6 µm, not (8/6)² as much."""
+def test_derive_scales_with_photodiode_area() -> None:
+    """In the 0.35 µm technology the transistors have a fixed area: the photodiode grows faster than the pixel."""
     process = pixsim.load_technology("0.35um")
     physics = pixsim.derive(pixsim.Pixel(pitch_um=8.0, full_well_e=40000, data_sheet_pitch_um=6.0))
     areas_um2 = fill_factor_law([8.0, 6.0], process) * np.array([64.0, 36.0])
     assert areas_um2[0] / areas_um2[1] > 2
     assert physics.full_well_e == pytest.approx(40000 * areas_um2[0] / areas_um2[1], rel=1e-12)
-    # What is not measured stays the process's.
+    # Values that are not measured come from the technology.
     assert physics.dark_current_e_per_s == pixsim.derive(pixsim.Pixel(pitch_um=8.0)).dark_current_e_per_s
 
 
-def test_a_well_of_no_electron_is_refused() -> None:
+def test_derive_well_below_one_electron_raises() -> None:
     with pytest.raises(pixsim.PixsimError, match=r"0\.01.*12000 electrons at 4 µm.*full well of 1 to 1e\+18"):
         pixsim.derive(pixsim.Pixel(pitch_um=0.01, technology="none", data_sheet_pitch_um=4.0, full_well_e=12000, read_noise_e=1,
                                    dark_current_e_per_s=0, quantum_efficiency=0.5))  # fmt: skip
@@ -69,38 +68,34 @@ def test_a_well_of_no_electron_is_refused() -> None:
         pixsim.derive(pixsim.Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0))
 
 
-def read(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
-
-
 def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
     return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
 
 
-def test_a_data_sheet_becomes_the_study_s_sensor(tmp_path: Path) -> None:
+def test_study_layers_data_sheet_becomes_the_sensor(tmp_path: Path) -> None:
     study = study_of(SHEET, tmp_path)
     assert study.technologies == ("none",)
     assert (study.camera.die_mm, study.camera.f_number, study.pixel.bits) == (2.0, 2.8, 12)
     pitches_um = study_pitches_um(study, "none")
     assert pitches_um[[0, -1]] == pytest.approx([1.0, 16.0])
-    wells_e = [pixsim.derive(pixel_of(study, "none", each)).full_well_e for each in pitches_um.tolist()]
+    wells_e = [pixsim.derive(pixel_of(study, "none", pitch_um)).full_well_e for pitch_um in pitches_um.tolist()]
     np.testing.assert_allclose(wells_e, 12000 * (pitches_um / 4) ** 2, rtol=1e-12)
 
 
-def test_the_study_says_from_where_to_where(tmp_path: Path) -> None:
-    own = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
-    study = study_of(SHEET, tmp_path, str(own))
+def test_study_layers_pitch_range_of_study_is_used(tmp_path: Path) -> None:
+    study_path = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
+    study = study_of(SHEET, tmp_path, str(study_path))
     np.testing.assert_allclose(study_pitches_um(study, "none"), np.geomspace(2, 6, 5), atol=5e-5)
 
 
-def test_a_technology_replaces_the_study_s(tmp_path: Path) -> None:
+def test_study_layers_technology_replaces_that_of_study(tmp_path: Path) -> None:
     study = study_of('[pixel]\ntechnology = "0.25um"\npitch_um = 7\nbits = 11\n[scene]\nresolution = 128\n', tmp_path)
     assert (study.technologies, study.pixel.bits) == (("0.25um",), 11)
     assert study.scene.parameters["resolution"] == 128
     assert study.pixel.data_sheet_pitch_um is None
 
 
-def test_a_data_sheet_needs_a_pitch_and_stands_alone() -> None:
+def test_study_incomplete_data_sheet_raises() -> None:
     table = {"name": "a", "technologies": ["none"], "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}}
     with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
         Study.model_validate(table)
@@ -111,22 +106,22 @@ def test_a_data_sheet_needs_a_pitch_and_stands_alone() -> None:
         Study.model_validate(table | {"technologies": ["none", "0.35um"]})
 
 
-def test_a_study_of_a_data_sheet_runs(tmp_path: Path) -> None:
-    """With a parameter of its scene, and in full where it is asked to be quick and has no table for that."""
-    own = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
+def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
+    """With a scene parameter, and --quick for a study without a [quick] table."""
+    study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nresolution = 64\nspp = 4\n[display]\ndots = 64\n")
-    line = f"study {own} --config {path} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
+    line = f"study {study_path} --config {path} -D luminance_cd_per_m2=50 --quick --jobs 1 --out {tmp_path / 'out'}"
     with warnings.catch_warnings(action="always"):
         code, out, err = command(line)
     assert code == 0, err
     assert "warning: the study own has no [quick] table: running it in full" in err
     assert out.startswith("data sheet: ")
-    assert len(read(tmp_path / "out/results.csv").splitlines()) == 1 + 5 * 2
-    assert json.loads(read(tmp_path / "out/summary.json"))["irradiance"]["luminance_cd_per_m2"] == 50
-    assert_refused(*command(f"study {own} -D brightness=50 --out {tmp_path / 'other'}"), ["brightness", "luminance_cd_per_m2"])
+    assert len((tmp_path / "out/results.csv").read_text(encoding="utf-8").splitlines()) == 1 + 5 * 2
+    assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["irradiance"]["luminance_cd_per_m2"] == 50
+    assert_refused(*command(f"study {study_path} -D brightness=50 --out {tmp_path / 'b'}"), ["brightness", "luminance_cd_per_m2"])
 
 
-def test_files_and_scene_parameters_from_python(tmp_path: Path) -> None:
+def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
     path = written(tmp_path / "sensor.toml", SHEET)
     study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
     assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
@@ -154,35 +149,34 @@ def sheet(tmp_path: Path) -> Path:
     return written(tmp_path / "data sheet/my_sensor.toml", CURVED)
 
 
-def test_a_data_sheet_is_enough(sheet: Path, tmp_path: Path) -> None:
-    """Its numbers are those of the picture; nothing of a process is added to them."""
+def test_run_command_data_sheet_sets_all_values(sheet: Path, tmp_path: Path) -> None:
     small = "-D resolution=64 --display.dots 64 --json"
     code, out, err = command(f"run csf {small} --config", sheet, "--out", tmp_path / "out")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["pixel"]["technology"] == "none"
-    assert (told["full_well_e"], told["fill_factor"], told["pitch_um"]) == (12000.0, 1.0, 4.0)
-    physics = pixsim.derive(pixsim.Pixel.model_validate(told["pixel"]))
+    score = json.loads(out)
+    assert score["pixel"]["technology"] == "none"
+    assert (score["full_well_e"], score["fill_factor"], score["pitch_um"]) == (12000.0, 1.0, 4.0)
+    physics = pixsim.derive(pixsim.Pixel.model_validate(score["pixel"]))
     assert (physics.reset_noise_e, physics.offset_fpn_e, physics.column_fpn_e) == (0.0, 0.0, 0.0)
     assert (physics.read_noise_e, physics.dark_current_e_per_s) == (2.5, 8.0)
 
 
-def test_its_curve_is_straight_between_points_and_nothing_beyond(sheet: Path) -> None:
+def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> None:
     nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
-    found = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
-    np.testing.assert_allclose(found, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
+    efficiency = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
+    np.testing.assert_allclose(efficiency, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
 
 
-@pytest.mark.parametrize("lost", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
+@pytest.mark.parametrize("missing", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
 @pytest.mark.parametrize("line", ["run csf", "study pixel-size"])
-def test_what_a_data_sheet_lacks_is_named(line: str, lost: str, sheet: Path, tmp_path: Path) -> None:
-    written(sheet, "\n".join(each for each in CURVED.splitlines() if not each.startswith(lost)))
-    told = f"{sheet}: pixel: got a sensor without a technology, and without {lost};"
-    assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [told, 'technology = "4t-bsi"'])
+def test_is_data_sheet_missing_value_raises(line: str, missing: str, sheet: Path, tmp_path: Path) -> None:
+    written(sheet, "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)))
+    message = f"{sheet}: pixel: got a sensor without a technology, and without {missing};"
+    assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [message, 'technology = "4t-bsi"'])
     assert not (tmp_path / "out").exists()
 
 
-def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> None:
+def test_settings_with_technology_measured_values_replace_derived(sheet: Path) -> None:
     written(sheet, '[pixel]\ntechnology = "0.35um"\npitch_um = 8.0\nread_noise_e = 5.0\n')
     physics = pixsim.derive(settings_of(sheet).pixel)
     derived = pixsim.derive(pixsim.Pixel(technology="0.35um", pitch_um=8.0))
@@ -190,7 +184,7 @@ def test_with_a_technology_measured_values_replace_derived_ones(sheet: Path) -> 
     assert (physics.full_well_e, physics.dark_current_e_per_s) == (derived.full_well_e, derived.dark_current_e_per_s)
 
 
-def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resolve_file_prefers_folder_of_config(sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     written(Path("qe.csv"), "400,0.1\n500,0.1\n")
     assert settings_of(sheet).pixel.quantum_efficiency[0] == (400.0, 0.3)
@@ -198,31 +192,31 @@ def test_the_file_beside_comes_before_the_one_here(sheet: Path, tmp_path: Path, 
     assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
 
 
-def test_a_curve_in_place_gives_what_its_file_gives(sheet: Path) -> None:
+def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
     pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
     from_file = settings_of(sheet).pixel
     assert pixsim.Pixel(**from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs) == from_file
 
 
-# --- What says more, and what less -------------------------------------------------------------------------------------
+# --- Precedence of study, files and options -------------------------------------------------------------------------------------
 
 
-def test_quick_gives_way_to_files_and_options(tmp_path: Path) -> None:
-    """[quick] of `modern` names a technology: with a data sheet over it the study would be neither."""
+def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
+    """[quick] of `modern` sets a technology, which must not replace the data sheet."""
     paths = [written(tmp_path / "sensor.toml", SHEET)]
     study = checked_study(study_layers(read_study("modern"), paths)).quickened
     assert (study.technologies, study.pitch.count) == (("none",), 10)
-    own = written(
+    study_path = written(
         tmp_path / "own.toml",
         'name = "own"\n[quick]\nrepeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n',
     )
     option = {"scene": {"parameters": {"resolution": 96}}}
-    study = checked_study(study_layers(read_study(own), paths, option)).quickened
+    study = checked_study(study_layers(read_study(study_path), paths, option)).quickened
     assert study.scene.parameters == {"resolution": 96, "spp": 4}
     assert (study.camera.f_number, study.repeats) == (2.8, 2)
 
 
-def test_later_files_win(tmp_path: Path) -> None:
+def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
     first = written(tmp_path / "a.toml", SHEET)
     second = written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")
     study = checked_study(study_layers(read_study("pixel-size"), [first, second]))
@@ -230,7 +224,7 @@ def test_later_files_win(tmp_path: Path) -> None:
     assert checked_study(study_layers(read_study("pixel-size"), [second, first])).pixel.read_noise_e == 2.5
 
 
-def test_what_a_file_measured_goes_with_the_area_whatever_its_technology(tmp_path: Path) -> None:
+def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
     text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
     study = study_of(text, tmp_path)
     assert study.pixel.data_sheet_pitch_um == 6.5
@@ -240,7 +234,7 @@ def test_what_a_file_measured_goes_with_the_area_whatever_its_technology(tmp_pat
     assert study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path).pixel.data_sheet_pitch_um is None
 
 
-def test_a_file_s_own_pitch_of_measurement_is_kept(tmp_path: Path) -> None:
+def test_study_layers_data_sheet_pitch_is_preserved(tmp_path: Path) -> None:
     text = SHEET.replace("pitch_um = 4.0", "pitch_um = 4.0\ndata_sheet_pitch_um = 2.0")
     study = study_of(text, tmp_path)
     run = pixsim.derive(pixsim.Pixel.model_validate(study.pixel.model_dump() | {"technology": "none", "pitch_um": 4.0}))
@@ -249,60 +243,57 @@ def test_a_file_s_own_pitch_of_measurement_is_kept(tmp_path: Path) -> None:
     assert study.pitch.max_um == 16.0
 
 
-def test_the_paper_is_not_compared_with_another_sensor(tmp_path: Path) -> None:
+def test_study_layers_data_sheet_disables_paper(tmp_path: Path) -> None:
     study = study_of(SHEET, tmp_path, "chen2000")
     assert not study.paper
     assert "camera.die_mm" not in study.sources
     assert study.sources["display.dots"].startswith("assumed")
 
 
-def test_one_process_is_not_studied_twice(tmp_path: Path) -> None:
-    """Rows are known by their content: two names of one process would share them, and one curve would have none."""
+def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
+    """Rows are identified by content: two names of one process would share them."""
     source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     for name in ("a", "b"):
         written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
-    own = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
-    assert_refused(*command(f"study {own} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
+    study_path = written(tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n')
+    assert_refused(*command(f"study {study_path} --out {tmp_path / 'out'}"), ["b.toml", "the same process", "each process once"])
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
         ("", "clips dark noise: 72 % of dark pixels are at 0 DN, which raises the dark mean by 0.93 e-"),
         ("black_level_dn = 7", ""),
-        # Offsets count: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
-        (
-            "black_level_dn = 7\noffset_fpn = 0.002",
-            "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-",
-        ),
+        # With offsets: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
+        ("black_level_dn = 7\noffset_fpn = 0.002", "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-"),
         ("black_level_dn = 50\noffset_fpn = 0.002", ""),
-        # So do kTC and offsets of a process.
+        # With reset noise and offsets of a technology.
         ('technology = "0.35um"', "set pixel.black_level_dn = 15 to avoid this"),
         ('technology = "0.35um"\nblack_level_dn = 15', ""),
         ("offset_fpn = 0.2", "avoiding this takes more bits (pixel.bits)"),
     ],
 )
-def test_a_black_level_that_cuts_off_the_dark_is_told(options: str, told: str, tmp_path: Path) -> None:
+def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_path: Path) -> None:
     film = "--no-irradiance -D resolution=64 -D spp=4 --display.dots 64"
     sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
     path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
     code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
     assert code == 0, err
     notes = [line for line in out.splitlines() if line.startswith("note: ")]
-    assert len(notes) == bool(told)
+    assert len(notes) == bool(message)
     assert out.startswith("mean ΔE ")
-    page = read(tmp_path / "out/report.html")
-    assert ("clips dark noise" in page) == bool(told)
-    if told:
-        assert told in notes[0]
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert ("clips dark noise" in page) == bool(message)
+    if message:
+        assert message in notes[0]
         assert notes[0] in page
-    dark = json.loads(read(tmp_path / "out/score.json"))["dark"]
-    assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(told)
+    dark = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["dark"]
+    assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(message)
 
 
-def test_a_study_tells_once_a_curve_what_its_black_level_cuts_off(tmp_path: Path) -> None:
-    """The worst size has the least white: the smallest pixel, of a well in proportion to its area."""
+def test_study_command_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
+    """The smallest pixel has the smallest full well, and so the largest error."""
     table = """name = "dark"
 technologies = ["0.35um", "4t-bsi"]
 repeats = 2
@@ -316,11 +307,11 @@ bits = 14
         path = written(tmp_path / "dark.toml", table + black)
         code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
         assert code == 0, err
-        told = [line for line in out.splitlines() if line.startswith("note: ")]
-        page = read(tmp_path / "out/report.html")
-        assert len(told) == notes == page.count("clips dark noise")
-        curves = json.loads(read(tmp_path / "out/summary.json"))["curves"]
-        for line, curve in zip(told, curves, strict=bool(notes)):
+        lines = [line for line in out.splitlines() if line.startswith("note: ")]
+        page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+        assert len(lines) == notes == page.count("clips dark noise")
+        curves = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["curves"]
+        for line, curve in zip(lines, curves, strict=bool(notes)):
             dark = curve["dark"]
             where = "at 5 of 5 pixel sizes, most at 6.00 µm"
             assert line.startswith(f"note: {curve['technology']}: the black level of 0 DN clips dark noise {where}: ")
@@ -333,15 +324,15 @@ bits = 14
 # --- Messages -------------------------------------------------------------------------------------------------------
 
 
-def test_a_name_that_is_near_nothing_is_answered_with_all_of_them() -> None:
+def test_run_command_unknown_scene_lists_all() -> None:
     code, _, err = command("run qwertz")
     assert (code, "Did you mean" in err, "still_life" in err) == (2, False, True)
 
 
-def test_a_field_above_its_table_is_told_where_it_belongs() -> None:
-    with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs into \[camera\]\."):
+def test_checked_misplaced_field_names_its_table() -> None:
+    with pytest.raises(PixsimError, match=r"a\.toml: f_number: unknown name; .* It belongs in \[camera\]\."):
         checked(Run, [Layer({"f_number": 2.8}, "a.toml")])
-    with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs into \[pitch\]\."):
+    with pytest.raises(PixsimError, match=r"min_um: unknown name; .* It belongs in \[pitch\]\."):
         checked(Study, [Layer({"name": "a", "min_um": 2.8}, "a.toml")])
     with pytest.raises(PixsimError, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
         checked(Run, [Layer({"pixl": {}})])

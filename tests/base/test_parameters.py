@@ -1,4 +1,4 @@
-"""Records: what they refuse, what their hash depends on, and the geometry of the camera."""
+"""Records: validation, content hash, quantum efficiency curves, and the geometry of the camera."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from pixsim.base.config import explain
 from pixsim.base.parameters import (
     Camera,
     CameraOptions,
@@ -18,6 +19,7 @@ from pixsim.base.parameters import (
     content_hash,
     merge,
 )
+from pixsim.sensor.pixel import derive
 
 RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
 
@@ -26,7 +28,7 @@ RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
 
 
 @pytest.mark.parametrize("record", RECORDS)
-def test_records_are_frozen_and_refuse_an_unknown_name(record):
+def test_record_is_frozen_and_rejects_unknown_name(record):
     with pytest.raises(ValidationError, match="pitch_mm"):
         record(pitch_mm=1.0)
     with pytest.raises(ValidationError, match="frozen"):
@@ -45,13 +47,13 @@ def test_records_are_frozen_and_refuse_an_unknown_name(record):
         (Study, {"name": "x", "technologies": ()}),
     ],
 )
-def test_impossible_values_are_refused(record, values):
+def test_record_invalid_value_raises(record, values):
     """Bounds of numbers are in test_properties."""
     with pytest.raises(ValidationError, match=next(reversed(values))):
         record(**values)
 
 
-def test_the_hash_depends_on_content_not_on_order():
+def test_content_hash_ignores_order():
     one = Pixel.model_validate({"pitch_um": 5.3, "bits": 12})
     other = Pixel.model_validate({"bits": 12, "pitch_um": 5.3, "technology": "0.35um"})
     assert one.content_hash == other.content_hash
@@ -59,7 +61,7 @@ def test_the_hash_depends_on_content_not_on_order():
     assert content_hash({"a": {"b": 1, "c": 2}, "d": 3}) == content_hash({"d": 3, "a": {"c": 2, "b": 1}})
 
 
-def test_the_hash_depends_on_every_field():
+def test_content_hash_depends_on_every_field():
     hashes = {Camera().content_hash}
     for name in Camera.model_fields:
         hashes.add(Camera(**{name: getattr(Camera(), name) * 0.99}).content_hash)
@@ -68,14 +70,11 @@ def test_the_hash_depends_on_every_field():
     assert content_hash([1.0, 2.0]) != content_hash([2.0, 1.0])
     assert content_hash(1.0) != content_hash(1.0 + 1e-15)
     assert content_hash("1") != content_hash(1)
-
-
-def test_the_hash_is_the_same_in_every_process():
     # BLAKE2b of the text {"a":1}, 8 bytes: `printf '{"a":1}' | b2sum -l 64`.
     assert content_hash({"a": 1}) == "1f8c00645b7df6ce"
 
 
-def test_a_study_is_quickened_by_its_own_table():
+def test_quickened_applies_quick_table():
     study = Study(name="x", repeats=8, pitch={"count": 24, "max_um": 12.0}, quick={"repeats": 2, "pitch": {"count": 6}})
     assert (study.quickened.repeats, study.quickened.pitch.count, study.quickened.pitch.max_um) == (2, 6, 12.0)
     assert study.quickened.quickened == study.quickened
@@ -90,20 +89,20 @@ def test_a_study_is_quickened_by_its_own_table():
     "text",
     [
         *("400;0,3\n500;0,4\n", "400\t0.3\n500\t0.4\n", "nm;QE\n400,0;0,3\n500;0.4\n"),
-        "\ufeff400,0.3\n500,0.4\n",  # a spreadsheet's "CSV UTF-8" begins with a byte order mark
+        "\ufeff400,0.3\n500,0.4\n",  # with a byte order mark, as spreadsheets write
     ],
 )
-def test_other_separators_and_decimal_commas(text, tmp_path):
+def test_read_curve_accepts_other_separators(text, tmp_path):
     (tmp_path / "qe.csv").write_text(text, encoding="utf-8")
     assert as_quantum_efficiency(tmp_path / "qe.csv") == ((400.0, 0.3), (500.0, 0.4))
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("400,0.3\n350,0.4\n", "400 nm followed by 350 nm"),
-        ("0.4,0.3\n0.5,0.4\n", r"Micrometres times 1000 are nm"),
-        ("400,30\n500,40\n", "Divide per cent by 100"),
+        ("0.4,0.3\n0.5,0.4\n", "Multiply wavelengths in µm by 1000"),
+        ("400,30\n500,40\n", "Divide percentages by 100"),
         ("400,-0.1\n500,0.4\n", "-0.1 at 400 nm"),
         ("400,nan\n500,0.4\n", "nan at 400 nm"),
         ("400,1e999\n500,1", "inf at 400 nm"),
@@ -113,7 +112,7 @@ def test_other_separators_and_decimal_commas(text, tmp_path):
         ("400,0.3\nfive hundred,0.4\n", "got 'five hundred,0.4' in line 2"),
         ("400;0.3\n500;much\n", "line 2"),
         ("400 0.3\n500 0.4\n", "got '400 0.3' in line 1"),
-        ("0.3,400\n30,500\n", "other order"),
+        ("0.3,400\n30,500\n", "columns swapped"),
         ("\0", "of 0 points"),
         ("a,b\n1", "line 2"),
         ("400,1\n" * 2, "400 nm followed by 400 nm"),
@@ -121,17 +120,17 @@ def test_other_separators_and_decimal_commas(text, tmp_path):
         ("4" * 10**6 + ",1", "file of wavelength in nm"),
     ],
 )
-def test_a_curve_that_is_none(text, told, tmp_path):
+def test_read_curve_invalid_file_raises(text, message, tmp_path):
     (tmp_path / "qe.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match="allowed") as refusal:
+    with pytest.raises(ValueError, match="allowed") as error:
         as_quantum_efficiency(str(tmp_path / "qe.csv"))
-    assert told in str(refusal.value)
+    assert message in str(error.value)
 
 
 # --- Layers ---
 
 
-def test_later_tables_win_and_keep_what_they_do_not_name():
+def test_merge_later_values_take_precedence():
     base = {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
     over = {"camera": {"f_number": 2.0}, "pixel": {"bits": 12}}
     assert merge(base, over) == {"camera": {"f_number": 2.0, "die_mm": 2.7}, "seed": 1, "pixel": {"bits": 12}}
@@ -141,7 +140,7 @@ def test_later_tables_win_and_keep_what_they_do_not_name():
     assert merge({"a": 2}, {"a": {"b": 1}}) == {"a": {"b": 1}}
 
 
-def test_camera_options_replace_what_is_given_only():
+def test_camera_options_over_replaces_given_fields():
     camera = CameraOptions(f_number=2.0).over(Camera(focal_length_mm=5.0))
     assert (camera.focal_length_mm, camera.f_number, camera.die_mm) == (5.0, 2.0, Camera().die_mm)
 
@@ -157,7 +156,7 @@ CAMERAS = [
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_the_thin_lens_equation_holds_and_gives_the_camera_back(camera):
+def test_camera_obeys_thin_lens_equation(camera):
     u_mm, v_mm, f_mm = 1e3 * camera.object_distance_m, camera.image_distance_mm, camera.focal_length_mm
     assert 1 / u_mm + 1 / v_mm == pytest.approx(1 / f_mm, rel=1e-12)
     assert camera.magnification == pytest.approx(v_mm / u_mm, rel=1e-12)
@@ -170,6 +169,37 @@ def test_the_thin_lens_equation_holds_and_gives_the_camera_back(camera):
 
 
 @pytest.mark.parametrize("object_distance_m", [0.05, 0.049])
-def test_an_object_within_the_focal_length_is_refused(object_distance_m):
+def test_camera_object_within_focal_length_raises(object_distance_m):
     with pytest.raises(ValidationError, match=r"focal_length_mm = 50 .*no real image"):
         CameraOptions(object_distance_m=object_distance_m).over(Camera(focal_length_mm=50))
+
+
+@pytest.mark.parametrize(
+    ("record", "values", "message"),
+    [
+        (Camera, {"focal_length_mm": 1e300}, "focal_length_mm: got 1e+300; allowed: less than or equal to 1e+06."),
+        (Camera, {"transmittance": 1e-30}, "transmittance: got 1e-30; allowed: at least 1e-12"),
+        (Exposure, {"integration_s": 1e300}, "integration_s: got 1e+300; allowed: less than or equal to 1e+09."),
+        (Exposure, {"integration_s": 1e-16}, "integration_s: got 1e-16; allowed: greater than or equal to 1e-15."),
+        (Pixel, {"full_well_e": 1e-300}, "full_well_e: got 1e-300; allowed: greater than or equal to 1."),
+        (Pixel, {"bits": True}, "bits: got True; allowed: a number or a name."),
+        (Run, {"pixel": {"prnu": 1e9}}, "pixel.prnu: got 1000000000.0; allowed: less than or equal to 0.3."),
+        (Display, {"gamma": 1e-9}, "gamma: got 1e-09; allowed: greater than or equal to 0.01."),
+    ],
+)
+def test_explain_states_bounds(record, values, message):
+    with pytest.raises(ValidationError) as error:
+        record.model_validate(values)
+    assert message in explain(error.value)
+
+
+def test_record_bounds_allow_extremes():
+    for pitch_um in (0.3, 100.0):
+        for kelvin in (77, 400):
+            for bits in (1, 24):
+                pixel = Pixel(pitch_um=pitch_um, fill_factor=1e-12, temperature_k=kelvin, bits=bits, read_noise_e=0)
+                assert derive(pixel).full_well_e > 0
+    assert Pixel(fill_factor=1.0, full_well_e=1e15, dark_current_e_per_s=1e15).fill_factor == 1
+    assert Exposure(integration_s=1e-9).integration_s < Exposure(integration_s=36_000).integration_s
+    assert Display(white_cd_per_m2=1e-9).white_cd_per_m2 < Display(white_cd_per_m2=1e12).white_cd_per_m2
+    assert Study(name="x", paper=False).paper is False

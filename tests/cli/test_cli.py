@@ -1,6 +1,7 @@
-"""The command as a user meets it: bad input is told in one message, good input leaves whole files."""
+"""The command line: one message for invalid input, complete files for valid input."""
 
 import json
+import re
 import shlex
 import subprocess
 import sys
@@ -25,13 +26,13 @@ SHEET = "[pixel]\npitch_um = 4\nfull_well_e = 12000\nread_noise_e = 2.5\ndark_cu
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:
-    """Everything below a folder, hidden files too."""
+    """All files below a folder, including hidden ones."""
     return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
 
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder full of input that cannot be used."""
+    """A working folder with invalid input."""
     monkeypatch.chdir(tmp_path)
     flat = packaged_scenes()["flat"].read_text(encoding="utf-8")
     start, end = flat.index("<sensor"), flat.index("</sensor>") + len("</sensor>")
@@ -65,15 +66,15 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "qe.csv": "400,30\n500,40\n",
         "study_errors.toml": 'name = "s"\nrepeats = 1\n[pitch]\ncuont = 9\n',
         "study_quick.toml": 'name = "s"\n[quick]\nrepeats = 1\n',
-        "taken": "a file in the way",
+        "taken": "a file, not a folder",
     }
     for name, text in files.items():
         Path(name).write_text(text, encoding="utf-8")
     return tmp_path
 
 
-UNUSABLE = {
-    # command line: what the message must contain (the value that was found, what is allowed or how to mend it)
+INVALID = {
+    # command line: texts of the message (the given value, what is allowed or how to fix it)
     "run nowhere.xml": ["nowhere.xml", "csf, flat"],
     "run broken.xml": ["broken.xml", "no element found", "readable XML"],
     "run no_sensor.xml": ["no sensor", "one thinlens"],
@@ -91,20 +92,14 @@ UNUSABLE = {
     "run flat --pixel.technology process.toml": ["process.toml", "confidence"],
     "run flat --pixel.pitch-um 5": ["pitch_um", "5", "5.135 µm", "5.297 µm"],
     "run flat --pixel.pitch-um 3000": ["pitch_um", "3000", "2713.6 µm"],
-    "run flat --pixel.pitch-um wide": ["pitch_um", "wide", "number"],
-    "run flat --pixel.pitch-um nan": ["pitch_um", "nan", "finite"],
     f"run flat {SMALL} --pixel.quantum-efficiency 0": ["quantum_efficiency", "0"],
-    "run flat --pixel.bits 10 --pixel.black-level-dn 1023": ["black_level_dn", "1023"],
-    "run flat --camera.f-number 0": ["f_number", "'0'", "greater than 0"],
     "run flat --camera.f-number -2": ["f_number", "'-2'", "greater than 0"],
     f"run flat {SMALL} --camera.f-number 0.3": ["f-number", "0.3", "0.5"],
-    "run flat --camera.focal-length-mm 50 --camera.object-distance-m 0.04": ["50", "0.04", "40 mm"],
     "run flat --config key.toml": ["pixel.pitch_mu", "Did you mean 'pitch_um'?"],
     "run flat --config table.toml": ["pixle", "Did you mean 'pixel'?"],
     "run flat --config scalar.toml": ["pixel", "3"],
     "run flat --config not.toml": ["not.toml", "line 1", "TOML"],
     "run flat --config gone.toml": ["gone.toml", "does not exist"],
-    "run flat --config charts": ["charts", "TOML"],
     "run flat --camera.fnumber 4": ["--camera.fnumber", "--camera.f-number"],
     "run flat --seed -1": ["seed", "-1", "0"],
     "run flat --variant fast": ["fast", "scalar_spectral"],
@@ -112,30 +107,25 @@ UNUSABLE = {
     "run flat -D resolutoin=64": ["resolutoin", "Did you mean 'resolution'?"],
     "run flat -D resolution=wide": ["wide", "integer"],
     "run flat -D resolution=0": ["resolution", "0", "1 to"],
-    "run flat -D spp=-4": ["spp", "-4", "1 to"],
     "run flat -D fov=0": ["fov", "0"],
     f"run flat {SMALL} -D luminance_cd_per_m2=-100": ["luminance_cd_per_m2", "-100", "positive"],
     f"run flat {SMALL} -D emitter_scale=-1": ["-1"],
-    f"run flat {SMALL} -D emitter_scale=nan": ["nan"],
     f"run flat {SMALL} --out taken": ["taken", "cannot be written", "--out"],
     f"run flat {SMALL} --out taken/deeper": ["taken/deeper", "cannot be written", "--out"],
     f"run flat {SMALL} --out /proc/pixsim": ["/proc/pixsim", "cannot be written", "--out"],
-    "run flat --config sheet_curve.toml": ["sheet_curve.toml: pixel.quantum_efficiency: got 'qe.csv'", "Divide per cent by 100"],
+    "run flat --config sheet_curve.toml": ["sheet_curve.toml: pixel.quantum_efficiency: got 'qe.csv'", "Divide percentages by 100"],
     "run sheet.toml": ["a TOML file", "pixsim run csf --config"],
     "run": ["SCENE"],
     "run cfs": ["Did you mean 'csf'?"],
     "run csf --pixel.technology 0.35": ["Did you mean '0.35um'?"],
-    "plan macbet": ["Did you mean 'macbeth'?"],
     "look": ["look", "run, plan, study, accuracy, datasheet, sfr, chart"],
     "study nowhere": ["nowhere", "chen2000"],
     "study chen200": ["Did you mean 'chen2000'?"],
     "study sheet.toml": ["the file of a sensor", "pixsim study pixel-size --config"],
     "study pixel-size --config sheet_wide.toml": ["sheet_wide.toml: pixel.pitch_um: got 'wide'; allowed: a valid number."],
     "study pixel-size --config sheet_key.toml": ["sheet_key.toml: exposure.max_integration", "max_integration_s"],
-    "study pixel-size --config key.toml": ["key.toml: pixel.pitch_mu"],
     "study pixel-size --config sheet.toml --render-noise 0": ["render_noise", "1e-06"],
     "study chen2000-sensitivity --config sheet.toml": ["--config, -D, --pixel", "varies another study"],
-    "study gone.toml": ["gone.toml", "does not exist"],
     "study study_key.toml": ["repeat", "Did you mean 'repeats'?"],
     "study study_errors.toml": [
         *("study_errors.toml: repeats: got 1; allowed: greater than or equal to 2.", "Did you mean 'count'?"),
@@ -147,11 +137,8 @@ UNUSABLE = {
     "study study_large.toml": ["3000", "2713.6 µm"],
     "study chen2000 --jobs 0": ["--jobs", "0", "1 or more"],
     "study chen2000 --quick --out taken": ["taken", "cannot be written", "--out"],
-    "study chen2000 --quick --out taken/in": ["taken/in", "cannot be written", "--out"],
     "datasheet 0.35um --out taken": ["taken", "cannot be written", "--out"],
-    "datasheet 0.35um --out taken/in": ["taken/in", "cannot be written", "--out"],
     "accuracy csf --quick --out taken": ["taken", "cannot be written", "--out"],
-    "accuracy csf --quick --out taken/in": ["taken/in", "cannot be written", "--out"],
     "doctor --limit-s 0": ["--limit-s: got 0; allowed: a number above 0"],
     "template lens": ["kind: got 'lens'; allowed: sensor or study"],
     "template sensor -o key.toml": ["key.toml", "exists already"],
@@ -164,34 +151,32 @@ UNUSABLE = {
 }
 
 
-@pytest.mark.parametrize("line", UNUSABLE)
-def test_bad_input_is_refused_in_one_message_and_leaves_nothing(line: str, desk: Path) -> None:
+@pytest.mark.parametrize("line", INVALID)
+def test_command_invalid_input_gives_one_message_and_no_files(line: str, desk: Path) -> None:
     before = contents(desk)
     code, out, err = command(line)
-    assert_refused(code, out, err, UNUSABLE[line])
+    assert_refused(code, out, err, INVALID[line])
     assert contents(desk) == before
 
 
-def test_a_failed_run_leaves_an_earlier_one_as_it_was(desk: Path) -> None:
+def test_run_failure_preserves_earlier_results(desk: Path) -> None:
     assert command(f"run flat {SMALL} --out earlier")[0] == 0
     before = contents(desk)
     assert command(f"run turned_away.xml {SMALL} --out earlier")[0] == 2
     assert contents(desk) == before
 
 
-def in_a_process(line: str, **environment: str) -> tuple[int, str, str]:
+def run_process(line: str, **environment: str) -> tuple[int, str, str]:
     done = process(line, **environment)
-    # Without LLVM each command warns that it renders with scalar_spectral.
-    told = [
-        line for line in done.stderr.splitlines(keepends=True) if not line.startswith("warning: rendering with scalar_spectral")
-    ]
-    return done.returncode, done.stdout, "".join(told)
+    # Without LLVM every command warns that it renders with scalar_spectral.
+    stderr = re.sub("^warning: rendering with scalar_spectral.*\n", "", done.stderr, flags=re.MULTILINE)
+    return done.returncode, done.stdout, stderr
 
 
 @pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", "run perspective.xml"])
-def test_the_installed_command_refuses_alike(line: str, desk: Path) -> None:
+def test_installed_command_invalid_input_gives_same_message(line: str, desk: Path) -> None:
     before = contents(desk)
-    assert in_a_process(line) == command(line)
+    assert run_process(line) == command(line)
     assert contents(desk) == before
 
 
@@ -199,24 +184,24 @@ OLD_LLVM = sorted(str(path) for number in (14, 15, 16) for path in Path("/usr/li
 
 
 @pytest.mark.parametrize("library", ["taken", *OLD_LLVM])
-def test_an_llvm_that_would_abort_the_process_is_refused(library: str, desk: Path) -> None:
+def test_run_unusable_llvm_is_rejected(library: str, desk: Path) -> None:
     before = contents(desk)
-    assert_refused(*in_a_process("run flat", DRJIT_LIBLLVM_PATH=library), [library, "LLVM 17 or newer", "pip install"])
+    assert_refused(*run_process("run flat", DRJIT_LIBLLVM_PATH=library), [library, "LLVM 17 or newer", "pip install"])
     assert contents(desk) == before
 
 
-QUADRANTS = np.array([[1.0, 0.25], [0.5, 0.75]])  # no two alike: a flip or a transposition shows
+QUADRANTS = np.array([[1.0, 0.25], [0.5, 0.75]])  # all different, so that a flip or transposition shows
 
 
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of four grey quadrants with a quiet, dark-free sensor."""
+    """A run of four grey quadrants with a sensor without dark current and non-uniformities."""
     folder = tmp_path_factory.mktemp("picture")
     pixsim.write_chart(folder / "quadrants.exr", np.kron(QUADRANTS, np.ones((32, 32))).astype(np.float32))
-    quiet = " ".join(f"--pixel.{name} 0" for name in ("prnu", "dsnu", "offset-fpn", "column-fpn", "dark-current-e-per-s"))
+    ideal = " ".join(f"--pixel.{name} 0" for name in ("prnu", "dsnu", "offset-fpn", "column-fpn", "dark-current-e-per-s"))
     code, out, err = command(
         f"run csf -D chart={folder / 'quadrants.exr'} -D resolution=128 --display.dots 128 --seed 7 --json "
-        f"--pixel.pitch-um 8 --pixel.bits 12 --pixel.black-level-dn 64 --pixel.full-well-e 40000 {quiet} --out {folder / 'out'}"
+        f"--pixel.pitch-um 8 --pixel.bits 12 --pixel.black-level-dn 64 --pixel.full-well-e 40000 {ideal} --out {folder / 'out'}"
     )
     assert (code, err) == (0, "")
     (folder / "stdout").write_text(out, encoding="utf-8")
@@ -226,34 +211,34 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def expected_quadrants(count: int) -> np.ndarray:
     """(count, count) relative luminance: the chart under the thin lens's fall-off, 1 on the axis at texel value 1."""
     camera = pixsim.Camera()
-    at_mm = ((np.arange(count) + 0.5) / count - 0.5) * camera.die_mm
-    tan_field = np.hypot(*np.meshgrid(at_mm, at_mm)) / camera.image_distance_mm
+    x_mm = ((np.arange(count) + 0.5) / count - 0.5) * camera.die_mm
+    tan_field = np.hypot(*np.meshgrid(x_mm, x_mm)) / camera.image_distance_mm
     factor = [pixsim.optics.irradiance_factor(camera.f_number, t, camera.magnification) for t in (tan_field, 0.0)]
     return np.kron(QUADRANTS, np.ones((count // 2, count // 2))) * factor[0] / factor[1]
 
 
 def away_from_edges(count: int) -> np.ndarray:
-    """Not within 1/16 of a border or of the cross, which diffraction and the texture's interpolation blur."""
+    """Dots at least 1/16 away from all edges, which diffraction and texture interpolation blur."""
     distance = np.abs((np.arange(count) + 0.5) / count * 2 % 1 - 0.5)
     return np.logical_and.outer(distance < 3 / 8, distance < 3 / 8)
 
 
-def test_run_writes_these_files_and_no_others(picture: Path) -> None:
+def test_run_writes_expected_files(picture: Path) -> None:
     assert {path.name for path in (picture / "out").iterdir()} == RUN_FILES
 
 
-def test_json_on_stdout_is_score_json(picture: Path) -> None:
-    told = json.loads((picture / "stdout").read_text(encoding="utf-8"))
-    assert told == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
+def test_run_json_equals_score_json(picture: Path) -> None:
+    score = json.loads((picture / "stdout").read_text(encoding="utf-8"))
+    assert score == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
     delta_e = read_channels(picture / "out/delta_e.exr")[0]["delta_e"]
-    assert delta_e.shape == tuple(told["scored_dots"]) == (126, 126)  # less a border of one pixel
-    assert told["border_um"] == pytest.approx([21.2, 21.2])
-    assert told["mean_delta_e"] == pytest.approx(delta_e.mean(dtype=float), rel=1e-6)  # the file is float32
-    assert told["pitch_um"] == 8.0
+    assert delta_e.shape == tuple(score["scored_dots"]) == (126, 126)  # without a border of one pixel
+    assert score["border_um"] == pytest.approx([21.2, 21.2])
+    assert score["mean_delta_e"] == pytest.approx(delta_e.mean(dtype=float), rel=1e-6)  # the file is float32
+    assert score["pitch_um"] == 8.0
 
 
-def test_the_ideal_png_decodes_to_the_luminance_shown(picture: Path) -> None:
-    """8 bits under gamma 2.2, on the display and in the PNG; half a code for rounding, a quarter for the render's 0.1 %."""
+def test_run_ideal_png_decodes_to_luminance(picture: Path) -> None:
+    """8 bits with gamma 2.2 in display and PNG: half a code of rounding, a quarter for the error of the render, 0.1 %."""
     png = imread(picture / "out/ideal.png")[:, :, :3]
     assert png.shape == (126, 126, 3)
     assert np.ptp(png, axis=2).max() == 0, "grey"
@@ -261,26 +246,25 @@ def test_the_ideal_png_decodes_to_the_luminance_shown(picture: Path) -> None:
     assert np.abs(255.0 * png[:, :, 0] - codes)[away_from_edges(128)[1:-1, 1:-1]].max() < 0.75
 
 
-def test_the_sensors_picture_has_the_same_sides_and_greys(picture: Path) -> None:
-    """Means over a quadrant's middle, 2304 dots: noise and gamma's curvature stay below 0.5 %."""
-    png = np.pad(imread(picture / "out/image.png")[:, :, 0].astype(float), 1)  # a dot of border is not shown
+def test_run_image_png_has_orientation_and_greys(picture: Path) -> None:
+    """Means over the middle of a quadrant, 2304 dots: noise and the curvature of gamma are below 0.5 %."""
+    png = np.pad(imread(picture / "out/image.png")[:, :, 0].astype(float), 1)  # the border of one dot is not shown
     middles = np.where(away_from_edges(128), 1.0, np.nan)
     shown, expected = (
         np.nanmean((middles * image).reshape(2, 64, 2, 64), axis=(1, 3)) for image in (png**2.2, expected_quadrants(128))
     )
     np.testing.assert_allclose(shown, expected, rtol=0.005)
-    assert imread(picture / "out/delta_e.png").shape[0] > 128, "a map with axes and a scale"
+    assert imread(picture / "out/delta_e.png").shape[0] > 128, "a map with axes and colour bar"
 
 
-def test_raw_exr_holds_digital_numbers_and_what_they_mean(picture: Path) -> None:
+def test_run_raw_exr_holds_digital_numbers(picture: Path) -> None:
     channels, header = read_channels(picture / "out/raw.exr")
     dn = channels["DN"]
     score = json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
     pixels = int(2713.6 / 8)
     assert dn.shape == (pixels, pixels)
     assert np.array_equal(dn, np.rint(dn))
-    assert dn.min() >= 0
-    assert dn.max() <= 4095
+    assert 0 <= dn.min() <= dn.max() <= 4095
     assert (header["bits"], header["black_level_dn"], header["pitch_um"]) == (12, 64, 8)
     assert header["dn_per_e"] == pytest.approx((4095 - 64) / 40_000, rel=1e-6)  # the full well is the top code
     assert header["integration_s"] == pytest.approx(score["integration_s"], rel=1e-6)
@@ -297,21 +281,19 @@ main()
 """
 
 
-def test_the_same_command_gives_the_same_bytes_on_one_core_and_from_another_folder(
-    desk: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_run_is_reproducible_on_one_core_and_elsewhere(desk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     line = f"run csf {SMALL} --seed 3 --out "
     assert command(line + "here")[0] == 0
     subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")], cwd=elsewhere, check=True, timeout=HANG_S)
     here, there = contents(desk / "here"), contents(elsewhere / "there")
     assert here.keys() == there.keys() == RUN_FILES
-    assert [name for name in here if here[name] != there[name]] in ([], ["provenance.json"])  # it holds the times
+    assert [name for name in here if here[name] != there[name]] in ([], ["provenance.json"])  # it contains times
     assert command(f"run csf {SMALL} --seed 4 --out other")[0] == 0
     assert contents(desk / "other")["raw.exr"] != here["raw.exr"]
 
 
-def test_later_layers_win_and_the_rest_stays(desk: Path) -> None:
+def test_run_config_precedence(desk: Path) -> None:
     Path("first.toml").write_text("seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32")
     Path("second.toml").write_text("[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4")
     code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
@@ -322,11 +304,11 @@ def test_later_layers_win_and_the_rest_stays(desk: Path) -> None:
     assert irradiance["parameters"] == {"resolution": "64", "spp": "4"}
     assert (irradiance["camera"]["f_number"], score["seed"], score["display"]["dots"]) == (2.8, 5, 32)
     assert (irradiance["camera"]["focal_length_mm"], pixel["technology"]) == (3.86, "0.35um")  # the scene's, the default
-    assert {path.name for path in (desk / "pixsim-out/flat").iterdir()} == RUN_FILES  # where nothing else is said
+    assert {path.name for path in (desk / "pixsim-out/flat").iterdir()} == RUN_FILES  # the default folder
 
 
 @pytest.mark.parametrize("kind", ["csf", "flat", "siemens_star", "slanted_edge"])
-def test_chart_writes_what_make_chart_returns(kind: str, desk: Path) -> None:
+def test_chart_writes_make_chart(kind: str, desk: Path) -> None:
     assert command(f"chart {kind} -o x.exr --width 96 --height 64")[0] == 0
     channels, _ = read_channels("x.exr")
     assert list(channels) == ["Y"]
@@ -334,8 +316,8 @@ def test_chart_writes_what_make_chart_returns(kind: str, desk: Path) -> None:
 
 
 @pytest.mark.parametrize("statement", ["import pixsim; pixsim.Camera()", "import pixsim.cli; pixsim.cli.main()"])
-def test_nothing_slow_is_imported_before_it_is_needed(statement: str) -> None:
-    """Mitsuba takes 0.3 s, matplotlib 0.5 s, colour 2.6 s."""
+def test_import_is_lazy(statement: str) -> None:
+    """Import times: Mitsuba 0.3 s, matplotlib 0.5 s, colour 2.6 s."""
     script = f"""
 import atexit, sys
 slow = {{"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "scipy"}}

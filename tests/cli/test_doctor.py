@@ -1,4 +1,4 @@
-"""The doctor: on machines that lack something, or whose Mitsuba aborts, hangs or renders wrongly; nothing takes it down."""
+"""The doctor on machines that lack something, or whose Mitsuba aborts, hangs or renders wrongly."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from functools import cache as once
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from helpers.commands import process
 from helpers.processes import HANG_S
 
 from pixsim.base import machine
+from pixsim.base.parameters import Camera
 from pixsim.cli import doctor, trial
 from pixsim.cli.commands import report
 from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, requirements, satisfies
@@ -35,39 +38,40 @@ metadata.files, metadata.version = hidden(metadata.files), hidden(metadata.versi
 
 @dataclass(frozen=True)
 class Visit:
-    """What `pixsim doctor --json` said."""
+    """Result of `pixsim doctor --json`."""
 
     code: int
     err: str
-    found: dict[str, Any]
+    result: dict[str, Any]
 
     def about(self, subject: str, room: str | None = None) -> dict[str, Any]:
-        (one,) = (each for each in self.found["findings"] if each["subject"] == subject and room in (None, each["room"]))
-        return one
+        findings = self.result["findings"]
+        (match,) = (finding for finding in findings if finding["subject"] == subject and room in (None, finding["room"]))
+        return match
 
     @property
     def problems(self) -> list[str]:
-        return [each["subject"] for each in self.found["findings"] if each["mark"] == PROBLEM]
+        return [finding["subject"] for finding in self.result["findings"] if finding["mark"] == PROBLEM]
 
     @property
     def picture(self) -> dict[str, Any]:
-        return next(each for each in self.found["findings"] if each["room"] == "test render")
+        return next(finding for finding in self.result["findings"] if finding["room"] == "test render")
 
 
 def visit(line: str = f"doctor --json --limit-s {HANG_S}", **changes: str | None) -> Visit:
     done = process(line, **{variant.LLVM_VARIABLE: None} | changes)
-    assert done.returncode in (0, 1), done.stderr  # negative: a signal took it down
+    assert done.returncode in (0, 1), done.stderr  # negative: ended by a signal
     assert "Traceback" not in done.stderr
     return Visit(done.returncode, done.stderr, json.loads(done.stdout))
 
 
 def before(folder: Path) -> dict[str, str]:
-    """Modules in a folder come before all others."""
+    """Environment in which modules in a folder take precedence."""
     return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
 def written(root: Path, files: dict[str, str]) -> Path:
-    """A folder with files, as one of modules for the front of the module path."""
+    """Write files to a folder and return it."""
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text, encoding="utf-8")
@@ -82,45 +86,41 @@ def healthy() -> Visit:
 # --- This machine ---
 
 
-def test_a_machine_that_renders_is_told_so():
-    seen = healthy()
-    assert (seen.code, seen.found["ok"], seen.problems) == (0, True, [])
-    assert seen.picture["mark"] == OK
-    facts = seen.picture["facts"]
-    assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < doctor.MEAN_GATE
+def test_doctor_working_machine_has_no_problems():
+    visited = healthy()
+    assert (visited.code, visited.result["ok"], visited.problems) == (0, True, [])
+    assert visited.picture["mark"] == OK
+    facts = visited.picture["facts"]
+    assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < doctor.MAX_MEAN_ERROR
     assert 0 < facts["render_s"] < facts["seconds"]
-    rooms = dict.fromkeys(each["room"] for each in seen.found["findings"])
-    assert list(rooms) == ["software", "LLVM", "Mitsuba", "machine", "folders", "optional", "test render"]
-    versions = seen.about("packages")["facts"]["versions"]
+    groups = dict.fromkeys(finding["room"] for finding in visited.result["findings"])
+    assert list(groups) == ["software", "LLVM", "Mitsuba", "machine", "folders", "optional", "test render"]
+    versions = visited.about("packages")["facts"]["versions"]
     assert {"mitsuba", "drjit", "numpy", "scipy", "colour-science", "openexr"} <= set(versions)
     assert None not in versions.values()
-    assert "llvm_ad_spectral" in seen.about("compiled in")["facts"]["variants"]
-    assert seen.about("scalar_spectral", "Mitsuba")["mark"] == OK
+    assert "llvm_ad_spectral" in visited.about("compiled in")["facts"]["variants"]
+    assert visited.about("scalar_spectral", "Mitsuba")["mark"] == OK
 
 
-def test_the_library_that_is_told_is_the_one_that_mitsuba_has():
+def test_doctor_reports_library_used_by_mitsuba():
     facts = healthy().picture["facts"]
     if facts["llvm"] is None:
         pytest.skip("no usable LLVM here")
-    taken = [each for each in healthy().found["findings"] if each["found"].endswith(", taken")]
-    assert [each["facts"]["path"] for each in taken] == [facts["llvm"]]
+    used = [finding for finding in healthy().result["findings"] if finding["found"].endswith(", used")]
+    assert [finding["facts"]["path"] for finding in used] == [facts["llvm"]]
     assert os.path.realpath(facts["llvm"]) in facts["mapped_llvm"]
 
 
-def test_the_closed_form_has_the_light_of_the_chart():
-    """Against numbers by hand: 0.5125 of 1000 cd/m² in the mean, π/(1 + 4·16·1.00387²) sr on the axis at f/4, f = 3.86 mm, 1 m."""
-    import numpy as np
-
-    import pixsim as package
-
-    camera = package.Camera()
-    found = trial.closed_form_lx(camera, 16)
+def test_closed_form_lx_matches_hand_calculation():
+    """Calculated by hand: mean 0.5125 of 1000 cd/m², π/(1 + 4·16·1.00387²) sr on the axis at f/4, f = 3.86 mm, 1 m."""
+    camera = Camera()
+    illuminance_lx = trial.closed_form_lx(camera, 16)
     magnification = 3.86e-3 / (1 - 3.86e-3)
     on_axis = np.pi / (1 + 64 * (1 + magnification) ** 2)
-    assert found[7:9].mean(axis=0)[7:9].mean() / (512.5 * on_axis) == pytest.approx(1, abs=0.1)  # contrast .1 there
+    assert illuminance_lx[7:9, 7:9].mean() / (512.5 * on_axis) == pytest.approx(1, abs=0.1)  # contrast 0.1 there
     cos4 = np.cos(np.arctan(camera.die_mm / 2 / camera.image_distance_mm)) ** 4
-    assert found[:, 0].mean() < found[:, 7:9].mean()
-    assert cos4 < found.mean() / (512.5 * on_axis) < 1
+    assert illuminance_lx[:, 0].mean() < illuminance_lx[:, 7:9].mean()
+    assert cos4 < illuminance_lx.mean() / (512.5 * on_axis) < 1
 
 
 # --- LLVM ---
@@ -128,44 +128,45 @@ def test_the_closed_form_has_the_light_of_the_chart():
 
 @pytest.mark.skipif(not OLD_LLVM, reason="no LLVM 14 or 15 on this system")
 @pytest.mark.parametrize("path", [*OLD_LLVM[-1:], *(pytest.param(path, marks=pytest.mark.slow) for path in OLD_LLVM[:-1])])
-def test_an_old_llvm_in_the_variable_aborts_nothing(path: str, tmp_path: Path):
-    """That `pixsim run` refuses it is in test_variant."""
-    seen = visit(**{variant.LLVM_VARIABLE: path})
-    assert seen.code == 1
-    assert seen.problems == [variant.LLVM_VARIABLE, "Mitsuba"]
-    assert "version 15 or older" in seen.about(variant.LLVM_VARIABLE)["found"]
-    assert {seen.about(variant.LLVM_VARIABLE)["mend"], seen.picture["mend"]} == {"unset DRJIT_LIBLLVM_PATH"}
-    assert seen.about("scalar_spectral")["mark"] == OK
+def test_doctor_old_llvm_in_variable_is_problem(path: str, tmp_path: Path):
+    """test_variant checks that `pixsim run` rejects it."""
+    visited = visit(**{variant.LLVM_VARIABLE: path})
+    assert visited.code == 1
+    assert visited.problems == [variant.LLVM_VARIABLE, "Mitsuba"]
+    assert "version 15 or older" in visited.about(variant.LLVM_VARIABLE)["found"]
+    assert {visited.about(variant.LLVM_VARIABLE)["mend"], visited.picture["mend"]} == {"unset DRJIT_LIBLLVM_PATH"}
+    assert visited.about("scalar_spectral")["mark"] == OK
 
 
-def test_with_old_libraries_only_no_home_and_no_cache_renders_are_slow_but_work(tmp_path: Path):
-    """With the libraries of this system, where it has some; the wheel is hidden."""
+def test_doctor_old_libraries_no_home_no_cache_gives_notes(tmp_path: Path):
+    """With the libraries of this system only; the wheel is hidden."""
     hidden = written(tmp_path / "hidden", {"sitecustomize.py": HIDES_THE_WHEEL})
     lacking = before(hidden) | {"HOME": None, "PIXSIM_CACHE_DIR": "/dev/null/there"}
-    seen = visit(**lacking)
-    usable = [each for each in seen.found["findings"] if each["room"] == "LLVM" and each["facts"].get("origin") == variant.SYSTEM]
-    if any(each["facts"]["fault"] is None for each in usable):
+    visited = visit(**lacking)
+    llvm = [finding for finding in visited.result["findings"] if finding["room"] == "LLVM"]
+    system = [finding for finding in llvm if finding["facts"].get("origin") == variant.SYSTEM]
+    if any(finding["facts"]["fault"] is None for finding in system):
         pytest.skip("this system has a usable LLVM")
-    assert (seen.code, seen.problems, seen.picture["subject"]) == (0, [], "scalar_spectral")
-    assert [seen.about(each)["mark"] for each in ("llvm_ad_spectral", "libraries", "cache")] == [NOTE] * 3
-    assert all("15 or older" in each["found"] for each in usable if "/libLLVM-15" in each["found"])
-    assert "karellen-llvm-core" in seen.about("libraries")["mend"] or variant.LLVM_VARIABLE in seen.about("libraries")["mend"]
+    assert (visited.code, visited.problems, visited.picture["subject"]) == (0, [], "scalar_spectral")
+    assert [visited.about(subject)["mark"] for subject in ("llvm_ad_spectral", "libraries", "cache")] == [NOTE] * 3
+    assert all("15 or older" in finding["found"] for finding in system if "/libLLVM-15" in finding["found"])
+    assert "karellen-llvm-core" in visited.about("libraries")["mend"] or variant.LLVM_VARIABLE in visited.about("libraries")["mend"]
     picture = visit(f"run flat -D resolution=8 --display.dots 8 --json --out '{tmp_path / 'out'}'", **lacking)
     assert picture.code == 0
     assert "rendering with scalar_spectral, since no LLVM 17" in picture.err
 
 
 @pytest.mark.parametrize(("kind", "word"), [("gone", "no such file"), ("text", "no library"), ("folder", "a folder")])
-def test_a_variable_that_leads_to_no_library(kind: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_llvm_invalid_variable_is_problem(kind: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "text").write_text("no library")
     (tmp_path / "folder").mkdir()
     monkeypatch.setenv(variant.LLVM_VARIABLE, str(tmp_path / kind))
-    tried = trial.attempt("libraries", limit_s=HANG_S)
-    findings = list(doctor._llvm(tried, doctor.usable_llvm(tried)))
-    (own,) = (each for each in findings if each.subject == variant.LLVM_VARIABLE)
-    assert (own.mark, own.mend) == (PROBLEM, "unset DRJIT_LIBLLVM_PATH")
-    assert word in own.found
-    assert doctor.usable_llvm(tried) is None  # not another in its place: `pixsim run` refuses
+    libraries = trial.attempt("libraries", limit_s=HANG_S)
+    findings = doctor._llvm(libraries, doctor.usable_llvm(libraries))
+    (finding,) = (finding for finding in findings if finding.subject == variant.LLVM_VARIABLE)
+    assert (finding.mark, finding.mend) == (PROBLEM, "unset DRJIT_LIBLLVM_PATH")
+    assert word in finding.found
+    assert doctor.usable_llvm(libraries) is None  # no fallback: `pixsim run` raises an error
 
 
 # --- Mitsuba that fails, aborts, hangs, or is wrong ---
@@ -175,77 +176,77 @@ def test_a_variable_that_leads_to_no_library(kind: str, word: str, tmp_path: Pat
     ("text", "limit_s", "fault"),
     [
         ("raise ImportError('libfoo.so.3 is not there')", HANG_S, "fails: ImportError: libfoo.so.3 is not there"),
-        (f"import time; time.sleep({HANG_S})", 2, r"hangs: it was stopped after \d+ s"),
+        (f"import time; time.sleep({HANG_S})", 2, r"hangs: stopped after \d+ s"),
     ],
     ids=["import", "hang"],
 )
-def test_a_broken_mitsuba_is_a_finding(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_render_broken_mitsuba_is_problem(text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(written(tmp_path / "broken", {"mitsuba.py": text}))
-    found = doctor._picture(trial.attempt("render", limit_s=limit_s), None)
-    assert found.mark == PROBLEM
-    assert re.fullmatch(fault, found.found)
-    assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(found.mend)
+    finding = doctor._test_render(trial.attempt("render", limit_s=limit_s), None)
+    assert finding.mark == PROBLEM
+    assert re.fullmatch(fault, finding.found)
+    assert "pip install --force-reinstall 'mitsuba==3.9.*'" in str(finding.mend)
 
 
-def test_a_mitsuba_that_aborts_does_not_take_the_doctor_with_it(tmp_path: Path):
-    seen = visit(**before(written(tmp_path / "broken", {"mitsuba.py": "import os; os.abort()"})))
-    assert seen.code == 1
-    assert seen.problems == ["mitsuba", "Mitsuba"]  # the package, and the test render with it
-    assert "dies of signal 6 (SIGABRT)" in seen.picture["found"]
-    assert seen.about("scalar_spectral")["mark"] == NOTE
+def test_doctor_survives_aborting_mitsuba(tmp_path: Path):
+    visited = visit(**before(written(tmp_path / "broken", {"mitsuba.py": "import os; os.abort()"})))
+    assert visited.code == 1
+    assert visited.problems == ["mitsuba", "Mitsuba"]  # the package, and the test render with it
+    assert "dies of signal 6 (SIGABRT)" in visited.picture["found"]
+    assert visited.about("scalar_spectral")["mark"] == NOTE
 
 
-def test_a_wrong_picture_is_no_picture():
+def test_fault_wrong_image_is_reported():
     right = {"mean_error": 1e-5, "rms_error": 4e-3}
     judge = lambda **error: doctor._fault(trial.Trial([right | error], 1.0, 0, ""))  # noqa: E731
     assert judge() is None
     for wrong in ({"mean_error": -0.01}, {"rms_error": 0.1}, {"mean_error": float("nan")}, {"rms_error": float("nan")}):
         assert "wrong" in str(judge(**wrong))
-    assert doctor._fault(trial.Trial([], 1.0, 0, "")) == "says nothing"
+    assert doctor._fault(trial.Trial([], 1.0, 0, "")) == "gives no result"
 
 
-def test_the_lines_before_an_abort_count():
-    tried = trial.attempt("imports", "json", "nowhere_at_all", "antigravity_of_a_test", limit_s=HANG_S)
-    assert [line["module"] for line in tried.lines if "module" in line] == ["nowhere_at_all", "antigravity_of_a_test"]
+def test_broken_packages_uses_lines_before_abort():
+    imports = trial.attempt("imports", "json", "nowhere_at_all", "antigravity_of_a_test", limit_s=HANG_S)
+    assert [line["module"] for line in imports.lines if "module" in line] == ["nowhere_at_all", "antigravity_of_a_test"]
     aborting = trial.Trial([{"importing": "numpy"}, {"importing": "OpenEXR"}], 0.1, -6, "")
     required = {"numpy": ">=2.0", "openexr": ">=3.4"}
-    (found,) = doctor._broken_packages(required, {"numpy": "2.1", "openexr": "3.5"}, aborting)
-    assert (found.subject, found.mark) == ("openexr", PROBLEM)
-    assert "dies of signal 6" in found.found
+    (finding,) = doctor._broken_packages(required, {"numpy": "2.1", "openexr": "3.5"}, aborting)
+    assert (finding.subject, finding.mark) == ("openexr", PROBLEM)
+    assert "dies of signal 6" in finding.found
 
 
 # --- Packages ---
 
 
-def test_packages_that_are_missing_or_too_old_are_told():
+def test_broken_packages_missing_or_old_are_problems():
     required = requirements(
         ["numpy>=2.0", "mitsuba==3.9.*", "drjit", 'dask[distributed]>=2024.8; extra == "cluster"', "rich >=14.3"]
     )
     assert required == {"numpy": ">=2.0", "mitsuba": "==3.9.*", "drjit": "", "rich": ">=14.3"}
     versions = {"numpy": "1.26.4", "mitsuba": "3.9.1", "drjit": None, "rich": "14.3"}
-    found = list(doctor._broken_packages(required, versions, trial.Trial([], 0.1, 0, "")))
-    assert [(each.subject, each.mark) for each in found] == [("numpy", PROBLEM), ("drjit", PROBLEM)]
-    assert found[0].mend == doctor.pip("numpy>=2.0")
+    findings = list(doctor._broken_packages(required, versions, trial.Trial([], 0.1, 0, "")))
+    assert [(finding.subject, finding.mark) for finding in findings] == [("numpy", PROBLEM), ("drjit", PROBLEM)]
+    assert findings[0].mend == doctor.pip("numpy>=2.0")
 
 
-def test_a_checkout_on_the_path_is_not_installed():
-    found = list(doctor._software({}, trial.Trial([], 0.1, 0, "")))
-    assert [(each.subject, each.mark) for each in found if each.mark != OK] == [("pixsim", PROBLEM)]
-    assert "pip install -e" in str(found[0].mend)
+def test_software_without_metadata_is_problem():
+    findings = list(doctor._software({}, trial.Trial([], 0.1, 0, "")))
+    assert [(finding.subject, finding.mark) for finding in findings if finding.mark != OK] == [("pixsim", PROBLEM)]
+    assert "pip install -e" in str(findings[0].mend)
 
 
-def test_packages_are_imported_by_their_own_names():
-    names = [doctor.module_of(each) for each in ("OpenEXR", "colour-science", "pillow", "a-b", "numpy")]
+def test_module_of_returns_import_name():
+    names = [doctor.module_of(package) for package in ("OpenEXR", "colour-science", "pillow", "a-b", "numpy")]
     assert names == ["OpenEXR", "colour", "PIL", "a_b", "numpy"]
 
 
 @pytest.mark.parametrize(
-    ("version", "wanted", "fits"),
+    ("version", "allowed", "expected"),
     [("2.0.0rc1", ">=2.0", True), ("1.26.4", ">=2.0", False), ("10.0", ">=9", True), ("3.9", "==3.9.*", True),
      ("3.10.0", "==3.9.*", False), ("1.0+cpu2", ">=1.0", True), ("1", "", True), ("not a version", ">=1", False)],
 )  # fmt: skip
-def test_versions_in_a_range(version: str, wanted: str, fits: bool):
-    assert satisfies(version, wanted) == fits
+def test_satisfies_compares_versions(version: str, allowed: str, expected: bool):
+    assert satisfies(version, allowed) == expected
 
 
 # --- The machine ---
@@ -268,7 +269,7 @@ VERSION_1 = {
 
 
 @pytest.mark.parametrize("files", [VERSION_2, VERSION_1], ids=["version 2", "version 1"])
-def test_limits_of_a_container(files: dict[str, str], tmp_path: Path):
+def test_machine_container_limits_apply(files: dict[str, str], tmp_path: Path):
     root = written(tmp_path, files | {"proc/meminfo": "MemTotal: 4194304 kB\nMemAvailable: 2097152 kB\n"})
     assert machine.processors(root).granted == 1.5
     assert machine.processors(root).usable == 1
@@ -276,7 +277,7 @@ def test_limits_of_a_container(files: dict[str, str], tmp_path: Path):
     assert machine.memory(root).usable == 512 << 20
 
 
-def test_a_machine_that_tells_nothing_limits_nothing(tmp_path: Path):
+def test_machine_unknown_limits_are_none(tmp_path: Path):
     assert machine.processors(tmp_path).granted is None
     assert machine.memory(tmp_path) == machine.Memory(None, None, None)
     broken = written(tmp_path, {"proc/self/cgroup": "0::/\n", "sys/fs/cgroup/cpu.max": "max", "sys/fs/cgroup/memory.max": ""})
@@ -284,53 +285,51 @@ def test_a_machine_that_tells_nothing_limits_nothing(tmp_path: Path):
     assert machine.memory(broken).usable is None
 
 
-def test_a_folder_is_tried_without_a_trace(tmp_path: Path):
-    there = machine.folder_at(tmp_path / "a" / "b")
-    assert there.fault is None
-    assert there.free
+def test_check_folder_leaves_no_files(tmp_path: Path):
+    fault, free = machine.check_folder(tmp_path / "a" / "b")
+    assert fault is None
+    assert free
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").touch()
-    assert machine.folder_at(tmp_path / "file" / "b").fault == "Not a directory"
+    assert machine.check_folder(tmp_path / "file" / "b")[0] == "Not a directory"
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "mark", "mend"),
+    ("name", "value", "mark", "fix"),
     [
         ("PIXSIM_CACHE_GIB", "lots", PROBLEM, "unset PIXSIM_CACHE_GIB"),
         ("PIXSIM_CACHE_GIB", "0", OK, None),
         ("PIXSIM_CACHE_DIR", "/dev/null/there", NOTE, "export PIXSIM_CACHE_DIR=FOLDER"),
     ],
 )
-def test_caches(name: str, value: str, mark: str, mend: str | None, monkeypatch: pytest.MonkeyPatch):
+def test_cache_settings_give_mark_and_fix(name: str, value: str, mark: str, fix: str | None, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv(name, value)
-    found = doctor._cache()
-    assert (found.mark, found.mend) == (mark, mend)
+    finding = doctor._cache()
+    assert (finding.mark, finding.mend) == (mark, fix)
 
 
-def test_a_user_without_a_home_is_told_to_name_a_cache(monkeypatch: pytest.MonkeyPatch):
-    def homeless() -> Path:
-        raise RuntimeError("Could not determine home directory.")
-
+def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
+    no_home = Mock(side_effect=RuntimeError("Could not determine home directory."))
     monkeypatch.delenv("PIXSIM_CACHE_DIR")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", homeless)
+    monkeypatch.setattr(Path, "home", no_home)
     assert (doctor._cache().mark, doctor._cache().mend) == (PROBLEM, "export PIXSIM_CACHE_DIR=FOLDER")
 
 
 # --- The report ---
 
 
-def test_the_report_is_words_and_commands_that_can_be_copied():
-    mend = "export A=" + "x" * 200
+def test_report_wraps_text_but_not_commands():
+    fix = "export A=" + "x" * 200
     findings = [
-        Finding("room", "good", OK, "it is there"),
-        Finding("room", "bad", PROBLEM, "word " * 60, mend),
+        Finding("group", "good", OK, "text"),
+        Finding("group", "bad", PROBLEM, "word " * 60, fix),
         Finding("b", "c", NOTE, "-"),
     ]
     lines = report(findings, 80).splitlines()
-    assert lines[:2] == ["room", "  ok       good                 it is there"]
+    assert lines[:2] == ["group", "  ok       good                 text"]
     assert lines[2].startswith("  problem  bad ")
-    assert f"           mend it: {mend}" in lines
-    assert max(len(line) for line in lines if mend not in line) <= 80
-    assert lines[-1] == "pixsim does not work here as it is: 1 problem, 1 note"
-    assert report(findings[::2], 80).splitlines()[-1] == "renders work here: 0 problems, 1 note"
+    assert f"           to fix it: {fix}" in lines
+    assert max(len(line) for line in lines if fix not in line) <= 80
+    assert lines[-1] == "pixsim does not work on this machine: 1 problem, 1 note"
+    assert report(findings[::2], 80).splitlines()[-1] == "renders work on this machine: 0 problems, 1 note"

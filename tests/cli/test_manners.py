@@ -1,4 +1,4 @@
-"""What a shell and its user expect: what goes where, which exit code, how much is said, and what is left behind."""
+"""Behaviour in a shell: stdout and stderr, exit codes, verbosity, and files written."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from pixsim.cli.options import app
 SMALL = "-D resolution=64 --display.dots 64"
 
 
-# --- errors ------------------------------------------------------------------------------------------------------------
+# --- Errors ------------------------------------------------------------------------------------------------------------
 
 
-def test_all_errors_of_all_files_at_once_each_with_its_file(tmp_path: Path) -> None:
+def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
     first, second = tmp_path / "a.toml", tmp_path / "b c.toml"
     first.write_text('[pixel]\nbitz = 3\nprnu = 2\n[camera]\nf_number = "wide"\n', encoding="utf-8")
     second.write_text("[display]\ndots = 1\n[exposur]\n", encoding="utf-8")
     code, out, err = command("run csf --pixel.dsnu much --display.gamma 0 --config", first, "--config", second)
     assert (code, out) == (2, "")
-    wanted = [
+    expected = [
         rf"{first}: camera.f_number: got 'wide'; .*",
         rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\.",
         r"pixel.dsnu: got 'much'; .*",
@@ -42,31 +42,27 @@ def test_all_errors_of_all_files_at_once_each_with_its_file(tmp_path: Path) -> N
         rf"{second}: exposur: unknown name; .* Did you mean 'exposure'\?",
     ]
     lines = err.removeprefix("pixsim: ").splitlines()
-    assert len(lines) == len(wanted)
-    assert all(re.fullmatch(pattern, line) for pattern, line in zip(wanted, lines, strict=True)), err
+    assert len(lines) == len(expected)
+    assert all(re.fullmatch(pattern, line) for pattern, line in zip(expected, lines, strict=True)), err
 
 
 @pytest.mark.parametrize(
-    ("failure", "code", "said"),
+    ("failure", "code", "message"),
     [
-        (
-            RuntimeError("the moon is out"),
-            1,
-            "unexpected RuntimeError: the moon is out\nThis is a mistake of pixsim's. --verbose",
-        ),
+        (RuntimeError("the moon is out"), 1, "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose"),
         (MemoryError(), 1, "the system is out of memory"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_exit_codes(failure: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """0 is in most tests, 2 in those of refusals."""
+def test_main_exception_sets_exit_code(failure: BaseException, code: int, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Codes 0 and 2 are checked in other tests."""
     monkeypatch.setattr("pixsim.report.run.run_and_write", Mock(side_effect=failure))
     assert command("run csf")[:2] == (code, "")
-    assert command("run csf")[2].startswith(f"pixsim: {said}")
+    assert command("run csf")[2].startswith(f"pixsim: {message}")
     assert "Traceback" in command("run csf --verbose")[2]
 
 
-def test_cache_tells_its_folder_and_frees_what_it_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     (tmp_path / "render").mkdir()
     (tmp_path / "render/a.npz").write_bytes(b"x" * (1 << 20))
@@ -76,10 +72,10 @@ def test_cache_tells_its_folder_and_frees_what_it_holds(tmp_path: Path, monkeypa
     assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, 1 << 20, {})
 
 
-# --- what is said, and where -------------------------------------------------------------------------------------------
+# --- Output -------------------------------------------------------------------------------------------
 
 
-def test_help_goes_to_stdout_and_shows_json_and_an_example_of_every_command() -> None:
+def test_help_shows_usage_json_and_example() -> None:
     commands = sorted(name for name in app if not name.startswith("-"))
     assert {"run", "study", "plan", "accuracy", "datasheet", "sfr", "chart", "cache", "template", "schema"} <= set(commands)
     assert command("--version") == (0, f"{pixsim.__version__}\n", "")
@@ -91,8 +87,8 @@ def test_help_goes_to_stdout_and_shows_json_and_an_example_of_every_command() ->
         assert not name or re.search(rf"pixsim {name} \S|Example", text), name
 
 
-def test_results_go_to_stdout_and_all_else_to_stderr(tmp_path: Path) -> None:
-    # Brighter than the display can show: a warning.
+def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
+    # Brighter than display white, which gives a warning.
     line = f"run csf {SMALL} --display.white-cd-per-m2 10 --out {tmp_path / 'out'}"
     plain = process(f"{line} --json")
     assert plain.returncode == 0, plain.stderr
@@ -100,19 +96,19 @@ def test_results_go_to_stdout_and_all_else_to_stderr(tmp_path: Path) -> None:
     assert "warning: " in plain.stderr
     quiet = process(f"{line} --json --quiet")
     assert (quiet.returncode, quiet.stderr, quiet.stdout) == (0, "", plain.stdout)
-    told = process(f"-v {line}")
-    assert re.search(r"^render: \d+\.\d\d s$", told.stderr, re.MULTILINE)
-    assert told.stdout.startswith("mean ΔE")
+    verbose = process(f"-v {line}")
+    assert re.search(r"^render: \d+\.\d\d s$", verbose.stderr, re.MULTILINE)
+    assert verbose.stdout.startswith("mean ΔE")
 
 
 @pytest.mark.parametrize("line", ["--help", "run --help", "cache", "run nothing"])
-def test_no_colours_where_there_is_no_terminal(line: str) -> None:
+def test_output_without_terminal_has_no_colours(line: str) -> None:
     done = process(line, FORCE_COLOR="", TERM="xterm-256color")
     assert "\x1b" not in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_shells_complete_commands_and_options(shell: str) -> None:
+def test_completion_prints_valid_script(shell: str) -> None:
     code, out, _ = command(f"completion {shell}")
     assert code == 0
     for word in ("run", "study", "pixsim"):
@@ -121,8 +117,8 @@ def test_shells_complete_commands_and_options(shell: str) -> None:
         assert subprocess.run(["bash", "-n"], input=out, text=True, check=False, timeout=HANG_S).returncode == 0
 
 
-def test_options_and_files_have_the_same_names() -> None:
-    """What a help page lists as --table.name-of-field stands in a file as table.name_of_field."""
+def test_options_match_fields_of_files() -> None:
+    """An option --table.name-of-field has the name table.name_of_field in a file."""
     text = process("run --help", COLUMNS="200").stdout
     options = {name.replace("-", "_") for name in re.findall(r"--((?:camera|pixel|exposure|display)\.[a-z0-9-]+)", text)}
     fields = {
@@ -133,35 +129,35 @@ def test_options_and_files_have_the_same_names() -> None:
     assert options == fields
 
 
-def test_nothing_is_written_outside_the_output_and_the_cache(tmp_path: Path) -> None:
-    home, here, kept, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
+def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
+    home, here, cache, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
     for folder in (home, here):
         folder.mkdir()
-    own = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
-    own |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(kept)}
+    environment = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
+    environment |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(cache)}
     study = tmp_path / "s.toml"
     study.write_text(
         'name = "s"\nrepeats = 2\n[scene]\nparameters = { resolution = 64 }\n[display]\ndots = 64\n[pitch]\ncount = 5\n',
         encoding="utf-8",
     )
     for line in (f"run csf {SMALL} --out {out}/run", f"study {study} --jobs 2 --out {out}/study"):
-        done = process(line, folder=here, **own)
+        done = process(line, folder=here, **environment)
         assert done.returncode == 0, done.stderr
     assert list(home.rglob("*")) == []
-    assert list(here.rglob("*")) == [], "temporary files stay"
-    assert {path.name for path in kept.iterdir()} >= {"kernels"}
+    assert list(here.rglob("*")) == [], "temporary files remain"
+    assert {path.name for path in cache.iterdir()} >= {"kernels"}
 
 
-def test_kernels_are_kept_where_the_user_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_set_cache_folders_respects_user_variables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRJIT_CACHE_DIR", "mine")
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
-    options.keep_helpers_files_together()
+    options.set_cache_folders()
     assert os.environ["DRJIT_CACHE_DIR"] == "mine"
     assert os.environ["MPLCONFIGDIR"] == str(tmp_path / "matplotlib")
 
 
-def test_readme_shows_no_setting_that_does_not_exist() -> None:
+def test_readme_settings_are_valid() -> None:
     readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", readme, re.DOTALL)]
     assert tables

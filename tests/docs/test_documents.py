@@ -1,4 +1,4 @@
-"""README and the pages of docs/ do what they say: blocks are run, what is printed and drawn is what they show."""
+"""Blocks of README and docs/ are run; output and pictures must be those that the pages show."""
 
 from __future__ import annotations
 
@@ -28,53 +28,55 @@ def text_of(path: Path) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_a_page_does_what_it_says(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three minutes in all; `.ci/run` takes them."""
+def test_page_blocks_give_shown_output(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three minutes in total; part of `.ci/run`."""
     monkeypatch.setenv("MPLBACKEND", "agg")
     page = Page(path, tmp_path)
     page.run()
-    for shown, made in page.made:
-        assert shown.is_file(), f"{path.name} shows {shown.name}, which is not there"
-        assert alike_pictures(shown, made), f"{shown} is not what is made now: run python tests/helpers/documents.py {path}"
+    for shown, created in page.pictures:
+        assert shown.is_file(), f"{path.name} shows {shown.name}, which does not exist"
+        assert alike_pictures(shown, created), f"{shown} is outdated: run python tests/helpers/documents.py {path}"
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_no_block_is_left_out(path: Path) -> None:
-    """What is not run is a file that others use, what is printed, or is run elsewhere, and that place exists."""
+def test_page_blocks_are_all_checked(path: Path) -> None:
+    """A block is run, is the output or a file of others, or is run at another place that exists."""
     for block in blocks_of(text_of(path)):
         where = f"{path.name}, line {block.line}"
-        if "elsewhere" in block.told:
-            assert (ROOT / block.told["elsewhere"].partition(",")[0]).is_file(), where
+        if "elsewhere" in block.comments:
+            assert (ROOT / block.comments["elsewhere"].partition(",")[0]).is_file(), where
         elif block.language not in ("sh", "python", "picture") and not block.language.startswith("{"):  # a directive of the site
-            assert {"file", "output"} & block.told.keys(), f"{where}: neither run nor compared"
+            assert {"file", "output"} & block.comments.keys(), f"{where}: neither run nor compared"
 
 
 @pytest.mark.slow
-def test_readme_begins_with_the_commands_that_ci_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The study of its first line prints what README says, and draws its first picture."""
+def test_readme_first_study_gives_shown_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first study of README gives the output and the first picture that it shows."""
     elsewhere = [
-        block for block in blocks_of(text_of(README)) if block.told.get("elsewhere", "").startswith((".ci", "tests/docs/test_d"))
+        block
+        for block in blocks_of(text_of(README))
+        if block.comments.get("elsewhere", "").startswith((".ci", "tests/docs/test_d"))
     ]
     first, printed = elsewhere
     command = re.search(r"\.venv/bin/(pixsim study .*)", first.text)[1]
     page = tmp_path / "page.md"
     picture = next(line for line in text_of(README).splitlines() if line.startswith("!["))
-    made = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
-    parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {made} -->\n{picture}"]
+    created = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
+    parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {created} -->\n{picture}"]
     page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     shown = Page(page, tmp_path)
     shown.run()
-    ((_, drawn),) = shown.made
+    ((_, drawn),) = shown.pictures
     assert alike_pictures(ROOT / re.search(r"\(([^)]+)\)", picture)[1], drawn)
 
 
-# --- The paper's words and ours ---------------------------------------------------------------------------------------
+# --- Glossary of the paper's terms ---------------------------------------------------------------------------------------
 
 HOMES: dict[str, object] = {
-    each.__name__: each for each in (Pixel, PixelPhysics, ImagingChain, Frame, Exposure, Technology, Junction, Camera, Display)
+    kind.__name__: kind for kind in (Pixel, PixelPhysics, ImagingChain, Frame, Exposure, Technology, Junction, Camera, Display)
 }
-HOMES |= {each.__name__: each for each in (Score, Study, Curve)} | {"optics": pixsim.optics}
-OWN = {"optimum": Optimum}
+HOMES |= {kind.__name__: kind for kind in (Score, Study, Curve)} | {"optics": pixsim.optics}
+INNER = {"optimum": Optimum}
 WORDS = re.findall(r"^\| ([^|]+) \| ([^|]+) \| ([^|]+) \| `?(\w+)`? \|$", text_of(README), re.MULTILINE)
 
 
@@ -83,41 +85,41 @@ UNIT_OF |= {"_e_per_s": "electrons/s", "delta_e": "ΔE", "_per_deg": "dots/degre
 
 
 @pytest.mark.parametrize(("words", "ours", "unit", "home"), [row for row in WORDS if row[3] in HOMES], ids=lambda word: word[:20])
-def test_names_of_the_glossary_exist(words: str, ours: str, unit: str, home: str) -> None:
+def test_glossary_names_exist(words: str, ours: str, unit: str, home: str) -> None:
     names = re.findall(r"`([\w.]+)`", ours)
     assert names
     for name in names:
-        endings = [each for each in UNIT_OF if name.endswith(each)]
+        endings = [ending for ending in UNIT_OF if name.endswith(ending)]
         assert not endings or UNIT_OF[max(endings, key=len)] in unit, f"{name} is in {UNIT_OF[max(endings, key=len)]}"
     for name in names:
         first, _, second = name.partition(".")
         assert has(HOMES[home], first), f"{home} has no {first}"
-        assert not second or has(OWN[first], second), f"{first} has no {second}"
+        assert not second or has(INNER[first], second), f"{first} has no {second}"
 
 
 def has(home: object, name: str) -> bool:
     return name in getattr(home, "model_fields", {}) | getattr(home, "__dataclass_fields__", {}) | vars(home)
 
 
-def test_the_glossary_has_the_symbols_of_both_equations() -> None:
-    said = " ".join(row[0] for row in WORDS)
+def test_glossary_has_all_symbols() -> None:
+    terms = " ".join(row[0] for row in WORDS)
     for symbol in ("q_max", "i_dc", "i_ph", "t_int", "σ_r²", "DR", "SNR", "fill factor", "MTF", "f/#", "ΔE"):
-        assert symbol in said, symbol
+        assert symbol in terms, symbol
 
 
-# --- The runner itself can fail ---------------------------------------------------------------------------------------
+# --- The runner itself ---------------------------------------------------------------------------------------
 
 
-def test_blocks_and_what_is_told_of_them() -> None:
+def test_blocks_of_parses_comments() -> None:
     text = "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```sh\ntrue\n```\n\n<!-- picture: made.svg -->\n![a](b.svg)\n"
     file, command, picture = blocks_of(text)
-    assert (file.language, file.text, file.told, file.line) == ("toml", "x = 1\n", {"file": "a.toml"}, 2)
-    assert (command.language, command.told) == ("sh", {})
-    assert (picture.language, picture.text, picture.told) == ("picture", "b.svg", {"picture": "made.svg"})
+    assert (file.language, file.text, file.comments, file.line) == ("toml", "x = 1\n", {"file": "a.toml"}, 2)
+    assert (command.language, command.comments) == ("sh", {})
+    assert (picture.language, picture.text, picture.comments) == ("picture", "b.svg", {"picture": "made.svg"})
 
 
 @pytest.mark.parametrize(
-    ("said", "printed", "same"),
+    ("expected", "printed", "same"),
     [
         ("a 1", "b 1", False),
         ("mean ΔE 0.325 with 640 pixels", "mean ΔE 0.326 with 640 pixels", True),
@@ -135,8 +137,8 @@ def test_blocks_and_what_is_told_of_them() -> None:
         ("x 1.0e-04", "x 1.2e-04", False),
     ],
 )
-def test_what_is_printed_is_compared(said: str, printed: str, same: bool) -> None:
-    assert (difference(said, printed) == "") == same
+def test_difference_compares_output(expected: str, printed: str, same: bool) -> None:
+    assert (difference(expected, printed) == "") == same
 
 
 @pytest.mark.parametrize(
@@ -154,30 +156,22 @@ def test_what_is_printed_is_compared(said: str, printed: str, same: bool) -> Non
         "```sh\ntrue\n",
     ],
 )
-def test_a_page_that_does_not_do_what_it_says_fails(text: str, tmp_path: Path) -> None:
+def test_page_with_wrong_output_fails(text: str, tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text(text, encoding="utf-8")
     with pytest.raises(AssertionError):
         Page(tmp_path / "page.md", tmp_path).run()
 
 
-def test_pictures_are_compared(tmp_path: Path) -> None:
+def test_alike_pictures_detects_changes(tmp_path: Path) -> None:
     from PIL import Image
 
     grey = np.full((20, 30), 100, np.uint8)
-    for name, picture in {
-        "a": grey,
-        "b": grey + 1,
-        "c": np.where(np.arange(30) < 15, grey, 130).astype(np.uint8),
-        "d": grey[:10],
-    }.items():
+    halves = np.where(np.arange(30) < 15, grey, 130).astype(np.uint8)
+    for name, picture in zip("abcd", (grey, grey + 1, halves, grey[:10]), strict=True):
         Image.fromarray(picture).save(tmp_path / f"{name}.png")
-    for name, text in {
-        "a": '<path d="M 1.0 2.0"/>',
-        "b": '<path d="M 1.001 2.0"/>',
-        "c": '<path d="M 9.0 2.0"/>',
-        "d": '<g d="M 1.0 2.0"/>',
-    }.items():
-        (tmp_path / f"{name}.svg").write_text(text, encoding="utf-8")
+    for name, start in {"a": "path d", "b": "path d", "c": "path d", "d": "g d"}.items():
+        x = {"b": 1.001, "c": 9.0}.get(name, 1.0)
+        (tmp_path / f"{name}.svg").write_text(f'<{start}="M {x} 2.0"/>', encoding="utf-8")
     for kind in ("png", "svg"):
         same = {name: alike_pictures(tmp_path / f"a.{kind}", tmp_path / f"{name}.{kind}") for name in "abcd"}
         assert same == {"a": True, "b": True, "c": False, "d": False}

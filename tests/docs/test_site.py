@@ -1,4 +1,4 @@
-"""The site: one command builds it without a warning, every link leads somewhere, and it opens from disk on a telephone too."""
+"""The documentation site builds without warnings, has no dead links, and works from disk and on narrow screens."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import re
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ MARKDOWN = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "scenes/README.md"
 
 
 def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess[str]:
-    """The site's command, with another builder where one is asked for."""
+    """Build the site with a builder of Sphinx."""
     command = [sys.executable, "-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", builder, "-d", str(out / "../trees")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run([*command, str(DOCS), str(out)], capture_output=True, encoding="utf-8", env=environment, timeout=HANG_S)
@@ -40,7 +39,7 @@ def sphinx(builder: str, out: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built once: 9 s."""
+    """The site in HTML, which takes 9 s."""
     out = tmp_path_factory.mktemp("site") / "html"
     done = sphinx("html", out)
     assert done.returncode == 0, done.stderr
@@ -49,7 +48,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Page(HTMLParser):
-    """What a page can be pointed at, where it points, and what it fetches."""
+    """Anchors, links and fetched resources of a page."""
 
     FETCHED = ("img", "script", "link", "iframe", "source", "video", "audio", "embed", "object")
 
@@ -61,12 +60,12 @@ class Page(HTMLParser):
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        told = {name: value or "" for name, value in attrs}
-        self.ids |= {told[name] for name in ("id", "name") if name in told}
-        if tag == "a" and "href" in told:
-            self.links.append(told["href"])
-        if tag in self.FETCHED and told.get("rel", "stylesheet") in ("stylesheet", "icon", "preload", "prefetch", "manifest"):
-            self.fetched += [told[name] for name in ("src", "href", "srcset", "data") if name in told]
+        values = {name: value or "" for name, value in attrs}
+        self.ids |= {values[name] for name in ("id", "name") if name in values}
+        if tag == "a" and "href" in values:
+            self.links.append(values["href"])
+        if tag in self.FETCHED and values.get("rel", "stylesheet") in ("stylesheet", "icon", "preload", "prefetch", "manifest"):
+            self.fetched += [values[name] for name in ("src", "href", "srcset", "data") if name in values]
 
 
 @pytest.fixture(scope="module")
@@ -75,12 +74,12 @@ def pages(site: Path) -> dict[Path, Page]:
 
 
 def written(pages: dict[Path, Page]) -> list[Path]:
-    """Pages that were written, not made: neither indices nor source code."""
+    """Pages without indices and source code."""
     return [path for path in pages if "_modules" not in path.parts and path.stem not in ("genindex", "py-modindex", "search")]
 
 
 def dead_links(pages: dict[Path, Page]) -> tuple[list[str], int]:
-    """Links to files or anchors that are not there, and how many were looked at."""
+    """Links to missing files or anchors, and the number of links checked."""
     wrong, checked = [], 0
     for path, page in pages.items():
         for link in page.links:
@@ -96,25 +95,25 @@ def dead_links(pages: dict[Path, Page]) -> tuple[list[str], int]:
     return wrong, checked
 
 
-def test_every_link_leads_somewhere(pages: dict[Path, Page]) -> None:
+def test_site_has_no_dead_links(pages: dict[Path, Page]) -> None:
     wrong, checked = dead_links(pages)
     assert not wrong
     assert checked > 1000
 
 
-def test_a_dead_link_is_found(tmp_path: Path) -> None:
+def test_dead_links_detects_missing_targets(tmp_path: Path) -> None:
     path = tmp_path.resolve() / "a.html"
     path.write_text('<p id="here"><a href="#here"></a><a href="a.html#gone"></a><a href="b.html"></a>', encoding="utf-8")
     assert dead_links({path: Page(path)}) == (["a.html: a.html#gone, no such anchor", "a.html: b.html"], 3)
 
 
-def test_links_to_elsewhere_are_well_formed(pages: dict[Path, Page]) -> None:
+def test_site_external_links_are_well_formed(pages: dict[Path, Page]) -> None:
     elsewhere = {link for page in pages.values() for link in page.links if urlsplit(link).scheme not in ("", "mailto")}
     assert elsewhere
     assert all(urlsplit(link).scheme == "https" and re.fullmatch(r"[\w.-]+\.\w+", urlsplit(link).netloc) for link in elsewhere)
 
 
-def test_nothing_comes_from_the_network(site: Path, pages: dict[Path, Page]) -> None:
+def test_site_loads_nothing_from_network(site: Path, pages: dict[Path, Page]) -> None:
     fetched = [(path, link) for path, page in pages.items() for link in page.fetched]
     assert fetched
     for path, link in fetched:
@@ -129,49 +128,43 @@ def test_nothing_comes_from_the_network(site: Path, pages: dict[Path, Page]) -> 
         assert not re.search(r"(fetch|importScripts|import|open)\(\s*['\"`](https?:)?//", code), script
 
 
-def test_every_public_name_has_an_entry(site: Path, pages: dict[Path, Page]) -> None:
-    """Functions, classes, methods, and fields of records; those that a public record has all of are told there."""
-    told = {each for path, page in pages.items() if "reference" in path.parts for each in page.ids}
+def test_reference_has_every_public_name(site: Path, pages: dict[Path, Page]) -> None:
+    """Functions, classes, methods and fields of records; inherited fields are described with the public record."""
+    entries = {anchor for path, page in pages.items() if "reference" in path.parts for anchor in page.ids}
     public = [getattr(pixsim, name) for name in pixsim.__all__]
-    heirs = [kind for kind in CLASSES.values() if any(kind in getattr(each, "__mro__", ())[1:] for each in public)]
+    heirs = [kind for kind in CLASSES.values() if any(kind in getattr(thing, "__mro__", ())[1:] for thing in public)]
     names = set(PUBLIC)
     names |= {f"{name}.{field}" for name, kind in CLASSES.items() if kind not in heirs for field in fields(kind)}
-    inherited = {name for name in names if name.endswith(".content_hash")}  # told of `Record`
-    assert names - inherited - told == set()
-    assert "pixsim.base.parameters.Record.content_hash" in told
+    inherited = {name for name in names if name.endswith(".content_hash")}  # described with `Record`
+    assert names - inherited - entries == set()
+    assert "pixsim.base.parameters.Record.content_hash" in entries
 
 
-def commands() -> Iterator[tuple[str, Any]]:
-    for name in app:
-        if not name.startswith("-"):
-            yield name, app[name]
-
-
-@pytest.mark.parametrize("name", [name for name, _ in commands()])
-def test_every_command_is_told_with_its_options(name: str, site: Path) -> None:
+@pytest.mark.parametrize("name", [name for name in app if not name.startswith("-")])
+def test_reference_has_every_command_and_option(name: str, site: Path) -> None:
     text = re.sub(r"<[^>]+>", "", (site / "reference/command_line.html").read_text(encoding="utf-8"))
     words = {word for argument in app[name].assemble_argument_collection() if argument.show for word in argument.names}
     words = {word for word in words if not word.startswith(("--no-", "--empty-"))}  # the app has none
     assert words
-    own = re.split(r"\n\s*pixsim \w+¶", text[text.index(f"pixsim {name}¶") :])[0]
-    assert {word for word in words if word not in own} == set()
-    assert f"\npixsim {name} " in own, "how it is used, however this was built"
-    assert not re.search(r"^-?[^:\n]+: *\[(required|default|choices)", own, re.MULTILINE), "an option that nothing is said of"
+    section = re.split(r"\n\s*pixsim \w+¶", text[text.index(f"pixsim {name}¶") :])[0]
+    assert {word for word in words if word not in section} == set()
+    assert f"\npixsim {name} " in section, "no usage"
+    assert not re.search(r"^-?[^:\n]+: *\[(required|default|choices)", section, re.MULTILINE), "an option without a description"
 
 
 def anchors(path: Path) -> set[str]:
-    """Of a Markdown file's headings, as GitHub names them."""
+    """Anchors of the headings of a Markdown file, as on GitHub."""
     text = re.sub(r"^(```|~~~).*?^\1", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    found: set[str] = set()
+    slugs: set[str] = set()
     for heading in re.findall(r"^#{1,6} +(.+?)\s*#*$", text, re.MULTILINE):
         words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading)
         slug = re.sub(r"[^\w\- ]", "", words.lower()).strip().replace(" ", "-")
-        found.add(slug if slug not in found else f"{slug}-{sum(each.startswith(slug) for each in found)}")
-    return found
+        slugs.add(slug if slug not in slugs else f"{slug}-{sum(other.startswith(slug) for other in slugs)}")
+    return slugs
 
 
 @pytest.mark.parametrize("path", MARKDOWN, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_links_in_markdown_lead_somewhere(path: Path) -> None:
+def test_markdown_has_no_dead_links(path: Path) -> None:
     text = re.sub(r"^(```|~~~).*?^\1|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     for link in re.findall(r"\]\(([^()\s]+)\)", text):
         parts = urlsplit(link)
@@ -183,8 +176,8 @@ def test_links_in_markdown_lead_somewhere(path: Path) -> None:
         assert not parts.fragment or parts.fragment in anchors(target), link
 
 
-def test_markdown_links_become_pages_or_paths(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A page's link stays one wherever its text is shown; another file's becomes its path; one to nothing is told."""
+def test_rewritten_converts_markdown_links(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link to a page stays a link; a link to another file becomes its path; a dead link is logged."""
     monkeypatch.syspath_prepend(str(DOCS))
     from from_markdown import rewritten
 
@@ -219,32 +212,32 @@ onload = () => {{
 </script>"""
 
 
-def looked_at(shown: list[Path], width: int, folder: Path) -> list[Any]:
-    """[room, width of what is in it, title, pictures that are missing, elements that stick out] of each page."""
+def measured(shown: list[Path], width: int, folder: Path) -> list[Any]:
+    """[available width, needed width, title, missing pictures, overflowing elements] of each page."""
     sources = [f'width="{width}" src="{path.as_uri()}"' for path in shown]
-    return in_frames(FRAMES, sources, 900, folder, "--allow-file-access-from-files")  # pages on disk may read one another
+    return in_frames(FRAMES, sources, 900, folder, "--allow-file-access-from-files")  # frames may read pages on disk
 
 
 @needs_browser
 @pytest.mark.parametrize("width", [400, 1280])
-def test_nothing_sticks_out_of_a_page(width: int, pages: dict[Path, Page], tmp_path: Path) -> None:
-    """A telephone and a desk; wide tables and code scroll within themselves."""
+def test_site_pages_fit_width(width: int, pages: dict[Path, Page], tmp_path: Path) -> None:
+    """On a telephone and a desktop; wide tables and code scroll."""
     shown = written(pages)
     assert len(shown) > 15
-    for path, (room, wide, name, missing, out) in zip(shown, looked_at(shown, width, tmp_path), strict=True):
+    for path, (available, needed, name, missing, out) in zip(shown, measured(shown, width, tmp_path), strict=True):
         assert name, path
-        assert width - 20 <= room <= width, "the frame is as wide as it should be, but for a scroll bar"
-        assert wide <= room, path
+        assert width - 20 <= available <= width, "the frame has its width, except for a scroll bar"
+        assert needed <= available, path
         assert missing == [], path
         assert out == [], path
 
 
 @needs_browser
-def test_what_sticks_out_is_found(tmp_path: Path) -> None:
+def test_measured_detects_overflow(tmp_path: Path) -> None:
     page = tmp_path / "wide.html"
     page.write_text('<title>w</title><article><p style="width: 600px">w<img src="gone.png"></article>', encoding="utf-8")
-    ((room, wide, _, missing, out),) = looked_at([page], 400, tmp_path)
-    assert room <= 400 < wide
+    ((available, needed, _, missing, out),) = measured([page], 400, tmp_path)
+    assert available <= 400 < needed
     assert len(missing) == len(out) == 1
 
 
@@ -256,18 +249,18 @@ PRINTED = {
 
 @needs_browser
 @pytest.mark.parametrize("name", PRINTED)
-def test_a_page_as_pdf_has_its_words(name: str, site: Path, tmp_path: Path) -> None:
+def test_printed_page_contains_text(name: str, site: Path, tmp_path: Path) -> None:
     pytest.importorskip("pypdf", reason="pypdf is not installed")
     sheets = print_page(site / f"{name}.html", tmp_path).pages
     words = re.sub(r"\s+", " ", " ".join(sheet.extract_text() for sheet in sheets))
     assert 2 <= len(sheets) <= 8
-    for told in PRINTED[name]:
-        assert told in words
-    assert "Skip to content" not in words, "a link for keyboards would lie over the text"
+    for text in PRINTED[name]:
+        assert text in words
+    assert "Skip to content" not in words, "a keyboard link would cover the text"
 
 
 @pytest.mark.slow
-def test_the_site_is_the_same_bytes_each_time(site: Path, tmp_path: Path) -> None:
+def test_site_build_is_reproducible(site: Path, tmp_path: Path) -> None:
     again = tmp_path / "html"
     assert sphinx("html", again).returncode == 0
     files = {path.relative_to(site): path.read_bytes() for path in site.rglob("*") if path.is_file()}
@@ -277,7 +270,7 @@ def test_the_site_is_the_same_bytes_each_time(site: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_pages_elsewhere_are_there(tmp_path: Path) -> None:
+def test_site_external_links_exist(tmp_path: Path) -> None:
     try:
         socket.create_connection(("www.python.org", 443), 5).close()
     except OSError as error:

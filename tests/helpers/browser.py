@@ -1,4 +1,4 @@
-"""Pages as headless Chromium shows and prints them; tests that need it are skipped where there is none."""
+"""Pages as headless Chromium shows and prints them; tests that need it are skipped if it is missing."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="neither chromium nor google-chrome is on PATH")
 WIDTHS = (400, 1280)  # a telephone and a desk
 MIN_TEXT_PX = 12
-QUIET = ("background-networking", "component-update", "sync", "extensions", "default-apps", "quic", "gpu")
+FLAGS = ("headless", "no-sandbox", "no-first-run", "window-size=1600,1200", "enable-logging=stderr")
+DISABLED = ("background-networking", "component-update", "sync", "extensions", "default-apps", "quic", "gpu")
 
-# The page at every width in a browser that is started once; what it finds comes back as the title.
+# Measure the page at every width in one start of the browser; the result is returned as the title.
 FRAMES = """<!DOCTYPE html><title></title>{frames}
 <script>
 function seen(frame) {{
@@ -33,7 +34,7 @@ function seen(frame) {{
     if (text.data.trim() && shown(text.parentElement))
       smallest = Math.min(smallest, parseFloat(frame.contentWindow.getComputedStyle(text.parentElement).fontSize));
   return {{
-    room: root.clientWidth, wide: Math.max(root.scrollWidth, page.body.scrollWidth), smallest,
+    available: root.clientWidth, needed: Math.max(root.scrollWidth, page.body.scrollWidth), smallest,
     pictures: [...page.images].map(each => each.naturalWidth),
     outside: [...page.images].filter(each => at(each).right > root.clientWidth && !each.closest(".scroll")).length,
     tiles: [...page.querySelectorAll(".tile img")].map(
@@ -65,12 +66,12 @@ onload = () => document.title = JSON.stringify([...document.querySelectorAll("if
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What a page is at one width; see `FRAMES`."""
+class PageView:
+    """Measurements of a page at one width; see `FRAMES`."""
 
     width: int
-    room: int
-    wide: int
+    available: int
+    needed: int
     smallest: float
     pictures: list[int]
     outside: int
@@ -81,21 +82,14 @@ class Seen:
 
 
 def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Chromium, told to stay off the network."""
-    command = [
-        BROWSER,
-        "--headless",
-        "--no-sandbox",
-        "--no-first-run",
-        "--window-size=1600,1200",
-        f"--user-data-dir={folder}/profile",
-    ]
-    command += [*(f"--disable-{name}" for name in QUIET), "--enable-logging=stderr", *arguments]
+    """Run Chromium without network services."""
+    flags = [*FLAGS, f"user-data-dir={folder}/profile", *(f"disable-{name}" for name in DISABLED)]
+    command = [BROWSER, *(f"--{flag}" for flag in flags), *arguments]
     return subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=True, timeout=HANG_S)
 
 
 def in_frames(script: str, sources: list[str], height: int, folder: Path, *arguments: str) -> list[Any]:
-    """What a script, which puts JSON into its page's title, finds in frames (`width="…" src="…"`); no errors in the console."""
+    """Results of a script in frames (`width="…" src="…"`), which it writes to the title as JSON; the console has no errors."""
     frame = folder / "frames.html"
     frames = "\n".join(f'<iframe height="{height}" style="border: 0" {source}></iframe>' for source in sources)
     frame.write_text(script.format(frames=frames), encoding="utf-8")
@@ -103,49 +97,46 @@ def in_frames(script: str, sources: list[str], height: int, folder: Path, *argum
     assert "CONSOLE" not in done.stderr, done.stderr
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
     assert title
-    found: list[Any] = json.loads(html.unescape(title[1]))
-    assert len(found) == len(sources)
-    return found
+    results: list[Any] = json.loads(html.unescape(title[1]))
+    assert len(results) == len(sources)
+    return results
 
 
-def see(page: Path, folder: Path) -> list[Seen]:
+def views_of(page: Path, folder: Path) -> list[PageView]:
     """The page at each of `WIDTHS`."""
     text = html.escape(page.read_text(encoding="utf-8"))
-    found = in_frames(FRAMES, [f'width="{width}" srcdoc="{text}"' for width in WIDTHS], 20000, folder)
-    return [Seen(width, **each) for width, each in zip(WIDTHS, found, strict=True)]
+    results = in_frames(FRAMES, [f'width="{width}" srcdoc="{text}"' for width in WIDTHS], 20000, folder)
+    return [PageView(width, **result) for width, result in zip(WIDTHS, results, strict=True)]
 
 
-def assert_fits(page: Path, folder: Path) -> list[Seen]:
-    """Nothing sticks out, all pictures load, text can be read, 1:1 is 1:1, and everything has a name, at every width."""
-    found = see(page, folder)
-    for seen in found:
-        assert seen.width - 20 <= seen.room <= seen.width, "the frame is as wide as it should be, but for a scroll bar"
-        assert seen.wide <= seen.room
-        assert seen.pictures
-        assert min(seen.pictures) > 0, "a picture that did not load"
-        assert seen.outside == 0
-        assert seen.smallest >= MIN_TEXT_PX
-        assert all(natural == shown for tile in seen.tiles for natural, shown in (tile[:2], tile[2:]))
-        assert seen.unnamed == 0
-        levels = [level for level, _ in seen.headings]
-        assert levels[0] == 1
-        assert levels.count(1) == 1
+def assert_fits(page: Path, folder: Path) -> list[PageView]:
+    """At every width nothing overflows, pictures load, text is legible, tiles are 1:1, and all elements have names."""
+    views = views_of(page, folder)
+    for view in views:
+        assert view.width - 20 <= view.available <= view.width, "the frame has its width, except for a scroll bar"
+        assert view.needed <= view.available
+        assert min(view.pictures, default=0) > 0, "a picture is missing or did not load"
+        assert view.outside == 0
+        assert view.smallest >= MIN_TEXT_PX
+        assert all(natural == shown for tile in view.tiles for natural, shown in (tile[:2], tile[2:]))
+        assert view.unnamed == 0
+        levels = [level for level, _ in view.headings]
+        assert (levels[0], levels.count(1)) == (1, 1)
         assert all(below <= above + 1 for above, below in pairwise(levels))
-    return found
+    return views
 
 
-def assert_sliders_move(found: list[Seen], pictures: int) -> None:
-    """Left of the border lies the ideal image, right of it the chosen output, by what a pointer meets there."""
-    for seen in found:
-        assert seen.sliders
-        for slider in seen.sliders:
-            assert slider["live"]
-            assert slider["focusable"]
+def assert_sliders_move(views: list[PageView], pictures: int) -> None:
+    """The ideal image is left of the border, the chosen output right of it."""
+    for view in views:
+        assert view.sliders
+        for slider in view.sliders:
+            assert (slider["live"], slider["focusable"]) == (True, True)
             assert len(slider["results"]) == 3 * pictures
             assert slider["spoken"] == [f"{value} % of the width is the ideal image" for value, *_ in slider["results"]]
             for index, (value, *met) in enumerate(slider["results"]):
                 expected = ["ideal" if share < value else f"out out-{index // 3}" for share in (10, 30, 60, 90)]
-                assert met == expected, (seen.width, value)
+                assert met == expected, (view.width, value)
 
 
 def print_page(page: Path, folder: Path) -> Any:
@@ -157,17 +148,17 @@ def print_page(page: Path, folder: Path) -> Any:
 
 
 def assert_prints(
-    page: Path, folder: Path, pages: range, told: list[str], headings: list[str], pictured: list[str] | None = None
+    page: Path, folder: Path, pages: range, texts: list[str], headings: list[str], pictured: list[str] | None = None
 ) -> None:
-    """As many pages as expected, words in them, no picture over an edge, and no heading alone at the foot of a page.
+    """The print has the pages and texts expected, no clipped picture, and no heading alone at the foot of a page.
 
-    pictured : headings that have a bitmap under them on their page; figures of lines are printed as lines
+    pictured : headings with a bitmap below them on their page; vector figures stay vectors
     """
     reader = print_page(page, folder)
     assert len(reader.pages) in pages
     shown, text = set[str](), ""
     for number, sheet in enumerate(reader.pages, 1):
-        width, height = (float(each) for each in sheet.mediabox[2:])
+        width, height = (float(length) for length in sheet.mediabox[2:])
         lines: dict[float, str] = {}
         boxes: list[tuple[float, float, float, float]] = []
 
@@ -185,20 +176,20 @@ def assert_prints(
         for left, low, right, high in boxes:
             assert -1 <= left <= right <= width + 1, f"page {number}"
             assert -1 <= low <= high <= height + 1, f"page {number}"
-        for each in pictured or []:
-            places = [place for place, line in lines.items() if squeezed(line) == squeezed(each)]
+        for heading in pictured or []:
+            places = [place for place, line in lines.items() if squeezed(line) == squeezed(heading)]
             if places and any(low < places[0] for _, low, _, _ in boxes):
-                shown.add(each)
+                shown.add(heading)
         text += squeezed("".join(lines.values()))
         for place, line in lines.items():
-            if squeezed(line) in {squeezed(each) for each in headings}:
+            if squeezed(line) in {squeezed(heading) for heading in headings}:
                 assert place > FOOT_PT, f"page {number}: {line!r} stands alone at its foot"
     assert shown == set(pictured or [])
-    for each in [*told, *headings]:
-        assert squeezed(each) in text, each
+    for words in [*texts, *headings]:
+        assert squeezed(words) in text, words
 
 
-FOOT_PT = 70  # a margin of 0.4 inch (29 pt) and a line or two of what follows
+FOOT_PT = 70  # a margin of 0.4 inch (29 pt) and one or two lines
 
 
 def squeezed(text: str) -> str:

@@ -1,8 +1,8 @@
 """Simulated studies of known curves, for tests and benchmarks of the interval of the optimum.
 
-A curve is a smooth fit to a dense sweep (tests/data/dense_sweeps): the mean of the posterior of a quadratic plus a Wiener
-process integrated twice in the logarithm of the photodiode's width, at the stiffness and the residual of largest likelihood.
-A simulated study draws the places of its pitches anew, a residual that the sensors of a pitch share, and their noise.
+A curve is a smooth fit to a dense sweep (tests/data/dense_sweeps): the posterior mean of a quadratic plus a twice integrated
+Wiener process in the logarithm of the photodiode width, at the maximum likelihood of stiffness and residual. A simulated
+study draws its pitches, a residual that the sensors of a pitch share, and the noise of each sensor.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
 from pixsim.studies.study import load_study
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
-# Of the sweeps of chen2000; the photodiodes of the others are in proportion to the pitch.
+# Of the sweeps of chen2000; in the others the photodiode width is proportional to the pitch.
 TECHNOLOGIES = {"chen2000_0.35um": "0.35um", "near_an_end": "0.5um", "at_the_end": "0.35um", "skewed": "0.18um"}
-SENSORS = 8  # of each pitch of a sweep
-STIFFNESSES = np.geomspace(0.1, 10.0, 21)  # of the least mean ΔE
-RESIDUALS = np.arange(0.0, 2.1, 0.25)  # of the standard error of a pitch of a sweep
-PLACES = 20001  # at which a curve is known: steps of 0.01 % of a pitch
+SENSORS = 8  # at each pitch of a sweep
+STIFFNESSES = np.geomspace(0.1, 10.0, 21)  # relative to the least mean ΔE
+RESIDUALS = np.arange(0.0, 2.1, 0.25)  # relative to the standard error at a pitch of a sweep
+PLACES = 20001  # samples of a curve: steps of 0.01 % of a pitch
 Widths = Callable[[Array], Array]
 Sensors = dict[float, int]  # pitch in µm -> number of sensors
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A curve of mean ΔE against pitch, and how sensors scatter about it.
+    """A curve of mean ΔE against pitch, and the scatter of sensors about it.
 
-    width_um : photodiode width of pixel pitches; None where it is in proportion
-    stiffness : the likeliest, of the least mean ΔE
+    width_um : photodiode width of pixel pitches; None if it is proportional to the pitch
+    stiffness : most likely stiffness, relative to the least mean ΔE
     noise : relative standard deviation of one sensor's mean ΔE
-    residual : relative standard deviation that the sensors of a pitch share, the likeliest
+    residual : most likely relative standard deviation that the sensors of a pitch share
     """
 
     name: str
@@ -57,11 +57,11 @@ class Truth:
         return float(np.exp(self.log_pitch[self.curve.argmin()]))
 
     def delta_e(self, pitch_um: Array) -> Array:
-        """Expected mean ΔE of some pitches, (n,)."""
+        """Expected mean ΔE at pitches, (n,)."""
         return np.interp(np.log(pitch_um), self.log_pitch, self.curve)
 
     def least_between(self, low_um: float, high_um: float) -> float:
-        """The least mean ΔE of the pitches between two."""
+        """The least mean ΔE of the pitches between two limits."""
         best_um = min(max(self.best_um, low_um), high_um)
         return float(self.delta_e(np.array([best_um]))[0])
 
@@ -73,15 +73,12 @@ def truth_of(name: str) -> Truth:
     technology = TECHNOLOGIES.get(name)
     width_um = partial(photodiode_widths_um, load_study("chen2000"), technology) if technology else None
     width = width_um or (lambda pitch: pitch)
-    u, least, noise = (
-        np.log(width(pitch_um) / width(pitch_um[:1])),
-        float(mean.min()),
-        float(np.sqrt(np.mean((spread / mean) ** 2))),
-    )
+    u, least = np.log(width(pitch_um) / width(pitch_um[:1])), float(mean.min())
+    noise = float(np.sqrt(np.mean((spread / mean) ** 2)))
     y, basis = mean / least, np.vander(u, 3)
 
-    def solved(stiffness: float, residual: float) -> tuple[float, Array, Array]:
-        """Log-likelihood with the quadratic integrated over, coefficients of the quadratic, and weights of the process."""
+    def solve(stiffness: float, residual: float) -> tuple[float, Array, Array]:
+        """Log-likelihood marginalised over the quadratic, coefficients of the quadratic, and weights of the process."""
         variance = y**2 * noise**2 / SENSORS * (1 + residual**2)
         inverse = np.linalg.inv(stiffness**2 * integrated_wiener(u, u) + np.diag(variance))
         information = basis.T @ inverse @ basis
@@ -91,8 +88,8 @@ def truth_of(name: str) -> Truth:
         return (determinants - weights @ (y - basis @ beta)) / 2, beta, weights
 
     options = [(stiffness, residual) for stiffness in STIFFNESSES for residual in RESIDUALS]
-    stiffness, residual = max(options, key=lambda each: solved(*each)[0])
-    _, beta, weights = solved(stiffness, residual)
+    stiffness, residual = max(options, key=lambda option: solve(*option)[0])
+    _, beta, weights = solve(stiffness, residual)
     log_pitch = np.linspace(np.log(pitch_um[0]), np.log(pitch_um[-1]), PLACES)
     places = np.maximum(np.log(width(np.exp(log_pitch)) / width(pitch_um[:1])), 0.0)
     curve = least * (np.vander(places, 3) @ beta + stiffness**2 * integrated_wiener(places, u) @ weights)
@@ -101,13 +98,13 @@ def truth_of(name: str) -> Truth:
 
 def integrated_wiener(one: Array, other: Array) -> Array:
     """Covariance of a Wiener process integrated twice from 0, (one, other)."""
-    least, apart = np.minimum(one[:, None], other), np.abs(one[:, None] - other)
-    return least**5 / 20 + apart * least**4 / 8 + apart**2 * least**3 / 12
+    least, distance = np.minimum(one[:, None], other), np.abs(one[:, None] - other)
+    return least**5 / 20 + distance * least**4 / 8 + distance**2 * least**3 / 12
 
 
 @dataclass(frozen=True)
 class SimulatedStudy:
-    """What the sensors of a study would give, drawn when first asked for and the same ever after."""
+    """Simulated results of the sensors of a study, drawn on first use and stored."""
 
     truth: Truth
     rng: np.random.Generator
@@ -115,12 +112,12 @@ class SimulatedStudy:
     _level: dict[float, float] = field(default_factory=dict)
 
     def pitches_um(self, count: int) -> Array:
-        """One pitch, evenly drawn in its logarithm, from each of so many equal parts of the sweep's range."""
+        """One pitch, uniform in its logarithm, from each of `count` equal parts of the range."""
         ends = np.linspace(self.truth.log_pitch[0], self.truth.log_pitch[-1], count + 1)
         return np.exp(self.rng.uniform(ends[:-1], ends[1:]))
 
     def measured(self, sensors: Sensors) -> tuple[Array, Array]:
-        """Pitches (P,) and mean ΔE of their sensors (P, R), NaN where a pitch has fewer."""
+        """Pitches (P,) and mean ΔE of their sensors (P, R), padded with NaN."""
         for pitch_um, count in sensors.items():
             if pitch_um not in self._level:
                 expected = float(self.truth.delta_e(np.array([pitch_um]))[0])
@@ -137,7 +134,7 @@ class SimulatedStudy:
         return fit_curve(*self.measured(sensors), self.truth.width_um)
 
     def rounds(self, sensors: Sensors, max_sensors: int) -> Iterator[tuple[Sensors, FittedCurve]]:
-        """The study after each round of additions, the start included, as long as additions are possible."""
+        """The study at the start and after each round of additions, until none is possible."""
         while True:
             fit = self.fit(sensors)
             yield sensors, fit
@@ -148,13 +145,13 @@ class SimulatedStudy:
 
 
 def simulated(name: str, number: int, pitches: int, repeats: int) -> tuple[SimulatedStudy, Sensors]:
-    """The simulated study with a `number`, and what it begins with; the same on every machine."""
+    """The simulated study with a `number`, and its initial sensors; the same on every machine."""
     study = SimulatedStudy(truth_of(name), np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number]))
     return study, dict.fromkeys(study.pitches_um(pitches).tolist(), repeats)
 
 
 def covers(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
-    """Whether the interval holds the true minimum; where no tried pitch lies beyond that, its end there has to be open."""
+    """Whether the interval contains the true minimum; its end must be open if no pitch lies beyond the minimum."""
     low, high = optimum.interval_um
     above = low is None or (pitch_um[0] <= truth.best_um and low <= truth.best_um)
     below = high is None or (truth.best_um <= pitch_um[-1] and truth.best_um <= high)
@@ -162,7 +159,7 @@ def covers(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
 
 
 def simulation_options(studies: int, out: Path | None) -> argparse.Namespace:
-    """The command line of a benchmark of simulated studies."""
+    """Command-line options of a benchmark of simulated studies."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--studies", type=int, default=studies)
     parser.add_argument("--jobs", type=int, default=2)

@@ -1,4 +1,4 @@
-"""Copies of the shipped scenes with small edits, for the tests that need a scene a little different from them."""
+"""Copies of the packaged scenes with small edits."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import Decision
 from pixsim.scene.scene import Scene, packaged_scenes
 
-VARIANT = "scalar_spectral"  # is everywhere, and compiles nothing: the faster one for many small pictures
+VARIANT = "scalar_spectral"  # available everywhere, and faster for small images since it compiles nothing
 FOLDER = packaged_scenes()["csf"].parent
 END = "</scene>"
-variants.choose()  # before Mitsuba is imported, or no LLVM can be chosen any more
+variants.choose()  # must precede the import of Mitsuba
 NEEDS_LLVM = pytest.mark.skipif(variants.find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only")
 VARIANTS = pytest.mark.parametrize("variant", [pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM), VARIANT])
 
 
 def edited(folder: Path, name: str, *edits: tuple[str, str]) -> Path:
-    """A shipped scene with texts replaced; one before "</scene>" is put in."""
+    """A copy of a packaged scene with texts replaced; `END` inserts text before "</scene>"."""
     text = (FOLDER / f"{name}.xml").read_text(encoding="utf-8")
     for before, after in edits:
         assert before in text, f"{before!r} is not in {name}.xml"
@@ -45,14 +45,14 @@ def render_plan(path: Path | str, **parameters: object) -> Plan:
 
 
 def lens_sr(image: pixsim.SpectralImage, camera: pixsim.Camera) -> Array:
-    """Irradiance over radiance at each sample of a picture, (H, W) sr, but for the transmittance."""
+    """Irradiance over radiance at each sample, (H, W) sr, without the transmittance."""
     return field_factor(image.shape, image.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
 
 
 def decision(plan: Plan, subject: str) -> Decision:
-    (found,) = (each for each in plan.decisions if each.subject == subject)
-    return found
+    (result,) = (decision for decision in plan.decisions if decision.subject == subject)
+    return result
 
 
 def left_out(plan: Plan) -> set[str]:
-    return {each.subject for each in plan.decisions if not each.kept}
+    return {decision.subject for decision in plan.decisions if not decision.kept}

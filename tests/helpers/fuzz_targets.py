@@ -1,4 +1,4 @@
-"""Valid small files of each kind that pixsim reads, and what reads them: seeds for files that are changed at random."""
+"""Small valid files of each kind that pixsim reads, with their readers: seeds for random changes."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def rows(path: Path) -> None:
 
 
 def read_rows(path: Path) -> object:
-    ledger = ResultsFile(path)
-    ledger.read()
-    return ledger.resume(lambda row: row["key"] == "key1" and float(row["pitch_um"]) == 1.5)
+    results = ResultsFile(path)
+    results.read()
+    return results.resume(lambda row: row["key"] == "key1" and float(row["pitch_um"]) == 1.5)
 
 
 def read_picture(path: Path) -> object:
@@ -88,7 +88,7 @@ def read_picture(path: Path) -> object:
 
 
 def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
-    """Kind -> a valid file and what reads it."""
+    """Kind -> a valid file and its reader."""
     shipped = packaged_scenes()["still_life"]
     load = partial(load_scene, variant="scalar_spectral")
     texts: dict[str, tuple[str, Reader]] = {
@@ -119,7 +119,7 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
 
 
 def changed(content: bytes, changes: list[tuple[float, bytes]], end: float, repeated: int) -> bytes:
-    """Bytes put over others at places from 0 to 1, the rest after `end` cut off, and the middle said again."""
+    """Overwrite bytes at relative positions from 0 to 1, truncate at `end`, and repeat the middle."""
     work = bytearray(content)
     for place, new in changes:
         at = int(place * len(work))

@@ -1,4 +1,4 @@
-"""How lines of a figure are told apart, and what stands in a page."""
+"""Appearance of lines in a figure, and elements of an HTML page."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from matplotlib.lines import Line2D
 
 
 def grey_look(line: Line2D) -> tuple[object, ...]:
-    """What is left of a line without its colour."""
+    """Properties of a line other than its colour."""
     hollow = line.get_markerfacecolor() == "none"
     return line.get_linestyle(), line._unscaled_dash_pattern, line.get_marker(), hollow, line.get_linewidth()
 
 
 class Elements(HTMLParser):
-    """Tags, words, and the values of attributes that make a browser fetch something."""
+    """Tags, words and links of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -34,5 +34,5 @@ class Elements(HTMLParser):
 
 
 def text_of(folder: Path) -> str:
-    """Of a folder's report."""
+    """HTML of the report in a folder."""
     return (folder / "report.html").read_text(encoding="utf-8")

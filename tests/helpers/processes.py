@@ -1,23 +1,23 @@
-"""Processes that tests start: the limit that ends one that hangs, and a study that a signal ends at a known place."""
+"""Time limit of child processes, and a study that a signal ends at a known evaluation."""
 
 from __future__ import annotations
 
-# Only what hangs takes so long: no result depends on how fast the machine is.
+# Far above any run time, so that no result depends on the speed of the machine.
 HANG_S = 600
 
-# The command, which sends itself a signal when it begins the evaluation with that number. A shell's background jobs ignore
-# Ctrl-C, and so would their children.
+# The command, which sends itself a signal at the start of an evaluation. Background jobs of a shell ignore Ctrl-C, and so would
+# their children.
 SIGNALLED = """
 import signal
 from pixsim.cli import command
 from pixsim.viewer.score import ImagingChain
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-score_frame, begun = ImagingChain.score_frame, []
+score_frame, started = ImagingChain.score_frame, []
 
 def counted(self, frame):
-    begun.append(frame)
-    if len(begun) == {count}:
+    started.append(frame)
+    if len(started) == {count}:
         signal.raise_signal({signal})
     return score_frame(self, frame)
 

@@ -1,4 +1,4 @@
-"""Calls for worker processes, which import them from here."""
+"""Functions that worker processes import."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def nothing() -> None:
-    """What tasks share that share nothing."""
+    """Shared data of tasks without shared data."""
 
 
 def double(task: int, shared: dict[str, np.ndarray]) -> tuple[int, float]:

@@ -1,4 +1,4 @@
-"""Wall time of work, and work in a process of its own with the memory that it takes."""
+"""Wall time and peak memory of functions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def seconds_of(work: Callable[[], object]) -> float:
 
 
 def median_s(work: Callable[[], object], repeats: int = 11) -> float:
-    """Warm."""
+    """Median wall time after a first call."""
     work()
     return statistics.median(seconds_of(work) for _ in range(repeats))
 
@@ -31,6 +31,6 @@ def with_peak(function: Callable[..., Any], *arguments: object) -> tuple[Any, fl
 
 
 def fresh(function: Callable[..., Any], *arguments: object) -> tuple[Any, float]:
-    """What a function returns in a process of its own, and GiB of the largest process: its own or one that it started."""
+    """Result of a function in a new process, and the peak memory in GiB of it or its largest child."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(with_peak, function, *arguments).result()

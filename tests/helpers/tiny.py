@@ -1,4 +1,4 @@
-"""A study that takes a second: few samples, few dots, six pixel sizes; and its rows as they lie in a folder."""
+"""A study that takes a second, and its rows in a folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pixsim
 from pixsim.base.parameters import merge
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
-# Dim, so that few and coarse dots show a minimum between noise and blur.
+# Dim, so that few, coarse dots have a minimum between noise and blur.
 TINY: dict[str, Any] = {
     "name": "tiny",
     "repeats": 2,
@@ -27,7 +27,7 @@ def tiny(**over: Any) -> pixsim.Study:
 
 
 def tiny_toml(**over: Any) -> str:
-    """The same as the text of a file."""
+    """The same study as the text of a file."""
     return "".join(f"{name} = {toml_of(value)}\n" for name, value in merge(TINY, over).items())
 
 
@@ -38,7 +38,7 @@ def toml_of(value: Any) -> str:
 
 
 def rows(path: Path) -> list[dict[str, str]]:
-    """Of results.csv in a folder, or of a file."""
+    """Rows of results.csv in a folder, or of a CSV file."""
     with (path / "results.csv" if path.is_dir() else path).open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 

@@ -1,4 +1,4 @@
-"""What is shipped: the wheel's contents, that it works outside the checkout, and that the lowest versions allowed do."""
+"""Wheel and sdist: their contents, the installed package outside the checkout, and the lowest allowed versions."""
 
 from __future__ import annotations
 
@@ -20,8 +20,14 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BUILD = "import sys; from hatchling import build; getattr(build, sys.argv[1])(sys.argv[2])"
 UNREACHABLE = ("Could not find a version", "No matching distribution", "connection", "Failed to establish", "Read timed out")
-MAX_S = 6 * HANG_S  # packages are fetched, and half of the tests run
-LANGUAGE_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
+MAX_S = 6 * HANG_S  # packages are downloaded, and half of the tests run
+TEXT_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
+QUICK_TESTS = {  # about half of the quick tests of every package, which need no other tools than pytest
+    **{"base": "arrays cache config parameters", "light": "spectral", "optics": "diffraction thin_lens"},
+    **{"sensor": "integration pixel readout technology", "scene": "charts plan scene", "show": "figures pictures"},
+    **{"viewer": "display scielab score", "studies": "budget result study", "measure": "sfr"},
+    **{"report": "run views", "accuracy": "accuracy solvers", "cli": "cli doctor"},
+}
 STUDY = """
 name = "tiny"
 repeats = 2
@@ -32,14 +38,14 @@ display = { dots = 32, samples_per_deg = 10.0 }
 
 
 def run(*command: str | Path, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A command that knows nothing of the checkout."""
-    kept = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "DRJIT_LIBLLVM_PATH")}
+    """Run a command without the environment of the checkout."""
+    inherited = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV", "DRJIT_LIBLLVM_PATH")}
     command = tuple(map(str, command))
-    return subprocess.run(command, cwd=folder, env=kept | environment, capture_output=True, text=True, timeout=MAX_S)
+    return subprocess.run(command, cwd=folder, env=inherited | environment, capture_output=True, text=True, timeout=MAX_S)
 
 
 def pip_install(python: Path | str, *what: str | Path, folder: Path) -> None:
-    """Skip the test where there is no index."""
+    """Install packages; the test is skipped if no package index is reachable."""
     done = run(python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *what, folder=folder)
     if done.returncode and any(word in done.stderr for word in UNREACHABLE):
         pytest.skip("no package index: " + done.stderr.strip().splitlines()[-1])
@@ -48,7 +54,7 @@ def pip_install(python: Path | str, *what: str | Path, folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def hatchling(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A folder with the build tool, or nothing where it is installed beside pytest."""
+    """A folder with the build tool; empty if it is installed in this environment."""
     if run(sys.executable, "-c", "import hatchling", folder=ROOT).returncode == 0:
         return ""
     folder = tmp_path_factory.mktemp("tool")
@@ -60,13 +66,13 @@ def build(hook: str, source: Path, out: Path, hatchling: str) -> Path:
     out.mkdir(exist_ok=True)
     done = run(sys.executable, "-c", BUILD, hook, out, folder=source, **({"PYTHONPATH": hatchling} if hatchling else {}))
     assert done.returncode == 0, done.stderr
-    (made,) = out.iterdir()
-    return made
+    (archive,) = out.iterdir()
+    return archive
 
 
 @pytest.fixture(scope="module")
 def shipped(hatchling: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The wheel, the sdist, and the wheel that the sdist gives."""
+    """The wheel, the sdist, and the wheel built from the sdist."""
     folder = tmp_path_factory.mktemp("shipped")
     wheel, sdist = (build(f"build_{kind}", ROOT, folder / kind, hatchling) for kind in ("wheel", "sdist"))
     with tarfile.open(sdist) as archive:
@@ -80,31 +86,33 @@ def contents(wheel: Path) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-def test_the_wheel_holds_everything_that_runs(shipped: dict[str, Path]):
+def test_wheel_contains_package_and_scenes_only(shipped: dict[str, Path]):
     names = set(contents(shipped["wheel"]))
     info = f"pixsim-{PROJECT['version']}.dist-info"
     package = ROOT / "pixsim"
-    ours = {path.relative_to(ROOT).as_posix() for path in package.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    expected = {
+        path.relative_to(ROOT).as_posix() for path in package.rglob("*") if path.is_file() and "__pycache__" not in path.parts
+    }
     scenes = {f"pixsim/data/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "scenes").rglob("*") if path.is_file()}
     assert {"py.typed", "data/style.css.j2", "data/technologies/0.35um.toml", "data/studies/chen2000.toml"} <= {
-        name.removeprefix("pixsim/") for name in ours
+        name.removeprefix("pixsim/") for name in expected
     }
     assert {"csf.xml", "charts/csf.exr", "spectra/macbeth/01_dark_skin.spd"} <= {
         name.removeprefix("pixsim/data/scenes/") for name in scenes
     }
-    rest = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")}
-    assert names == ours | scenes | rest  # so: no tests, no caches
+    metadata = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")}
+    assert names == expected | scenes | metadata  # neither tests nor caches
 
 
-def test_nothing_of_this_machine_is_shipped(shipped: dict[str, Path]):
+def test_wheel_contains_no_local_paths(shipped: dict[str, Path]):
     for name, content in contents(shipped["wheel"]).items():
-        if name.endswith(LANGUAGE_FILES):
+        if name.endswith(TEXT_FILES):
             text = content.decode("utf-8")
-            machine = [str(ROOT), str(Path.home()) + "/", "file://", "/work/"]
-            assert not [word for word in machine if word in text], name
+            local = [str(ROOT), str(Path.home()) + "/", "file://", "/work/"]
+            assert not [path for path in local if path in text], name
 
 
-def test_the_source_distribution_gives_the_same_wheel_and_holds_no_caches(shipped: dict[str, Path]):
+def test_sdist_builds_same_wheel_without_caches(shipped: dict[str, Path]):
     assert contents(shipped["second"]) == contents(shipped["wheel"])
     with tarfile.open(shipped["sdist"]) as archive:
         names = archive.getnames()
@@ -112,7 +120,7 @@ def test_the_source_distribution_gives_the_same_wheel_and_holds_no_caches(shippe
     assert not [name for name in names if re.search(r"__pycache__|\.pyc$|_cache/|pixsim-out|\.part$|/\.git/", name)]
 
 
-def test_metadata_promise_only_what_was_tried(shipped: dict[str, Path]):
+def test_metadata_state_tested_systems(shipped: dict[str, Path]):
     (text,) = (content.decode() for name, content in contents(shipped["wheel"]).items() if name.endswith("/METADATA"))
     systems = re.findall(r"^Classifier: Operating System :: (.*)$", text, re.MULTILINE)
     assert systems == ["POSIX :: Linux"]
@@ -131,29 +139,28 @@ def venv(folder: Path, python: str = sys.executable) -> Path:
 
 
 def assert_it_works(python: Path, folder: Path) -> None:
-    """Help, the doctor, a picture and a study, from an empty folder that has spaces in its path."""
+    """Run help, doctor, a scene and a study in an empty folder with spaces in its path."""
     folder.mkdir()
     (folder / "tiny study.toml").write_text(STUDY, encoding="utf-8")
-    command, own = python.with_name("pixsim"), {"PIXSIM_CACHE_DIR": str(folder / "the cache"), "HOME": str(folder)}
+    command, environment = python.with_name("pixsim"), {"PIXSIM_CACHE_DIR": str(folder / "the cache"), "HOME": str(folder)}
     for arguments in (
         ["--help"],
         ["doctor", "--json", "--limit-s", str(HANG_S)],
         ["run", "csf", "-D", "resolution=32", "--display.dots", "32", "--out", "a picture"],
         ["study", "tiny study.toml", "--out", "a study", "--jobs", "2"],
     ):
-        done = run(command, *arguments, folder=folder, **own)
+        done = run(command, *arguments, folder=folder, **environment)
         assert done.returncode == 0, (arguments, done.stdout, done.stderr)
         if arguments[0] == "doctor":
-            found = json.loads(done.stdout)
-            where = next(each["found"] for each in found["findings"] if each["subject"] == "pixsim")
-            assert str(python.parent.parent) in where  # not the checkout
+            findings = {finding["subject"]: finding["found"] for finding in json.loads(done.stdout)["findings"]}
+            assert str(python.parent.parent) in findings["pixsim"]  # not the checkout
     assert (folder / "a picture" / "score.json").is_file()
     assert (folder / "a study" / "report.html").is_file()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
-def test_it_works_where_nothing_else_is_installed(kind: str, shipped: dict[str, Path], tmp_path: Path):
+def test_installed_package_works_in_empty_environment(kind: str, shipped: dict[str, Path], tmp_path: Path):
     python = venv(tmp_path / "empty environment")
     pip_install(python, f"{shipped[kind]}[llvm]", folder=tmp_path)
     assert_it_works(python, tmp_path / "some where")
@@ -162,7 +169,7 @@ def test_it_works_where_nothing_else_is_installed(kind: str, shipped: dict[str, 
 
 
 def assert_types_are_seen(python: Path, folder: Path) -> None:
-    """mypy reads pixsim's own annotations in the installed package, and tells a wrong argument from a right one."""
+    """mypy reads the annotations of the installed package and reports wrong types."""
     script = folder / "script.py"
     script.write_text(
         "import pixsim\n"
@@ -172,7 +179,7 @@ def assert_types_are_seen(python: Path, folder: Path) -> None:
         "pixsim.render('csf')\n",
         encoding="utf-8",
     )
-    # Without the plugin mypy takes all fields of a record to be required: their defaults stand first in Field(…).
+    # Without the plugin mypy treats all fields of a record as required: their defaults are positional in Field(…).
     (folder / "mypy.ini").write_text("[mypy]\nplugins = pydantic.mypy\n", encoding="utf-8")
     arguments = ("--python-executable", python, "--strict", "--config-file", "mypy.ini", "--no-incremental", script)
     done = run(sys.executable, "-m", "mypy", *arguments, folder=folder)
@@ -184,23 +191,23 @@ def lowest(requirement: str) -> str:
     return requirement.replace(">=", "==").replace(".*", ".0")
 
 
-def test_lowest_versions():
-    found = [lowest(each) for each in PROJECT["dependencies"]]
-    assert "mitsuba==3.9.0" in found
-    assert not [each for each in found if re.search(r"[<>*~!]", each)], "a bound that this test does not know"
+def test_lowest_pins_every_dependency():
+    pins = [lowest(requirement) for requirement in PROJECT["dependencies"]]
+    assert "mitsuba==3.9.0" in pins
+    assert not [pin for pin in pins if re.search(r"[<>*~!]", pin)], "a kind of bound that `lowest` does not convert"
 
 
 @pytest.mark.slow
-def test_the_lowest_versions_allowed_work(shipped: dict[str, Path], tmp_path: Path):
-    """On the oldest Python, with the quick tests that most of the packages have a part in."""
+def test_installed_package_works_with_lowest_versions(shipped: dict[str, Path], tmp_path: Path):
+    """On the oldest Python, with half of the quick tests of every package."""
     oldest = shutil.which("python3.11")
     if oldest is None:
         pytest.skip("no Python 3.11")
     python = venv(tmp_path / "lowest", oldest)
-    bounds = [lowest(each) for each in PROJECT["dependencies"]]
-    pip_install(python, f"{shipped['wheel']}[llvm]", *bounds, "pytest>=8", "pytest-xdist>=3.5", folder=tmp_path)
+    pins = [lowest(requirement) for requirement in PROJECT["dependencies"]]
+    pip_install(python, f"{shipped['wheel']}[llvm]", *pins, "pytest>=8", "pytest-xdist>=3.5", folder=tmp_path)
     assert_it_works(python, tmp_path / "some where")
-    files = ("cli/test_cli", "scene/test_scene", "light/test_spectral", "base/test_parameters", "base/test_cache")
+    files = [ROOT / f"tests/{package}/test_{name}.py" for package, names in QUICK_TESTS.items() for name in names.split()]
     options = ("-q", "-n", "1", "-p", "no:cacheprovider", "--rootdir", ROOT, "-c", ROOT / "pyproject.toml")
-    done = run(python, "-m", "pytest", *options, *(ROOT / f"tests/{each}.py" for each in files), folder=tmp_path)
+    done = run(python, "-m", "pytest", *options, *files, folder=tmp_path)
     assert done.returncode == 0, done.stdout[-4000:]

@@ -248,7 +248,7 @@ def test_plan_command_prints_table(tmp_path, monkeypatch):
         assert line_of_plan.saved in line
     assert "bound on e-" in out
     assert "1 of 12 passes" in out
-    assert "asked for 0.001" in out
+    assert "tolerance 0.001" in out
     assert not list(tmp_path.iterdir())
 
 
