@@ -328,7 +328,7 @@ def test_datasheet_command_bad_folder_fails_before_measurement(tmp_path: Path, m
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("datasheet 0.35um --pixel.technology 4t-bsi", "give one of them"),
+        ("datasheet 0.35um --pixel.technology 4t-bsi", "give only one of them"),
         ("datasheet nothing", "technology: got 'nothing'"),
         ("datasheet nothing.toml", "does not exist"),
         ("datasheet --pixel.bits 2", "pixel.bits: got 2"),
