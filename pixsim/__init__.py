@@ -11,43 +11,28 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.version import VERSION
 
 if TYPE_CHECKING:
-    from pixsim import optics as optics
-    from pixsim import sensor as sensor
+    from pixsim import optics as optics, sensor as sensor
     from pixsim.base import parameters as parameters
     from pixsim.base.errors import PixsimError as PixsimError
-    from pixsim.base.parameters import Camera as Camera
-    from pixsim.base.parameters import Display as Display
-    from pixsim.base.parameters import Exposure as Exposure
-    from pixsim.base.parameters import Pixel as Pixel
-    from pixsim.base.parameters import Study as Study
+    from pixsim.base.parameters import Camera as Camera, Display as Display, Exposure as Exposure, Pixel as Pixel, Study as Study
     from pixsim.light import spectral as spectral
-    from pixsim.light.exr import read_exr as read_exr
-    from pixsim.light.exr import write_exr as write_exr
+    from pixsim.light.exr import read_exr as read_exr, write_exr as write_exr
     from pixsim.light.spectral import SpectralImage as SpectralImage
     from pixsim.measure.sfr import edge_response as edge_response
-    from pixsim.optics.exchange import read_irradiance as read_irradiance
-    from pixsim.optics.exchange import write_npz as write_npz
+    from pixsim.optics.exchange import read_irradiance as read_irradiance, write_npz as write_npz
     from pixsim.report.study import write_report as write_report
     from pixsim.scene import charts as charts
-    from pixsim.scene.charts import make_chart as make_chart
-    from pixsim.scene.charts import write_chart as write_chart
-    from pixsim.scene.plan import Plan as Plan
-    from pixsim.scene.plan import make_plan as make_plan
+    from pixsim.scene.charts import make_chart as make_chart, write_chart as write_chart
+    from pixsim.scene.plan import Plan as Plan, make_plan as make_plan
     from pixsim.scene.renderer import render as render
     from pixsim.scene.scene import load_scene as load_scene
-    from pixsim.sensor import photodiode as photodiode
-    from pixsim.sensor import pixel as pixel
+    from pixsim.sensor import photodiode as photodiode, pixel as pixel
     from pixsim.sensor.pixel import derive as derive
-    from pixsim.sensor.raw import read_frame as read_frame
-    from pixsim.sensor.raw import write_frame as write_frame
-    from pixsim.sensor.readout import Frame as Frame
-    from pixsim.sensor.readout import capture as capture
-    from pixsim.sensor.readout import make_sensor as make_sensor
-    from pixsim.sensor.technology import Technology as Technology
-    from pixsim.sensor.technology import load_technology as load_technology
+    from pixsim.sensor.raw import read_frame as read_frame, write_frame as write_frame
+    from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
+    from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.study import study as study
-    from pixsim.viewer import display as display
-    from pixsim.viewer import scielab as scielab
+    from pixsim.viewer import display as display, scielab as scielab
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
     from pixsim.viewer.score import evaluate as evaluate
 

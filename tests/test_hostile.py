@@ -26,8 +26,7 @@ import pytest
 from helpers.commands import command
 from helpers.fuzz_targets import CONFIG, ENVI, SCENE, changed, light, read_picture, rows, seeds
 from helpers.processes import HANG_S
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import pixsim
 from pixsim.base import cache

@@ -260,13 +260,11 @@ class PixelOptions(Record):
     )
     read_noise_e: NoiseElectrons | None = Field(None, description="temporal read noise without reset noise")
     reset_noise_factor: ResetFactor | None = Field(
-        None,
-        description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, delta double sampling 2",
+        None, description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, delta double sampling 2"
     )
     prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean (PRNU)")
     dsnu: DarkSpread | None = Field(
-        None,
-        description="standard deviation of the dark current over its mean (the DSNU of EMVA 1288 is offset_fpn × full_well_e)",
+        None, description="standard deviation of the dark current over its mean (the DSNU of EMVA 1288 is offset_fpn × full_well_e)"
     )
     offset_fpn: OffsetSpread | None = Field(
         None, description="standard deviation of the pixel offsets, as a fraction of the full well"

@@ -55,8 +55,7 @@ SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_s
 @app.command
 def run(
     scene: Annotated[
-        str,
-        Parameter(help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen by the camera."),
+        str, Parameter(help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen by the camera.")
     ],
     *,
     options: SceneOptions = NO_OPTIONS,
@@ -167,8 +166,7 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
 @app.command
 def study(
     study: Annotated[
-        str,
-        Parameter(help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern."),
+        str, Parameter(help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.")
     ],
     *,
     config: Config = None,
@@ -301,8 +299,7 @@ def datasheet(
     saturation, stacks for the spatial terms, dark series over time and temperature. A black level below 6 σ of the dark
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
-    from pixsim.measure.datasheet import make_datasheet
-    from pixsim.measure.datasheet import sheet_summary as summary
+    from pixsim.measure.datasheet import make_datasheet, sheet_summary as summary
     from pixsim.measure.datasheet_report import datasheet_lines, sheet_name, write_datasheet
 
     files, pixel_options = list(config or []), given({"pixel": pixel}).get("pixel", {})
@@ -348,8 +345,7 @@ def sfr(
 
     Writes sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, write_sfr
-    from pixsim.measure.sfr import sfr_summary as summary
+    from pixsim.measure.sfr import edge_response, read_edge_picture, sfr_line, sfr_summary as summary, write_sfr
 
     if pitch_um is not None and not 0 < pitch_um < float("inf"):
         raise invalid("--pitch-um", f"{pitch_um:g}", "a number above 0")

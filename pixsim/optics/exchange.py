@@ -40,11 +40,7 @@ PARTS_OF_A_BAND = 10
 
 
 def read_irradiance(
-    path: str | os.PathLike[str],
-    camera: Camera | None = None,
-    *,
-    units: str | None = None,
-    pitch_um: float | None = None,
+    path: str | os.PathLike[str], camera: Camera | None = None, *, units: str | None = None, pitch_um: float | None = None
 ) -> SpectralImage:
     """Read spectral irradiance on the sensor, W m⁻² nm⁻¹, from a file of pixsim or of another program.
 

@@ -16,8 +16,15 @@ from pixsim.base.errors import invalid
 from pixsim.base.files import judge_picture
 from pixsim.base.parameters import Camera
 from pixsim.light.exr import read_channels
-from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, grid_nm, photopic_efficiency, tabulated
-from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W
+from pixsim.light.spectral import (
+    HIGH_NM,
+    LOW_NM,
+    LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W,
+    Spectrum,
+    grid_nm,
+    photopic_efficiency,
+    tabulated,
+)
 from pixsim.scene.files import judge_asset
 from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 

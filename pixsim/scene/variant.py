@@ -26,12 +26,7 @@ LLVM_WHEEL = "karellen-llvm-core"
 SYSTEM, BY_HAND = "system", "installed by hand"  # origins of a library, besides the variable and the wheel
 OLDEST_LLVM = 17
 VARIANTS = ("llvm_ad_spectral", "scalar_spectral", "cuda_ad_spectral")
-SYSTEM_PATTERNS = (
-    "lib/*-linux-gnu/libLLVM*.so*",
-    "lib/llvm-*/lib/libLLVM*.so*",
-    "lib64/libLLVM*.so*",
-    "lib/libLLVM*.so*",
-)
+SYSTEM_PATTERNS = ("lib/*-linux-gnu/libLLVM*.so*", "lib/llvm-*/lib/libLLVM*.so*", "lib64/libLLVM*.so*", "lib/libLLVM*.so*")
 
 
 @dataclass(frozen=True)

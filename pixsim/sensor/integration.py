@@ -237,11 +237,7 @@ def integrate_axis(
 
 
 def integrate_pixels(
-    rate: Array | Columns,
-    sample_pitch_um: float,
-    pitch_um: float,
-    photodiode_side_um: float,
-    running: Array | None = None,
+    rate: Array | Columns, sample_pitch_um: float, pitch_um: float, photodiode_side_um: float, running: Array | None = None
 ) -> Array:
     """Integrate a picture over the square, centred photodiodes of a pixel array that is centred on the picture.
 

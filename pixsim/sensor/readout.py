@@ -286,12 +286,7 @@ def make_frame(
 
 
 def capture(
-    irradiance: SpectralImage,
-    camera: Camera,
-    sensor: Sensor,
-    exposure: Exposure | None = None,
-    *,
-    rng: np.random.Generator,
+    irradiance: SpectralImage, camera: Camera, sensor: Sensor, exposure: Exposure | None = None, *, rng: np.random.Generator
 ) -> Frame:
     """Take one picture: diffraction, pixel integration, exposure, temporal noise from `rng`, ADC.
 

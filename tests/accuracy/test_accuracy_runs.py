@@ -21,8 +21,7 @@ from helpers.processes import HANG_S
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 import pixsim
-from pixsim.accuracy import stability
-from pixsim.accuracy import survey as surveys
+from pixsim.accuracy import stability, survey as surveys
 from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
 from pixsim.accuracy.report import plates_of, write_accuracy

@@ -13,8 +13,7 @@ from scipy.special import erf
 
 from pixsim import PixsimError, edge_response
 from pixsim.light.exr import write_channels
-from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_line
-from pixsim.measure.sfr import sfr_summary as summary
+from pixsim.measure.sfr import NYQUIST_CY_PER_PX, first_crossing, read_edge_picture, sfr_line, sfr_summary as summary
 
 SIDE = 320
 DARK, LIGHT = 100.0, 1000.0

@@ -98,12 +98,7 @@ def test_write_npz_image_reads_back_bit_for_bit(tmp_path):
     assert np.array_equal(back.wavelength_nm, image.wavelength_nm)
     assert np.array_equal(back.band_width_nm, image.band_width_nm)
     assert back.pitch_um == image.pitch_um
-    assert back.header == {
-        "source": "image.npz",
-        "units": UNIT,
-        "pixsim": pixsim.__version__,
-        "luminance_cd_per_m2": 1000.0,
-    }
+    assert back.header == {"source": "image.npz", "units": UNIT, "pixsim": pixsim.__version__, "luminance_cd_per_m2": 1000.0}
     assert [path.name for path in tmp_path.iterdir()] == ["image.npz"]
     with pytest.raises(PixsimError, match=r"output file: got '.*image\.npz' .*; allowed: a path that can be written"):
         pixsim.write_npz(tmp_path / "nowhere" / "image.npz", image)

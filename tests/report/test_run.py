@@ -19,8 +19,7 @@ from pixsim.base.parameters import CameraOptions
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.run import FILES, shown_picture
-from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS
-from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced
+from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, factor_for, grey_codes, reduced
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
 LENS = "--camera.f-number 2.8"

@@ -22,6 +22,8 @@ from pixsim.show import pictures as details
 from pixsim.show.pictures import (
     COLUMNS,
     DETAIL_DOTS,
+    SHEET_GAP as GAP,
+    SHEET_MARGIN as MARGIN,
     TITLE,
     Picture,
     Window,
@@ -33,8 +35,6 @@ from pixsim.show.pictures import (
     windows,
     worst_window,
 )
-from pixsim.show.pictures import SHEET_GAP as GAP
-from pixsim.show.pictures import SHEET_MARGIN as MARGIN
 from pixsim.studies.result import StudyResult
 
 WHOLE = Window(0.0, 0.0, 1.0, 1.0)

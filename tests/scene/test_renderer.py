@@ -102,8 +102,7 @@ def csf_sample_means(n: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("variant", "size"),
-    [pytest.param("llvm_ad_spectral", {}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})],
+    ("variant", "size"), [pytest.param("llvm_ad_spectral", {}, marks=NEEDS_LLVM), ("scalar_spectral", {"resolution": 256})]
 )
 def test_render_csf_matches_chart(variant, size):
     scene = pixsim.load_scene("csf", variant=variant, **size)

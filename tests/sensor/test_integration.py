@@ -9,8 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.constants import c as light_speed
-from scipy.constants import h as planck
+from scipy.constants import c as light_speed, h as planck
 from scipy.interpolate import make_interp_spline
 
 from pixsim.base.errors import PixsimError

@@ -8,18 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.constants import e as electron
-from scipy.constants import k as boltzmann
+from hypothesis import given, settings, strategies as st
+from scipy.constants import e as electron, k as boltzmann
 from scipy.integrate import quad
 
 import pixsim
 from pixsim.accuracy.stability.photodiode import charge_to_e
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Exposure, Pixel
-from pixsim.sensor import photodiode as saturation
-from pixsim.sensor import readout as sensors
+from pixsim.sensor import photodiode as saturation, readout as sensors
 from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import WELL_REFERENCE_S, derive, diode_full_v, junction_charge_fc, junction_ff
 

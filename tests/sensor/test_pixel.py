@@ -7,10 +7,7 @@ import math
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from scipy.constants import c as light_speed
-from scipy.constants import e as electron
-from scipy.constants import h as planck
-from scipy.constants import k as boltzmann
+from scipy.constants import c as light_speed, e as electron, h as planck, k as boltzmann
 from scipy.integrate import quad
 
 from pixsim.base.errors import PixsimError

@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from scipy.constants import c as light_speed
-from scipy.constants import h as planck
+from scipy.constants import c as light_speed, h as planck
 from scipy.stats import poisson
 
 from pixsim.base.errors import PixsimError

@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from pixsim.base.config import packaged, read_toml
-from pixsim.base.errors import MAX_LABEL as MAX_LENGTH
-from pixsim.base.errors import PixsimError
+from pixsim.base.errors import MAX_LABEL as MAX_LENGTH, PixsimError
 from pixsim.base.parameters import Pixel
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.technology import Junction, Technology, file_label, label_of, labels_of, load_technology

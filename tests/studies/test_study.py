@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.processes import HANG_S, signalled
-from helpers.tiny import PITCHES_UM, keys, rows, tiny_toml
-from helpers.tiny import tiny as tiny_study
+from helpers.tiny import PITCHES_UM, keys, rows, tiny as tiny_study, tiny_toml
 
 import pixsim
 from pixsim.base import cache

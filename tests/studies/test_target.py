@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.dense_curves import simulated
-from helpers.tiny import keys, tiny_toml
-from helpers.tiny import tiny as tiny_study
+from helpers.tiny import keys, tiny as tiny_study, tiny_toml
 
 import pixsim
 from pixsim.report.wording import target_notes

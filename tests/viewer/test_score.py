@@ -13,8 +13,7 @@ from pixsim.light.spectral import SpectralImage, d65
 from pixsim.scene.charts import csf_value
 from pixsim.sensor.integration import Columns, diffracted_rate, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
-from pixsim.viewer import display as displays
-from pixsim.viewer import score
+from pixsim.viewer import display as displays, score
 from pixsim.viewer.scielab import delta_e, filtered_lab
 
 NM = np.arange(400.0, 721.0, 10)
