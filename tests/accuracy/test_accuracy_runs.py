@@ -21,7 +21,7 @@ from helpers.processes import HANG_S
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 import pixsim
-from pixsim.accuracy import stability, survey as surveys
+from pixsim.accuracy import ladders, stability, survey as surveys
 from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
 from pixsim.accuracy.report import plates_of, write_accuracy
@@ -63,7 +63,7 @@ def settings(**values) -> Run:
 
 def surveyed(source: str | Path, depth=SMALL, **values) -> Accuracy:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surveys, "QUICK", depth)
+        patch.setattr(ladders, "QUICK", depth)
         return survey(str(source), settings(**values), quick=True, variant=VARIANT, progress=lambda _: lambda *_: None)
 
 
@@ -301,7 +301,7 @@ def test_run_fixed_film_reports_unmet_tolerance(tmp_path):
     assert (budget["met"], budget["settings"]["resolution"]) == (False, 64)
     assert budget["sources"]["oversampling"]["delta_e"] > 0.001
     assert "no settings meet" in result["err"]
-    assert "leave it open" in result["err"]
+    assert "leave it unset" in result["err"]
 
 
 def test_run_prints_mean_over_sensors(chart, tmp_path):
