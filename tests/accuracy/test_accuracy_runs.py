@@ -207,8 +207,7 @@ def test_pitches_around_optimum_within_range():
 def test_setup_around_at_optimum_moves_pixel():
     setup, _ = csf()
     assert setup.around((4.0, 5.0, 9.0)).pixel == setup.pixel
-    moved = replace(setup, at_optimum=True).around((4.0, 5.0, 9.0))
-    assert moved.pixel.pitch_um == 6.0
+    assert replace(setup, at_optimum=True).around((4.0, 5.0, 9.0)).pixel.pitch_um == 6.0
     assert replace(setup, at_optimum=True).around(()).pixel == setup.pixel
 
 
@@ -340,13 +339,10 @@ def test_commands_invalid_input_print_one_message(line, message, tmp_path, monke
 
 
 def test_run_scene_without_white_meets_tolerance(tmp_path):
-    source = edited(tmp_path, "macbeth", *WHITELESS)
+    source = edited(tmp_path, "macbeth", ('<default name="white_cd_per_m2"', '<default name="unused_white"'))
     result = run(source, "-D resolution=32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
     assert "error_budget" in result
     assert result["err"].count("does not define its white") == 1
-
-
-WHITELESS = (('<default name="white_cd_per_m2"', '<default name="unused_white"'),)
 
 
 def test_study_with_tolerance_reports_budget(chart, tmp_path):
