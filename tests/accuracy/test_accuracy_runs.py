@@ -226,8 +226,7 @@ def test_seed_rungs_errors_fall_with_root_of_count():
 def test_probe_builds_one_chain_per_pitch(monkeypatch):
     setup, image = csf()
     made = []
-    plain = chain_at_pitch
-    monkeypatch.setattr(probes, "chain_at_pitch", lambda *given: made.append(1) or plain(*given))
+    monkeypatch.setattr(probes, "chain_at_pitch", lambda *given: made.append(1) or chain_at_pitch(*given))
     probe(image, replace(setup, sensors=3, pitches_um=(6.0, 7.0)))
     assert len(made) == 3
 
@@ -269,8 +268,7 @@ def truth_of(sensors: int = 16) -> float:
     options = Run.model_validate({"camera": {"die_mm": 0.8}, "display": {"dots": 128}})
     camera = scene.camera(options.camera)
     image = analytic_reference(scene, camera, Setup.of(options, camera), "csf", (1024, 1024))[0]
-    setup = replace(Setup.of(options, camera), sensors=sensors, seed=99)
-    return probe(image, setup).mean_delta_e
+    return probe(image, replace(Setup.of(options, camera), sensors=sensors, seed=99)).mean_delta_e
 
 
 def test_run_meets_tolerance_and_looser_is_cheaper(chart, tmp_path, monkeypatch):
@@ -308,8 +306,7 @@ def test_run_prints_mean_over_sensors(chart, tmp_path):
     assert code == 0
     score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
     assert f"mean ΔE {score['sensors_mean_delta_e']:.4f} ± " in text
-    for name in SOURCES:
-        assert name in text
+    assert all(name in text for name in SOURCES)
 
 
 @pytest.mark.parametrize(
@@ -317,10 +314,7 @@ def test_run_prints_mean_over_sensors(chart, tmp_path):
     [
         ("run csf --tolerance-delta-e 0.01 --full", "with --full"),
         ("run picture.exr --tolerance-delta-e 0.01", "a picture"),
-        ("run csf --tolerance-delta-e 0", "tolerance_delta_e"),
-        ("run csf --tolerance-delta-e -1", "tolerance_delta_e"),
-        ("run csf --tolerance-delta-e nan", "tolerance_delta_e"),
-        ("run csf --tolerance-delta-e much", "tolerance_delta_e"),
+        *((f"run csf --tolerance-delta-e {wrong}", "tolerance_delta_e") for wrong in ("0", "-1", "nan", "much")),
         ("accuracy no_such_scene --quick", "no_such_scene"),
         ("accuracy csf --pixel.pitch-um 1 --quick", "pitch"),
         ("accuracy csf --display.dots -3 --quick", "dots"),

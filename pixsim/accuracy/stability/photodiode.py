@@ -26,11 +26,8 @@ HOURS_S = 36000.0
 
 
 def cases() -> Iterator[Case]:
-    yield from constant_capacitance()
-    yield from limits()
-    yield from implicit_solver()
-    yield from without_diode_current()
-    yield from tables()
+    for group in (constant_capacitance, limits, implicit_solver, without_diode_current, tables):
+        yield from group()
 
 
 def closed_form_e(total_e_per_s: Array, time_s: Array, capacitance_e_per_v: float, diode: Diode) -> Array:
