@@ -205,17 +205,16 @@ def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
     picture = step.picture()
     if clock.warms_up(step.work):
         picture(clock.runs)
-    seconds, electrons, delta_e, optimum = [], [], [], []
+    truth, measured = subject.truth, []
     for seed in range(clock.runs_of(step.work)):
         start = time.perf_counter()
         image = picture(seed)
         image.header |= subject.white
-        middle = time.perf_counter()
-        result = probe(image, subject.setup)
-        seconds.append(middle - start + result.seconds)
-        electrons.append(relative_rms(result.electrons_e_per_s, subject.truth.electrons_e_per_s))
-        delta_e.append(result.mean_delta_e - subject.truth.mean_delta_e)
-        optimum.append(result.optimum_um - subject.truth.optimum_um)
+        render_s, result = time.perf_counter() - start, probe(image, subject.setup)
+        error_e = relative_rms(result.electrons_e_per_s, truth.electrons_e_per_s)
+        errors = result.mean_delta_e - truth.mean_delta_e, result.optimum_um - truth.optimum_um
+        measured.append((render_s + result.seconds, error_e, *errors))
+    seconds, electrons, delta_e, optimum = zip(*measured, strict=True)
     return Rung(ladder, step.setting, step.value, step.shipped, min(seconds), rms(electrons), rms(delta_e), rms(optimum))
 
 
@@ -232,12 +231,7 @@ def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, sh
 
 
 def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
-    """The ladders of the render, with one setting varied in each; the most expensive methods come last.
-
-    film : other widths, if the scene has a parameter `resolution`. bands : bands of equal width, and those of the plan.
-    lens : a pinhole, and lenses with several numbers of samples. methods : plain Mitsuba, and pixsim without pruning, with
-    default settings, and with its scalar variant.
-    """
+    """The ladders of the render, with one setting varied in each; the most expensive methods come last."""
     scene, camera, plan, width = subject.scene, subject.camera, subject.plan, subject.image.shape[1]
     full = make_render_plan(scene, camera, subject.setup.pixel, full=True)
     films = {width, *(max(8, int(width * 2.0**k)) for k in depth.films)} if "resolution" in scene.names else ()

@@ -42,14 +42,12 @@ def csf_picture(height: int, width: int) -> Array:
 
 
 def edge_picture(height: int, width: int, dark: float = 0.1) -> Array:
-    """Cell means of the slanted edge, bright on the right.
-
-    Along the height of a cell the edge moves at a constant rate, so the mean cover is a difference of ∫ clip(u, 0, 1) du.
-    """
+    """Cell means of the slanted edge, bright on the right."""
     y = np.arange(height + 1) / height
     edge = (0.5 + (0.5 - y) * np.tan(np.radians(SLANT_DEG))) * width
     right = np.arange(1, width + 1)[None, :] - edge[:, None]  # from the edge to a cell's right side, at its top and bottom
     inside = np.clip(right, 0.0, 1.0)
+    # Along the height of a cell the edge moves at a constant rate: the mean cover is a difference of ∫ clip(u, 0, 1) du.
     cover = np.diff(inside**2 / 2 + np.maximum(right - 1, 0.0), axis=0) / np.diff(right, axis=0)
     return np.asarray(dark + (1 - dark) * cover)
 
@@ -81,10 +79,7 @@ def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, sh
 def rendered_reference(
     scene: Scene, camera: Camera, setup: Setup, plan: Plan, work: float, progress: Progress | None = None
 ) -> tuple[SpectralImage, str]:
-    """A reference render and its description: without pruning, other seeds, at least `work` times the plan's samples.
-
-    Its film is twice as fine if the scene has a parameter `resolution`.
-    """
+    """A render with other seeds, no pruning, at least `work` times the samples and, if possible, a finer film; its description."""
     width = Renderer(scene, camera, plan, 0).size[1]
     free = "resolution" in scene.names
     finer = scene.with_parameters(resolution=2 * width) if free else scene

@@ -55,9 +55,8 @@ def accuracy_lines(accuracy: Accuracy) -> list[str]:
     lines.append("error budget of the default settings, one sensor:")
     budget = accuracy.budget.items()
     lines += [f"  {name:21} {number(effect.delta_e)} ΔE, {number(effect.optimum_um)} µm of the optimum" for name, effect in budget]
-    slowest = max(accuracy.stage_seconds, key=lambda name: accuracy.stage_seconds[name])
     lines.append("stages: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in accuracy.stage_seconds.items()))
-    lines.append(f"  slowest stage: {slowest}")
+    lines.append(f"  slowest stage: {max(accuracy.stage_seconds, key=lambda name: accuracy.stage_seconds[name])}")
     failed = [case for case in accuracy.cases if not case.passed]
     count = len(accuracy.cases)
     lines.append(f"stability: {count - len(failed)} of {count} extreme cases meet their known answers")

@@ -50,11 +50,8 @@ def fit_order(setting: Sequence[float], error: Sequence[float], spread: Sequence
     """The order of convergence; None if fewer than three points lie above the floor set by other settings.
 
     The fit ends where the errors rise, or fall by less than two thirds of the slope up to there. A threshold on the error
-    would mistake a slow order, such as ½ for random sampling, for a floor.
-
-    Parameters
-    ----------
-    spread : standard errors of the logarithms of the errors; with them all points are fitted, weighted by 1/spread²
+    would mistake a slow order, such as ½ for random sampling, for a floor. With `spread`, the standard errors of the logarithms
+    of the errors, all points are fitted, weighted by 1/spread².
     """
     sigmas = [0.0] * len(setting) if spread is None else spread
     points = sorted((s, e, d) for s, e, d in zip(setting, error, sigmas, strict=True) if s > 0 and e > 0 and math.isfinite(s * e))
@@ -158,10 +155,7 @@ class Accuracy:
         return [rung for rung in (self.shipped, *others) if math.isfinite(getattr(rung, metric))]
 
     def beaten(self, metric: str) -> Rung | None:
-        """The setting that is clearly faster and more accurate than the default, or None.
-
-        For ΔE and the optimum, the difference must exceed the standard error of a study with eight sensors.
-        """
+        """The setting that is clearly faster, and more accurate beyond the standard error of eight sensors; or None."""
         rivals = self.rivals(metric)
         if not rivals or rivals[0] is not self.shipped:
             return None

@@ -10,23 +10,8 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-from pixsim.accuracy import stability
-from pixsim.accuracy.ladders import (
-    FULL,
-    FULL_WORK,
-    QUICK,
-    Clock,
-    Depth,
-    Rung,
-    Step,
-    Subject,
-    climb,
-    measure,
-    raster_rungs,
-    render_steps,
-    rendered,
-    seed_rungs,
-)
+from pixsim.accuracy import ladders, stability
+from pixsim.accuracy.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
 from pixsim.accuracy.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
 from pixsim.accuracy.result import Accuracy
 from pixsim.accuracy.solvers import Solved, solvers
@@ -69,10 +54,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display) ->
 
 
 def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
-    """Seconds of each stage after the render, as in `pixsim run`.
-
-    Diffraction is timed alone, and switched off in `prepare_scene`, whose other steps belong to the viewer.
-    """
+    """Seconds of each stage after the render, as in `pixsim run`; diffraction is timed alone, not in `prepare_scene`."""
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     physics, ends = derive(setup.pixel), [time.perf_counter()]
@@ -98,11 +80,10 @@ def discharges(pixel: Pixel) -> tuple[Solved, ...]:
     physics = derive(pixel)
     if physics.diode is None:
         return ()
-    well_e = physics.full_well_e
     return tuple(
         replace(solved, light=light)
         for light, wells, time_s in DISCHARGES
-        for solved in solvers(physics.diode, wells * well_e / time_s, time_s)
+        for solved in solvers(physics.diode, wells * physics.full_well_e / time_s, time_s)
     )
 
 
@@ -113,7 +94,7 @@ def survey(
 
     Raises PixsimError if the scene cannot be rendered or captured.
     """
-    depth = QUICK if quick else FULL
+    depth = ladders.QUICK if quick else ladders.FULL
     progress("parse and render")
     start = time.perf_counter()
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
@@ -150,11 +131,7 @@ def survey(
 
 
 def with_reference(subject: Subject, depth: Depth, progress: Stage) -> Subject:
-    """The subject with its reference.
-
-    Without a formula the reference is a render of 64 times the work; if it would take too long, the survey is restricted to
-    the middle of the scene, with a note.
-    """
+    """The subject with its reference: a formula, or a render of 64 times the work, of only the middle of the scene if too long."""
     report_progress, notes = progress("reference"), []
     name = formula_of(subject.scene, subject.plan)
     white = {key: value for key, value in subject.image.header.items() if key == "luminance_cd_per_m2"}
@@ -197,21 +174,21 @@ def middle_of(subject: Subject, parts: int) -> Subject:
 def all_rungs(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> tuple[Rung, list[Rung]]:
     """Rungs of the default settings and of all ladders; the most expensive come last and are skipped if time runs out."""
     report_progress = progress("ladders")
-    picture = partial(rendered, subject.scene, subject.camera, subject.plan)
+    picture = partial(ladders.rendered, subject.scene, subject.camera, subject.plan)
     shipped_step = Step("default settings", subject.plan.spp, picture, shipped=True)
     began = time.perf_counter()
-    shipped = measure("methods", shipped_step, subject, clock)
+    shipped = ladders.measure("methods", shipped_step, subject, clock)
     whole_s = time.perf_counter() - began - (clock.runs + 1) * subject.render_s
     clock.render_s, clock.probe_s = subject.render_s, max(whole_s, 0.0) / clock.runs
     clock.score_s = clock.probe_s / (1 + len(subject.setup.pitches_um))
     viewer = replace(subject.setup, pitches_um=subject.setup.pitches_um if depth.seeds_move_the_optimum else ())
     dots = [count for times in depth.dots if MIN_DOTS <= (count := int(subject.setup.display.dots * times)) <= MAX_DOTS]
     climbs = {
-        "seeds": seed_rungs(subject.image, viewer, shipped, clock, depth.pool),
-        "raster": raster_rungs(subject.image, subject.setup, clock, dots),
+        "seeds": ladders.seed_rungs(subject.image, viewer, shipped, clock, depth.pool),
+        "raster": ladders.raster_rungs(subject.image, subject.setup, clock, dots),
     } | {
-        name: climb(name.removeprefix("long "), steps, subject, clock, shipped)
-        for name, steps in render_steps(subject, depth).items()
+        name: ladders.climb(name.removeprefix("long "), steps, subject, clock, shipped)
+        for name, steps in ladders.render_steps(subject, depth).items()
     }
     rungs: list[Rung] = []
     for number, (name, rise) in enumerate(climbs.items()):

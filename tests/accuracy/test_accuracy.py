@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers.edits import load, render_plan
+from helpers.edits import edited, load, render_plan
 from scipy import stats
 
 from pixsim.accuracy import reference
@@ -74,21 +74,12 @@ def test_fit_order_rising_nan_and_zero_errors_are_excluded(error):
 @pytest.mark.parametrize(
     ("setting", "error"),
     [
-        ([], []),
-        ([1], [1]),
-        ([1, 2], [1, 0.5]),
-        ([1, 2, 4], [1, 0, 0]),
-        ([1, 2, 4], [math.nan, 1, 0.5]),
-        ([1, 2, 4], [math.inf, 1, 0.5]),
-        ([0, 2, 4], [1, 0.5, 0.25]),
-        ([2, 2, 2], [1, 0.5, 0.25]),
-        ([2, 2, 4, 8], [1, 0.9, 0.25, 0.1]),
-        ([math.inf, 2, 4], [1, 0.5, 0.25]),
-        (SETTINGS, [1.0] * 5),
-        (SETTINGS, [1, 2, 3, 4, 5]),
-        (SETTINGS, [1, 0.1, 0.3, 0.2, 0.25]),
+        ([], []), ([1], [1]), ([1, 2], [1, 0.5]), ([1, 2, 4], [1, 0, 0]), ([2, 2, 4, 8], [1, 0.9, 0.25, 0.1]),
+        *(([1, 2, 4], [first, 1, 0.5]) for first in (math.nan, math.inf)),
+        *(([*first, 4], [1, 0.5, 0.25]) for first in ((0, 2), (2, 2), (math.inf, 2))),
+        *((SETTINGS, error) for error in ([1.0] * 5, [1, 2, 3, 4, 5], [1, 0.1, 0.3, 0.2, 0.25])),
     ],
-)
+)  # fmt: skip
 def test_fit_order_too_few_falling_points_is_none(setting, error):
     assert fit_order(setting, error) is None
 
@@ -99,13 +90,10 @@ def test_pareto_front_is_not_dominated():
     rng = np.random.default_rng(2)
     seconds, error = rng.integers(1, 9, 60).astype(float), rng.integers(1, 9, 60).astype(float)
     front = pareto(seconds, error)
-    for k in range(60):
-        beaten = any(
-            seconds[j] <= seconds[k] and error[j] <= error[k] and (seconds[j], error[j]) != (seconds[k], error[k])
-            for j in range(60)
-        )
-        same = any((seconds[j], error[j]) == (seconds[k], error[k]) for j in front)
-        assert same != beaten
+    points = list(zip(seconds, error, strict=True))
+    for point in points:
+        beaten = any(other[0] <= point[0] and other[1] <= point[1] and other != point for other in points)
+        assert (point in [points[k] for k in front]) != beaten
 
 
 def test_beaten_by_requires_clear_difference():
@@ -152,8 +140,6 @@ def test_reference_pictures_match_packaged_charts():
 
 
 def test_formula_of_other_scenes_is_none(tmp_path):
-    from helpers.edits import edited
-
     small = {"resolution": 32, "spp": 4}
     for name in ("csf", "flat", "slanted_edge"):
         assert formula_of(load(name, **small), render_plan(name, **small)) == name
@@ -215,11 +201,8 @@ def test_minimum_um_of_cubic_is_recovered(best):
 
 def test_minimum_um_at_end_or_few_points_is_nan():
     pitch = np.geomspace(4, 8, 6)
-    assert math.isnan(minimum_um(pitch, pitch))
-    assert math.isnan(minimum_um(pitch, 1 / pitch))
-    assert math.isnan(minimum_um(pitch, np.ones(6)))
-    assert math.isnan(minimum_um(pitch[:4], (pitch[:4] - 5) ** 2))
-    assert math.isnan(minimum_um(np.zeros(0), np.zeros(0)))
+    for count, curve in ((6, pitch), (6, 1 / pitch), (6, np.ones(6)), (4, (pitch[:4] - 5) ** 2), (0, np.zeros(0))):
+        assert math.isnan(minimum_um(pitch[:count], curve))
 
 
 def test_relative_rms_known_values():

@@ -21,7 +21,7 @@ from helpers.processes import HANG_S
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 import pixsim
-from pixsim.accuracy import stability, survey as surveys
+from pixsim.accuracy import ladders, stability, survey as surveys
 from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
 from pixsim.accuracy.report import plates_of, write_accuracy
@@ -63,7 +63,7 @@ def settings(**values) -> Run:
 
 def surveyed(source: str | Path, depth=SMALL, **values) -> Accuracy:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surveys, "QUICK", depth)
+        patch.setattr(ladders, "QUICK", depth)
         return survey(str(source), settings(**values), quick=True, variant=VARIANT, progress=lambda _: lambda *_: None)
 
 
@@ -207,8 +207,7 @@ def test_pitches_around_optimum_within_range():
 def test_setup_around_at_optimum_moves_pixel():
     setup, _ = csf()
     assert setup.around((4.0, 5.0, 9.0)).pixel == setup.pixel
-    moved = replace(setup, at_optimum=True).around((4.0, 5.0, 9.0))
-    assert moved.pixel.pitch_um == 6.0
+    assert replace(setup, at_optimum=True).around((4.0, 5.0, 9.0)).pixel.pitch_um == 6.0
     assert replace(setup, at_optimum=True).around(()).pixel == setup.pixel
 
 
@@ -227,8 +226,7 @@ def test_seed_rungs_errors_fall_with_root_of_count():
 def test_probe_builds_one_chain_per_pitch(monkeypatch):
     setup, image = csf()
     made = []
-    plain = chain_at_pitch
-    monkeypatch.setattr(probes, "chain_at_pitch", lambda *given: made.append(1) or plain(*given))
+    monkeypatch.setattr(probes, "chain_at_pitch", lambda *given: made.append(1) or chain_at_pitch(*given))
     probe(image, replace(setup, sensors=3, pitches_um=(6.0, 7.0)))
     assert len(made) == 3
 
@@ -270,8 +268,7 @@ def truth_of(sensors: int = 16) -> float:
     options = Run.model_validate({"camera": {"die_mm": 0.8}, "display": {"dots": 128}})
     camera = scene.camera(options.camera)
     image = analytic_reference(scene, camera, Setup.of(options, camera), "csf", (1024, 1024))[0]
-    setup = replace(Setup.of(options, camera), sensors=sensors, seed=99)
-    return probe(image, setup).mean_delta_e
+    return probe(image, replace(Setup.of(options, camera), sensors=sensors, seed=99)).mean_delta_e
 
 
 def test_run_meets_tolerance_and_looser_is_cheaper(chart, tmp_path, monkeypatch):
@@ -309,8 +306,7 @@ def test_run_prints_mean_over_sensors(chart, tmp_path):
     assert code == 0
     score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
     assert f"mean ΔE {score['sensors_mean_delta_e']:.4f} ± " in text
-    for name in SOURCES:
-        assert name in text
+    assert all(name in text for name in SOURCES)
 
 
 @pytest.mark.parametrize(
@@ -318,10 +314,7 @@ def test_run_prints_mean_over_sensors(chart, tmp_path):
     [
         ("run csf --tolerance-delta-e 0.01 --full", "with --full"),
         ("run picture.exr --tolerance-delta-e 0.01", "a picture"),
-        ("run csf --tolerance-delta-e 0", "tolerance_delta_e"),
-        ("run csf --tolerance-delta-e -1", "tolerance_delta_e"),
-        ("run csf --tolerance-delta-e nan", "tolerance_delta_e"),
-        ("run csf --tolerance-delta-e much", "tolerance_delta_e"),
+        *((f"run csf --tolerance-delta-e {wrong}", "tolerance_delta_e") for wrong in ("0", "-1", "nan", "much")),
         ("accuracy no_such_scene --quick", "no_such_scene"),
         ("accuracy csf --pixel.pitch-um 1 --quick", "pitch"),
         ("accuracy csf --display.dots -3 --quick", "dots"),
@@ -340,13 +333,10 @@ def test_commands_invalid_input_print_one_message(line, message, tmp_path, monke
 
 
 def test_run_scene_without_white_meets_tolerance(tmp_path):
-    source = edited(tmp_path, "macbeth", *WHITELESS)
+    source = edited(tmp_path, "macbeth", ('<default name="white_cd_per_m2"', '<default name="unused_white"'))
     result = run(source, "-D resolution=32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
     assert "error_budget" in result
     assert result["err"].count("does not define its white") == 1
-
-
-WHITELESS = (('<default name="white_cd_per_m2"', '<default name="unused_white"'),)
 
 
 def test_study_with_tolerance_reports_budget(chart, tmp_path):

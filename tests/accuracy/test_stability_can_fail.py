@@ -33,35 +33,21 @@ def at_the_middle(lamp, bands):
     return SpectralImage(nm, 10.0, 20.0, factors=(np.interp(nm, lamp.nodes_nm, lamp.values), np.ones((1, 6, 6))), header=header)
 
 
+LENS, OTF, PIXELS = "optics.irradiance_factor", "optics.diffraction_otf", "integration.integrate_pixels"
 WRONG = {
-    "cos⁴": (
-        "optics.irradiance_factor",
-        lambda n, t, m=0.0: np.pi / (4 * np.square(n * (1 + np.abs(m))) * (1 + np.square(t)) ** 2),
-    ),
-    "1/N² of the engraved f-number": ("optics.irradiance_factor", lambda n, t, m=0.0: optics.irradiance_factor(n, t, 0 * m)),
-    "E/L in single precision": ("optics.irradiance_factor", lambda n, t, m=0.0: np.float32(optics.irradiance_factor(n, t, m))),
-    "an error of 5e-15": ("optics.irradiance_factor", lambda n, t, m=0.0: optics.irradiance_factor(n, t, m) * (1 + 5e-15)),
-    "a linear OTF": ("optics.diffraction_otf", lambda f, nm, n: np.maximum(1 - np.asarray(f) * nm * n / 1e6, 0)),
-    "an OTF above 0 beyond the cut-off": (
-        "optics.diffraction_otf",
-        lambda f, nm, n: np.maximum(optics.diffraction_otf(f, nm, n), 1e-300),
-    ),
-    "0.01 % in N": ("optics.diffraction_otf", lambda f, nm, n: optics.diffraction_otf(np.asarray(f) * 1.0001, nm, n)),
+    "cos⁴": (LENS, lambda n, t, m=0.0: np.pi / (4 * np.square(n * (1 + np.abs(m))) * (1 + np.square(t)) ** 2)),
+    "1/N² of the engraved f-number": (LENS, lambda n, t, m=0.0: optics.irradiance_factor(n, t, 0 * m)),
+    "E/L in single precision": (LENS, lambda n, t, m=0.0: np.float32(optics.irradiance_factor(n, t, m))),
+    "an error of 5e-15": (LENS, lambda n, t, m=0.0: optics.irradiance_factor(n, t, m) * (1 + 5e-15)),
+    "a linear OTF": (OTF, lambda f, nm, n: np.maximum(1 - np.asarray(f) * nm * n / 1e6, 0)),
+    "an OTF above 0 beyond the cut-off": (OTF, lambda f, nm, n: np.maximum(optics.diffraction_otf(f, nm, n), 1e-300)),
+    "0.01 % in N": (OTF, lambda f, nm, n: optics.diffraction_otf(np.asarray(f) * 1.0001, nm, n)),
     "black padding": ("optics.diffract", padded),
-    "rates in single precision": (
-        "integration.integrate_pixels",
-        lambda r, s, p, d: integrate_pixels(r.astype(np.float32).astype(float), s, p, d),
-    ),
-    "a gap of 1e-9 between photodiodes": (
-        "integration.integrate_pixels",
-        lambda r, s, p, d: integrate_pixels(r, s, p, d * (1 - 1e-9)),
-    ),
-    "point sampling": ("integration.integrate_pixels", sampled),
+    "rates in single precision": (PIXELS, lambda r, *lengths: integrate_pixels(r.astype(np.float32).astype(float), *lengths)),
+    "a gap of 1e-9 between photodiodes": (PIXELS, lambda r, s, p, d: integrate_pixels(r, s, p, d * (1 - 1e-9))),
+    "point sampling": (PIXELS, sampled),
     "0.1 % of QE": ("spectra.electrons_per_joule", lambda physics, image: 1.001 * electrons_per_joule(physics, image)),
-    "a signal in the dark": (
-        "spectra.mean_signal_rate",
-        lambda image, camera, physics: 1e-300 + mean_signal_rate(image, camera, physics),
-    ),
+    "a signal in the dark": ("spectra.mean_signal_rate", lambda *given: 1e-300 + mean_signal_rate(*given)),
     "lamps sampled at the centres of bands": ("spectra.image_of", at_the_middle),
 }
 

@@ -26,14 +26,7 @@ GATE_SENSOR = {
     "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3, "quantum_efficiency": 0.62, "bits": 12,
     "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2, "data_sheet_pitch_um": 3.75
 }  # fmt: skip
-GATE: dict[str, Any] = {
-    "name": "gate",
-    "seed": 1,
-    "technologies": ["none"],
-    "camera": {"die_mm": 2.4, "focal_length_mm": 4.0, "f_number": 2.8},
-    "pixel": GATE_SENSOR,
-    "exposure": {"max_integration_s": 0.033},
-}
+GATE = {"name": "gate", "seed": 1, "technologies": ["none"], "pixel": GATE_SENSOR, "exposure": {"max_integration_s": 0.033}}
 
 
 def chen2000(technology: str, count: int, **more: Any) -> pixsim.Study:
@@ -48,7 +41,8 @@ def gate(luminance_cd_per_m2: float, f_number: float, count: int) -> pixsim.Stud
     """The camera of docs/how_small.md with a given luminance and f-number."""
     scene = {"file": "csf", "parameters": {"luminance_cd_per_m2": luminance_cd_per_m2}}
     pitch = {"min_um": 1.326, "max_um": 10.607, "count": count}
-    return pixsim.Study.model_validate(GATE | {"scene": scene, "pitch": pitch, "camera": GATE["camera"] | {"f_number": f_number}})
+    camera = {"die_mm": 2.4, "focal_length_mm": 4.0, "f_number": f_number}
+    return pixsim.Study.model_validate(GATE | {"scene": scene, "pitch": pitch, "camera": camera})
 
 
 def studies() -> dict[str, pixsim.Study]:
@@ -66,9 +60,8 @@ def studies() -> dict[str, pixsim.Study]:
 
 def sweep(study: pixsim.Study) -> np.ndarray:
     """(pitches, sensors) mean ΔE."""
-    study = study.model_copy(update={"repeats": SENSORS})
     with tempfile.TemporaryDirectory() as folder:
-        return pixsim.study(study, folder).curves[0].delta_e
+        return pixsim.study(study.model_copy(update={"repeats": SENSORS}), folder).curves[0].delta_e
 
 
 def main(names: list[str]) -> None:

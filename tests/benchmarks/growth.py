@@ -69,13 +69,9 @@ def bands_run(count: int) -> dict[str, float]:
 
 def study_run(pitches: int, repeats: int, jobs: int) -> dict[str, float]:
     """Seconds of the evaluations of a study, without render and report."""
-    table = {
-        "name": "growth",
-        "repeats": repeats,
-        "scene": {"file": "csf", "parameters": {"resolution": 512}},
-        "pitch": {"values_um": PITCHES_UM[:: len(PITCHES_UM) // pitches][:pitches]},
-    }
-    small = pixsim.Study.model_validate(table)
+    scene = {"file": "csf", "parameters": {"resolution": 512}}
+    pitch = {"values_um": PITCHES_UM[:: len(PITCHES_UM) // pitches][:pitches]}
+    small = pixsim.Study.model_validate({"name": "growth", "repeats": repeats, "scene": scene, "pitch": pitch})
     render_s = seconds_of(lambda: render_for(small))
     with tempfile.TemporaryDirectory() as folder:
         study_s = seconds_of(lambda: study(small, folder, jobs=jobs))
@@ -95,12 +91,6 @@ AXES: dict[str, Axis] = {
 
 def point(axis: str, value: int) -> dict[str, float]:
     return AXES[axis][1](value)
-
-
-def measured(axis: str, value: int) -> dict[str, float]:
-    """Seconds of each stage and memory in GiB, in a new process."""
-    seconds, gib = fresh(point, axis, value)
-    return seconds | {"GiB": gib}
 
 
 def exponent(values: list[int], seconds: list[float]) -> float:
@@ -143,7 +133,7 @@ def main() -> None:
     results = {}
     for name in options.axes or AXES:
         values = [value for value in AXES[name][2] if value <= options.largest]
-        points = [measured(name, value) for value in values]
+        points = [seconds | {"GiB": gib} for seconds, gib in (fresh(point, name, value) for value in values)]
         results[name] = values, points
         print(f"\n{AXES[name][0]:36}" + "".join(f"{value:>9}" for value in values) + "   exponent")
         for stage in points[0]:

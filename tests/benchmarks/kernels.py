@@ -143,13 +143,8 @@ def targets() -> None:
     row("diffraction, 31 bands of one spectrum, 1024²", 0.15, one, partial(plain_optics, film))
     row("diffraction, 31 bands, general, 1024²", 3.0, many, partial(plain_optics, general), 3)
     small = bands(512)
-    row(
-        "diffraction, 31 bands, general, 512²",
-        None,
-        partial(diffracted_rate, small, CAMERA, physics),
-        partial(plain_optics, small),
-        3,
-    )
+    few = partial(diffracted_rate, small, CAMERA, physics)
+    row("diffraction, 31 bands, general, 512²", None, few, partial(plain_optics, small), 3)
     light = prepare_scene(film, CAMERA, physics, DISPLAY)
     chain = chain_at_pitch(light, physics, EXPOSURE)
     shape, signal = chain.signal_e_per_s.shape, chain.signal_e_per_s

@@ -31,10 +31,6 @@ def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> lis
     return lines
 
 
-def is_reference_at_the_end(technology: dict[str, Any]) -> bool:
-    return bool(technology["technology"] == REFERENCE_TECHNOLOGY and not technology["optimum"]["inside"])
-
-
 def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str]:
     """Range of the reference's optimum and minimum mean ΔE for each assumption, including the base case, widest first."""
 
@@ -48,7 +44,9 @@ def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str
             ranges.setdefault(case["variation"], [optimum(base["curves"])]).append(optimum(case["technologies"]))
     ends = {name: [(min(values), max(values)) for values in zip(*optima, strict=True)] for name, optima in ranges.items()}
     widest_first = sorted(ends.items(), key=lambda item: item[1][0][0] - item[1][0][1])
-    at_the_end = {case["variation"] for case in cases for technology in case["technologies"] if is_reference_at_the_end(technology)}
+    every = [(case["variation"], technology) for case in cases for technology in case["technologies"]]
+    reference = [(name, technology["optimum"]) for name, technology in every if technology["technology"] == REFERENCE_TECHNOLOGY]
+    at_the_end = {name for name, optimum_ in reference if not optimum_["inside"]}
     lines = [
         f"| {name} | {size[0]:.2f} to {size[1]:.2f}{' (largest or smallest tried)' if name in at_the_end else ''} | "
         f"{least[0]:.3f} to {least[1]:.3f} |"

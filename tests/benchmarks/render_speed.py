@@ -30,6 +30,7 @@ from pixsim.light.spectral import photons_per_joule
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import Renderer
+from pixsim.scene.scene import sensor_node
 from pixsim.sensor.integration import ideal_rate
 from pixsim.sensor.pixel import derive
 
@@ -46,18 +47,13 @@ def plain(name: str, resolution: int, sampler: str) -> Picture:
     """Plain Mitsuba render of the XML in 31 bands."""
     scene = pixsim.load_scene(name, resolution=resolution)
     weight = PHYSICS.quantum_efficiency(BANDS_NM) * photons_per_joule(BANDS_NM)
-    film = {
-        "type": "specfilm",
-        "width": resolution,
-        "height": resolution,
-        "component_format": "float32",
-        "rfilter": {"type": "box"},
-    }
+    film = {"type": "specfilm", "component_format": "float32", "rfilter": {"type": "box"}}
+    film |= {"width": resolution, "height": resolution}
     for k, nm in enumerate(BANDS_NM.tolist()):
         film[f"band{k}"] = {"type": "regular", "wavelength_min": nm - 5, "wavelength_max": nm + 5, "values": "1, 1"}
     with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
         loaded = mi.load_file(str(scene.path), **scene.parameters)
-        sensor = pixsim.scene.sensor_node(scene.parse(), None)[1]
+        sensor = sensor_node(scene.parse(), None)[1]
         names = ("type", "fov", "aperture_radius", "focus_distance", "to_world")
         lens = {key: sensor.props[key] for key in names if key in sensor.props}
 
@@ -82,8 +78,7 @@ def pruned(name: str, resolution: int) -> tuple[Picture, Plan]:
     def picture(spp: int, seed: int) -> tuple[np.ndarray, float]:
         job = jobs.setdefault(spp, Renderer(scene, camera, replace(plan, spp=spp), 0))
         start = time.perf_counter()
-        image = job.image(*job.run(seed))
-        rate = ideal_rate(image, PHYSICS)
+        rate = ideal_rate(job.image(*job.run(seed)), PHYSICS)
         return rate, time.perf_counter() - start
 
     return picture, plan

@@ -29,14 +29,8 @@ TARGET_MS = 2.0
 
 
 def small_study(repeats: int) -> pixsim.Study:
-    table = {
-        "name": "small",
-        "repeats": repeats,
-        "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4}},
-        "pitch": {"values_um": PITCHES_UM},
-        "camera": {"die_mm": 0.5},
-        "display": {"dots": 96},
-    }
+    table = {"scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4}}, "camera": {"die_mm": 0.5}}
+    table |= {"name": "small", "repeats": repeats, "pitch": {"values_um": PITCHES_UM}, "display": {"dots": 96}}
     return pixsim.Study.model_validate(table)
 
 

@@ -32,23 +32,16 @@ def judges(folder: Path = HERE) -> list[str]:
 
 def verdicts(name: str, full: bool) -> list[dict[str, object]]:
     """Rows of one judge; empty for a module without `rows`."""
-    rows = getattr(importlib.import_module(name), "rows", None)
-    if rows is None:
-        return []
+    rows = getattr(importlib.import_module(name), "rows", lambda: [])
     return list(rows(full=full) if "full" in inspect.signature(rows).parameters else rows())
 
 
-def cell_text(cell: object) -> str:
-    """The text of a cell, with three digits for floats."""
-    return f"{cell:.3g}" if isinstance(cell, float) else str(cell)
-
-
 def markdown(rows: list[dict[str, object]]) -> str:
-    """The table in Markdown; failed rows are bold."""
+    """The table in Markdown, with three digits for floats; failed rows are bold."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
     for row in rows:
-        cells = [cell_text(row[column]).replace("|", "\\|") for column in COLUMNS[:-1]]
-        lines.append("| " + " | ".join([*cells, "yes" if row["met"] else "**no**"]) + " |")
+        cells = [f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in map(row.get, COLUMNS[:-1])]
+        lines.append("| " + " | ".join([*(cell.replace("|", "\\|") for cell in cells), "yes" if row["met"] else "**no**"]) + " |")
     return "\n".join(lines)
 
 

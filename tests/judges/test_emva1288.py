@@ -43,13 +43,8 @@ GATE = 0.005
 SIDE, EXPOSURES = 480, 40
 # (technology, pitch in µm, bits for σ_d ≥ 1 DN, frames of a stack: more if temporal noise exceeds the fixed pattern)
 CASES = (("0.35um", 5.3, 12, 16), ("0.35um", 6.5, 12, 16), ("0.35um", 15.0, 14, 16), ("4t-bsi", 1.2, 12, 64))
-MORE_CASES = (
-    ("0.5um", 9.0, 12, 16),
-    ("0.25um", 5.0, 12, 16),
-    ("0.18um", 3.0, 12, 16),
-    ("4t-fsi", 2.2, 12, 100),
-    ("4t-bsi", 0.7, 12, 400),
-)
+MORE_CASES = (("0.5um", 9.0, 12, 16), ("0.25um", 5.0, 12, 16), ("0.18um", 3.0, 12, 16), ("4t-fsi", 2.2, 12, 100),
+              ("4t-bsi", 0.7, 12, 400))  # fmt: skip
 Case = tuple[str, float, int, int]
 
 
@@ -75,7 +70,7 @@ def experiment_of(case: Case, side: int = SIDE, seed: int = 0) -> Experiment:
 
 def package_results(experiment: Experiment) -> dict[str, float]:
     """Results of the package, from frames reduced by its `get_int_imgs`, as in its file loader."""
-    e, rows_columns = experiment, experiment.sensor.shape
+    e, (height, width) = experiment, experiment.sensor.shape
 
     def temporal(photons: float, *key: object) -> dict[str, Any]:
         sums = routines.get_int_imgs(Images(e, 2, photons, *key))
@@ -85,12 +80,8 @@ def package_results(experiment: Experiment) -> dict[str, float]:
     saturation = e.photons[saturation_index(np.array([images["pvar"] for images in pairs.values()], float))]
     lights = {0.0: "dark stack", float(saturation) / 2: "bright stack"}
     stacks = {photons: routines.get_int_imgs(Images(e, e.stack_frames, photons, name)) for photons, name in lights.items()}
-    data = {
-        "height": rows_columns[0],
-        "width": rows_columns[1],
-        "temporal": {e.integration_s: {0.0: temporal(0.0, "dark"), **pairs}},
-        "spatial": {e.integration_s: stacks},
-    }
+    series = {0.0: temporal(0.0, "dark"), **pairs}
+    data = {"height": height, "width": width, "temporal": {e.integration_s: series}, "spatial": {e.integration_s: stacks}}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(np, "asfarray", lambda a: np.asarray(a, float), raising=False)  # removed in NumPy 2
         results = process.Results1288(process.Data1288(data, loglevel=40).data, loglevel=40)
@@ -153,10 +144,7 @@ def deviations(experiment: Experiment) -> dict[str, float]:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case[0]}-{case[1]}")
 def test_package_results_six_seeds_match_parameters(case: Case) -> None:
     """For six devices the mean deviation is below half of the gate, each deviation below 1.5 times the gate."""
-    offs = []
-    for seed in range(1, 7):
-        experiment = experiment_of(case, seed=seed)
-        offs.append(list(deviations(experiment).values()))
+    offs = [list(deviations(experiment_of(case, seed=seed)).values()) for seed in range(1, 7)]
     assert np.all(np.abs(np.mean(offs, axis=0)) < GATE / 2)
     assert np.all(np.abs(offs) < 1.5 * GATE)
 
@@ -164,16 +152,11 @@ def test_package_results_six_seeds_match_parameters(case: Case) -> None:
 def test_estimators_match_package() -> None:
     experiment = experiment_of(CASES[0], side=120)
     results, sheet = package_results(experiment), measure(experiment)
+    curve = sheet.transfer
     estimates = {
-        "K": sheet.transfer.gain_dn_per_e,
-        "R": sheet.transfer.responsivity_dn_per_p,
-        "QE": sheet.transfer.efficiency * 100,
-        "sigma_d": sheet.transfer.dark_noise_e,
-        "DSNU1288": sheet.dsnu_e,
-        "PRNU1288": sheet.prnu * 100,
-        "u_p_sat": sheet.transfer.saturation_p,
-        "u_p_min": sheet.transfer.threshold_p,
-    }
+        "K": curve.gain_dn_per_e, "R": curve.responsivity_dn_per_p, "QE": curve.efficiency * 100, "sigma_d": curve.dark_noise_e,
+        "u_p_sat": curve.saturation_p, "u_p_min": curve.threshold_p, "DSNU1288": sheet.dsnu_e, "PRNU1288": sheet.prnu * 100
+    }  # fmt: skip
     for name, estimate in estimates.items():
         assert estimate.value == pytest.approx(results[name], rel=1e-4), name
 
@@ -187,8 +170,7 @@ class Resampled(Experiment):
 
 
 def test_resampled_pattern_fails() -> None:
-    right = experiment_of(CASES[0], side=120)
-    off = deviations(Resampled(**vars(right)))
+    off = deviations(Resampled(**vars(experiment_of(CASES[0], side=120))))
     assert min(abs(off[name]) for name in ("K", "sigma_d", "DSNU1288", "PRNU1288")) > 10 * GATE
 
 

@@ -74,9 +74,8 @@ def light_off(case: Case) -> float:
     nm = np.arange(360.0, 703.0, 1.0)
     colour = pytest.importorskip("colour")
     everything = np.arange(360.0, 781.0, 1.0)
-    illuminant = (
-        colour.SDS_ILLUMINANTS["D65"].copy().interpolate(colour.SpectralShape(300, 780, 1), interpolator=colour.LinearInterpolator)
-    )
+    shape = colour.SpectralShape(300, 780, 1)
+    illuminant = colour.SDS_ILLUMINANTS["D65"].copy().interpolate(shape, interpolator=colour.LinearInterpolator)
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     power = np.array([illuminant[wavelength] for wavelength in nm])
     photons = nm * 1e-9 / (6.62607015e-34 * 299792458.0)

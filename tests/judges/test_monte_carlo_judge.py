@@ -114,8 +114,7 @@ def test_rows_pass(full):
 
 
 def scenes(long: set[str]) -> pytest.MarkDecorator:
-    names = [pytest.param(name, marks=pytest.mark.judges_full) if name in long else name for name in SCENES]
-    return pytest.mark.parametrize("name", names)
+    return pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.judges_full) if n in long else n for n in SCENES])
 
 
 @pytest.mark.skipif(ctypes.util.find_library("cuda") is None, reason="no libcuda here: no NVIDIA driver, so no GPU")

@@ -68,35 +68,18 @@ def disc_irradiance(f_number: float, tan_field: float) -> float:
         transform = mi.ScalarTransform4f
 
         def radiance(origin: list[float], target: list[float], samples: int) -> float:
-            scene = {
-                "type": "scene",
-                "integrator": {"type": "path", "max_depth": 2},
-                "sensor": {
-                    "type": "perspective",
-                    "fov": 0.01,
-                    "to_world": transform().look_at(origin=origin, target=target, up=[0, 1, 0.3]),
-                    "sampler": {"type": "multijitter", "sample_count": samples},
-                    "film": {
-                        "type": "specfilm",
-                        "width": 8,
-                        "height": 8,
-                        "component_format": "float32",
-                        "rfilter": {"type": "box"},
-                        "band": {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 600.0, "values": "1, 1"},
-                    },
-                },
-                "plane": {
-                    "type": "rectangle",
-                    "to_world": transform().scale(10),
-                    "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 1.0}},
-                },
-                "disc": {
-                    "type": "disk",
-                    "to_world": transform().translate([tan_field, 0, 1]).rotate([1, 0, 0], 180).scale(0.5 / f_number),
-                    "emitter": {"type": "area", "radiance": {"type": "uniform", "value": 1.0}},
-                },
-            }
-            return float(np.array(mi.render(mi.load_dict(scene), seed=1), float)[..., 0].mean())
+            band = {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 600.0, "values": "1, 1"}
+            film = {"type": "specfilm", "width": 8, "height": 8, "component_format": "float32", "rfilter": {"type": "box"}}
+            sensor = {"type": "perspective", "fov": 0.01, "film": film | {"band": band}}
+            sensor["to_world"] = transform().look_at(origin=origin, target=target, up=[0, 1, 0.3])
+            sensor["sampler"] = {"type": "multijitter", "sample_count": samples}
+            one = {"type": "uniform", "value": 1.0}
+            plane = {"type": "rectangle", "to_world": transform().scale(10), "bsdf": {"type": "diffuse", "reflectance": one}}
+            disc = {"type": "disk", "emitter": {"type": "area", "radiance": one}}
+            disc["to_world"] = transform().translate([tan_field, 0, 1]).rotate([1, 0, 0], 180).scale(0.5 / f_number)
+            scene = {"type": "scene", "sensor": sensor, "plane": plane, "disc": disc}
+            loaded = mi.load_dict(scene | {"integrator": {"type": "path", "max_depth": 2}})
+            return float(np.array(mi.render(loaded, seed=1), float)[..., 0].mean())
 
         plane = radiance([0, -2, 0.5], [0, 0, 0], 4096)  # from the side, so that the camera is not below the disc
         disc = radiance([tan_field, 0, 0.5], [tan_field, 0, 1], 16)
@@ -125,8 +108,8 @@ def picture_from_disc(luminance_cd_per_m2: float = 100.0, magnification: float |
     return np.array([value / (luminance_cd_per_m2 * disc_irradiance(working, tan)) - 1 for tan, value in lux_at.items()])
 
 
-def isetcam_short(magnification_sign: float = 1.0, stops: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """(f-numbers, relative difference of ISETCam's illuminance at the centre from Foote's)."""
+def isetcam_line(magnification_sign: float = 1.0, stops: float = 1.0) -> tuple[np.ndarray, float, float, np.ndarray]:
+    """(1 - ISETCam's illuminance at the centre over Foote's, its slope per f-number, its value at N = 0, the residuals)."""
     with np.load(ISETCAM) as file:
         data = dict(file)
     nm = data["optics_wave"].astype(float)
@@ -134,12 +117,7 @@ def isetcam_short(magnification_sign: float = 1.0, stops: float = 1.0) -> tuple[
     luminance_cd_per_m2 = (radiance * luminous_weight(nm, 10.0)).sum()
     f_number, m = data["optics_irr_fnumber"], data["optics_irr_mag"]
     working = stops * f_number * (1 + magnification_sign * np.abs(m))
-    return f_number, 1 - data["optics_irr_lux"] / (luminance_cd_per_m2 * optics.irradiance_factor(working, 0.0))
-
-
-def isetcam_line(**wrong: float) -> tuple[np.ndarray, float, float, np.ndarray]:
-    """(loss, its slope a stop number, its value at N = 0, what is left of it)."""
-    f_number, short = isetcam_short(**wrong)
+    short = 1 - data["optics_irr_lux"] / (luminance_cd_per_m2 * optics.irradiance_factor(working, 0.0))
     slope, at_zero = np.polyfit(f_number, short, 1)
     return short, float(slope), float(at_zero), short - (slope * f_number + at_zero)
 

@@ -58,9 +58,8 @@ def measured_db(physics: PixelPhysics, side: int, *key: object) -> dict[str, flo
     shape = side, side
     sensor = sample_sensor(physics, shape, stream("no pattern"))
 
-    def frames(signal_e: float, name: str) -> tuple[np.ndarray, np.ndarray]:
-        first, second = (read_out(np.full(shape, signal_e), SECONDS, sensor, stream(*key, name, index)) for index in range(2))
-        return first, second
+    def frames(signal_e: float, name: str) -> list[np.ndarray]:
+        return [read_out(np.full(shape, signal_e), SECONDS, sensor, stream(*key, name, index)) for index in range(2)]
 
     dark = pair(*frames(0.0, "dark"))
     top_dn = float(np.median(frames(1.5 * physics.full_well_e, "full")[0]))  # the median, as noise lowers some codes
@@ -107,11 +106,10 @@ def quantiser_cost_db(bits: int = 10) -> tuple[float, float]:
     sensor = sample_sensor(physics, shape, stream("no pattern"))
     ramp_e = np.linspace(0.0, phases / physics.dn_per_e, math.prod(shape), endpoint=False).reshape(shape)
     frame = read_out(ramp_e, SECONDS, sensor, stream("paper", "quantiser", bits))
-    measured_dn2 = float(np.mean((frame - frame_mean_dn(ramp_e, SECONDS, physics)) ** 2))
+    added_dn2 = float(ramp_e.mean()) * physics.dn_per_e**2  # shot noise of the ramp, absent in the dark
+    measured_dn2 = float(np.mean((frame - frame_mean_dn(ramp_e, SECONDS, physics)) ** 2)) - added_dn2
     dark_e = physics.dark_current_e_per_s * SECONDS
-    added_e2 = float(ramp_e.mean())  # shot noise of the ramp, absent in the dark
     true_dn2 = (physics.reset_noise_e**2 + physics.read_noise_e**2 + dark_e) * physics.dn_per_e**2
-    measured_dn2 -= added_e2 * physics.dn_per_e**2
     return 10 * math.log10(measured_dn2 / true_dn2), 10 * math.log10(1 + 1 / 12 / true_dn2)
 
 

@@ -20,7 +20,7 @@ from pixsim.base.arrays import Array
 SIGMAS = 5.0  # limit for random samples
 STATISTICAL = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
 ROUNDING = 1e-12  # of a few hundred operations in float64
-QUIET = dict.fromkeys(
+QUIET: dict[str, Any] = dict.fromkeys(
     ("dark_current_e_per_s", "read_noise_e", "reset_noise_factor", "prnu", "dsnu", "offset_fpn", "column_fpn"), 0
 )  # parameters of a pixel with photon shot noise alone
 ROOMS = ("optics", "spectra", "light", "sensor", "integration", "viewer", "photodiode")

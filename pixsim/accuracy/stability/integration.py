@@ -55,13 +55,9 @@ def _conservation(picture: Array) -> Iterator[Case]:
         yield compare(name, picture.sum(), got.sum(), SUMMED * SIDE, "conservation; roundings of sums")
     got = integrated(picture, 1 - ALMOST)
     left_out = SIDE * ALMOST / 2 * sum(picture[at].sum() for at in ((0,), (-1,), (slice(None), 0), (slice(None), -1)))
-    yield compare(
-        "electrons of all pixels, fill factor 1, pitch/grid 1 - 1e-12",
-        picture.sum() - left_out,
-        got.sum(),
-        2 * ALMOST,
-        "conservation, minus the border of 3.2e-11 samples outside the array, 2e-12 of the total",
-    )
+    name = "electrons of all pixels, fill factor 1, pitch/grid 1 - 1e-12"
+    source = "conservation, minus the border of 3.2e-11 samples outside the array, 2e-12 of the total"
+    yield compare(name, picture.sum() - left_out, got.sum(), 2 * ALMOST, source)
     thirds = np.random.default_rng(1).uniform(0.5, 1.5, (63, 70))
     got = integrated(thirds, 7 / 3)
     yield compare("electrons of all pixels, fill factor 1, pitch/grid 7/3", thirds.sum(), got.sum(), SUMMED * 70, "conservation")
@@ -129,14 +125,9 @@ def _small_and_large(picture: Array) -> Iterator[Case]:
     wave = np.cos(np.pi * order * (np.arange(SIDE) + 0.5) / SIDE) * np.sinc(order / (2 * SIDE))  # exact means of the samples
     got_values = integrated(1 + wave[:, None] * np.ones(SIDE), math.pi, side)[:, 3]
     at = centres_um(len(got_values), math.pi, SIDE)
-    yield compare(
-        "a grating with a period of 26 samples, photodiodes of 0.6 π samples, pitch π",
-        side**2 * (1 + np.cos(np.pi * order * at / SIDE) * np.sinc(side * order / (2 * SIDE))),
-        got_values,
-        2e-4,
-        "closed form; error of the quintic spline, 0.02 %",
-        scale=side**2,
-    )
+    expected = side**2 * (1 + np.cos(np.pi * order * at / SIDE) * np.sinc(side * order / (2 * SIDE)))
+    name = "a grating with a period of 26 samples, photodiodes of 0.6 π samples, pitch π"
+    yield compare(name, expected, got_values, 2e-4, "closed form; error of the quintic spline, 0.02 %", scale=side**2)
 
 
 def _dots(picture: Array) -> Iterator[Case]:

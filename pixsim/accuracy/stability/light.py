@@ -27,13 +27,7 @@ PHOTONS_PER_J = 555e-9 / (6.62607015e-34 * 299792458.0)
 PITCH_UM, TIME_S = 5.0, 0.01
 CAMERA = Camera(die_mm=0.08)
 # Shot noise alone, QE 0.5, fill factor 0.5, one code per electron up to 2^16 - 1.
-CLEAN: dict[str, Any] = QUIET | {
-    "quantum_efficiency": 0.5,
-    "fill_factor": 0.5,
-    "full_well_e": 65_535,
-    "bits": 16,
-    "pitch_um": PITCH_UM,
-}
+CLEAN = QUIET | {"quantum_efficiency": 0.5, "fill_factor": 0.5, "full_well_e": 65_535, "bits": 16, "pitch_um": PITCH_UM}
 
 
 def cases() -> Iterator[Case]:

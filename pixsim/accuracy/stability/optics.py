@@ -63,11 +63,8 @@ def gauss(count: int) -> tuple[Array, Array]:
 
 
 def solid_angle_integral(tan_alpha: float, tan_field: float) -> float:
-    """∫ cos θ₁ cos θ₂/r² over a disc of radius tan α at distance 1, seen tan θ off its axis.
-
-    Gauss-Legendre in radius and the trapezoidal rule in angle, which converges exponentially for periodic functions.
-    """
-    share, weight = gauss(60)
+    """∫ cos θ₁ cos θ₂/r² over a disc of radius tan α at distance 1, seen tan θ off its axis."""
+    share, weight = gauss(60)  # the trapezoidal rule in angle converges exponentially for periodic functions
     radius = tan_alpha * share
     angle = 2 * np.pi * np.arange(128) / 128
     distance2 = 1 + radius[:, None] ** 2 + tan_field**2 - 2 * radius[:, None] * tan_field * np.cos(angle)
@@ -100,14 +97,9 @@ def _otf() -> Iterator[Case]:
     yield compare(name, 1.0, [diffraction_otf(0.0, 550.0, f_number) for f_number in extremes], 0.0, "exactly 1 at frequency 0")
     below = np.concatenate([np.geomspace(1e-16, 0.5, 60), 1 - np.geomspace(1e-300, 0.5, 60)])
     x = 1 - below
-    yield compare(
-        "OTF from 0 to just below the cut-off",
-        [pupil_overlap(gap) for gap in 1 - x],
-        diffraction_otf(x, 1e6, 1.0),  # a cut-off of 1 cy/mm
-        ROUNDED,
-        "overlap of two pupils by quadrature; rounding of terms near 1",
-        scale=1.0,
-    )
+    overlap, otf = [pupil_overlap(gap) for gap in 1 - x], diffraction_otf(x, 1e6, 1.0)  # a cut-off of 1 cy/mm
+    source = "overlap of two pupils by quadrature; rounding of terms near 1"
+    yield compare("OTF from 0 to just below the cut-off", overlap, otf, ROUNDED, source, scale=1.0)
 
 
 def pupil_overlap(gap: float) -> float:
@@ -123,28 +115,17 @@ def _pictures() -> Iterator[Case]:
         return [diffract(picture, PITCH_UM, NM, SHARES, f_number) for picture in pictures]
 
     every = [0.5, 4.0, 1e3, 1e6, 1e300, np.inf]
-    yield compare(
-        "mean of pictures of 1×1 to 24×40 samples behind f/0.5 to a pinhole",
-        np.tile([picture.mean() for picture in pictures], len(every)),
-        [picture.mean() for n in every for picture in blurred(n)],
-        TRANSFORMED,
-        "conservation of energy; rounding of the transform",
-    )
-    yield compare(
-        "pictures of which the lens passes only the mean, f/1e6 to a pinhole",
-        np.tile(flat([np.full(picture.shape, picture.mean()) for picture in pictures]), 4),
-        flat([picture for n in (1e6, 1e100, 1e306, np.inf) for picture in blurred(n)]),
-        TRANSFORMED,
-        "cut-off below the lowest frequency; rounding of the transform",
-    )
-    yield compare(
-        "pictures with a cut-off far above the grid, 1e15 cy/mm to infinity",
-        np.tile(flat(pictures), 3),
-        flat([picture for n in (1e-12, 1e-300, 1e-320) for picture in blurred(n)]),
-        TRANSFORMED + 4 / np.pi * 1e3 / 1e15,
-        "unchanged: the OTF is 1 - 4f/(π cut-off), f up to 1e3 cy/mm",
-        scale=2.0,
-    )
+    means, got = [picture.mean() for picture in pictures], [picture.mean() for n in every for picture in blurred(n)]
+    name, source = "mean of pictures of 1×1 to 24×40 samples behind f/0.5 to a pinhole", "conservation of energy"
+    yield compare(name, np.tile(means, len(every)), got, TRANSFORMED, f"{source}; rounding of the transform")
+    even = np.tile(flat([np.full(picture.shape, picture.mean()) for picture in pictures]), 4)
+    seen = flat([picture for n in (1e6, 1e100, 1e306, np.inf) for picture in blurred(n)])
+    name, source = "pictures of which the lens passes only the mean, f/1e6 to a pinhole", "cut-off below the lowest frequency"
+    yield compare(name, even, seen, TRANSFORMED, f"{source}; rounding of the transform")
+    seen = flat([picture for n in (1e-12, 1e-300, 1e-320) for picture in blurred(n)])
+    name, source = "pictures with a cut-off far above the grid, 1e15 cy/mm to infinity", "unchanged: the OTF is 1 - 4f/(π cut-off)"
+    allowed = TRANSFORMED + 4 / np.pi * 1e3 / 1e15
+    yield compare(name, np.tile(flat(pictures), 3), seen, allowed, f"{source}, f up to 1e3 cy/mm", scale=2.0)
     orders = range(1, 32, 3)
     wave = np.cos(np.pi * np.array(orders)[:, None] * (np.arange(32) + 0.5) / 32)
     at_cutoff = [_wave_behind(row, k, share) for share in (1.0, 0.5) for k, row in zip(orders, wave, strict=True)]

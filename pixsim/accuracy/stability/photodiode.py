@@ -13,17 +13,8 @@ from pixsim.accuracy.solvers import solve_ode
 from pixsim.accuracy.stability import Case, compare
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel
-from pixsim.sensor.photodiode import (
-    LINEAR_WITHIN,
-    collected_charge_e,
-    converted_e,
-    default_diode,
-    diode_of,
-    level_table,
-    linear_limit_e,
-    stored_charge_e,
-    stored_signal_e,
-)
+from pixsim.sensor import photodiode as model
+from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import E_PER_FC, Diode, derive
 
 CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
@@ -35,11 +26,8 @@ HOURS_S = 36000.0
 
 
 def cases() -> Iterator[Case]:
-    yield from constant_capacitance()
-    yield from limits()
-    yield from implicit_solver()
-    yield from without_diode_current()
-    yield from tables()
+    for group in (constant_capacitance, limits, implicit_solver, without_diode_current, tables):
+        yield from group()
 
 
 def closed_form_e(total_e_per_s: Array, time_s: Array, capacitance_e_per_v: float, diode: Diode) -> Array:
@@ -129,13 +117,13 @@ def tables() -> Iterator[Case]:
             physics = derive(Pixel.model_validate({"technology": technology, "pitch_um": pitch_um, **options}))
             diode, well_e = diode_of(physics), physics.full_well_e
             generated = np.concatenate([np.linspace(0, 2 * well_e, 1501), well_e * np.logspace(-4, 15, 301)])
-            stored_e = stored_charge_e(generated, time_s, diode)
-            expected = converted_e(stored_e, well_e, diode) if conversion == "junction" else stored_e
-            got = stored_signal_e(generated, time_s, physics)
+            stored_e = model.stored_charge_e(generated, time_s, diode)
+            expected = model.converted_e(stored_e, well_e, diode) if conversion == "junction" else stored_e
+            got = model.stored_signal_e(generated, time_s, physics)
             name = f"{technology}, {temperature_k:g} K, {time_s:g} s, {conversion}"
             yield compare(f"table: {name}", expected, got, 1e-6, "quadrature", scale=well_e)
-            min_step = float(np.diff(level_table(diode, well_e, time_s, conversion == "junction").level_e).min())
+            min_step = float(np.diff(model.level_table(diode, well_e, time_s, conversion == "junction").level_e).min())
             yield compare(f"table is monotone: {name}", 0.0, min(min_step, 0.0), 0.0, "f_t is monotone")
-            below = np.linspace(0, 1 - 1e-9, 65) * linear_limit_e(diode, well_e, time_s)
-            lost_e = below - stored_charge_e(below, time_s, diode)
-            yield compare(f"linear response below its limit: {name}", 0.0, lost_e, LINEAR_WITHIN, "quadrature", scale=well_e)
+            below = np.linspace(0, 1 - 1e-9, 65) * model.linear_limit_e(diode, well_e, time_s)
+            lost_e = below - model.stored_charge_e(below, time_s, diode)
+            yield compare(f"linear response below its limit: {name}", 0.0, lost_e, model.LINEAR_WITHIN, "quadrature", scale=well_e)

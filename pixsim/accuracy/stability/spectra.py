@@ -11,17 +11,8 @@ from pixsim.accuracy.stability import Case, compare
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Display, Pixel
-from pixsim.light.spectral import (
-    HIGH_NM,
-    LIGHT_SPEED_M_PER_S,
-    LOW_NM,
-    LUMINOUS_EFFICACY_LM_PER_W,
-    PLANCK_J_S,
-    SpectralImage,
-    Spectrum,
-    photons_per_joule,
-    photopic_efficiency,
-)
+from pixsim.light import spectral
+from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage, Spectrum, photons_per_joule, photopic_efficiency
 from pixsim.scene.bands import Bands, Response, Witness, fit, place_bands
 from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -37,6 +28,7 @@ LUMINANCE_TOLERANCE = 1e-3
 SUMMED = 1e-13  # rounding of a running sum over up to 15 040 cells
 GRID_NM = np.arange(LOW_NM, HIGH_NM + 0.05, 0.1)  # every table has its nodes here
 PITCH_UM = 10.0
+HC_J_M = spectral.PLANCK_J_S * spectral.LIGHT_SPEED_M_PER_S
 CAMERA = Camera()
 
 
@@ -74,11 +66,8 @@ def response_to(lamp: Spectrum, response: Response) -> float:
 
 def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
     """A uniform field of 8×8 samples with the lamp's spectrum, W m⁻² nm⁻¹."""
-    spectrum = lamp.cell_means(bands.edges_nm)
-    within = bands.nodes_nm, bands.shares
-    return SpectralImage(
-        bands.wavelength_nm, bands.width_nm, 2 * PITCH_UM, factors=(spectrum, np.ones((1, 8, 8))), within=within, header={}
-    )
+    factors, within = (lamp.cell_means(bands.edges_nm), np.ones((1, 8, 8))), (bands.nodes_nm, bands.shares)
+    return SpectralImage(bands.wavelength_nm, bands.width_nm, 2 * PITCH_UM, factors=factors, within=within, header={})
 
 
 def _lines() -> Iterator[Case]:
@@ -100,13 +89,13 @@ def _lines() -> Iterator[Case]:
     expected, got = [response_to(lamp, electrons) for lamp, _ in placed], [_electrons(image, physics) for image in images]
     name, source = "electrons from a 1 nm line, QE of the 0.35 µm process", "∫ QE λ/hc E dλ, by quadrature; tolerance of the bands"
     yield compare(f"{name}, {LINE}", expected, got, BANDS_TOLERANCE, source)
-    expected = [LUMINOUS_EFFICACY_LM_PER_W * response_to(lamp, photopic_efficiency) for lamp, _ in placed]
+    expected = [spectral.LUMINOUS_EFFICACY_LM_PER_W * response_to(lamp, photopic_efficiency) for lamp, _ in placed]
     got, source = [image.illuminance_lx()[0, 0] for image in images], "683.002 ∫ ȳ E dλ, by quadrature; tolerance of the bands"
     yield compare(f"illuminance of a 1 nm line, {LINE}", expected, got, LUMINANCE_TOLERANCE, source)
     lasers = [nm for nm in CENTRES_NM if LOW_NM + 1 < nm < HIGH_NM - 1 and nm not in (400.0, 800.0)]  # no step within the line
     thin = [line(nm, 0.01) for nm in lasers]
     images = [image_of(lamp, place_bands([lamp], SURFACES, witnesses, BANDS_TOLERANCE)) for lamp in thin]
-    expected = [0.5 * nm * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S) for nm in lasers]
+    expected = [0.5 * nm * 1e-9 / HC_J_M for nm in lasers]
     got, source = ([_electrons(image, flat) for image in images], "QE λ/hc · power; wavelength to half a cell of 1/32 nm")
     yield compare("electrons from a laser 0.01 nm wide, QE 0.5, 361 to 829 nm", expected, got, 1 / 64 / LOW_NM, source)
     each_pixel = (electrons(np.array(lasers)) * (physics.photodiode_area_um2 * 1e-12))[:, None, None]
@@ -125,7 +114,7 @@ def _missing_light() -> Iterator[Case]:
     for name, lit in (("every second band dark", np.arange(nm.size) % 2 == 0), ("one band lit of 47", nm == 555.0)):
         spectrum = np.where(lit, 0.02, 0.0)
         qe = physics.quantum_efficiency(nm)
-        per_band = 0.02 * 10 * qe * nm * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
+        per_band = 0.02 * 10 * qe * nm * 1e-9 / HC_J_M
         wanted = math.fsum(per_band[lit]) * physics.photodiode_area_um2 * 1e-12
         rates = [mean_signal_rate(image, CAMERA, physics) for image in _even_images(nm, spectrum)]
         source = "sum over the lit bands; rounding of irradiance to float32, 6e-8"
