@@ -136,13 +136,8 @@ def picture(kind: str, shape: tuple[int, int], level: float, contrast: float, se
         return np.zeros(shape)
     if kind == "random":
         return level * contrast ** -np.random.default_rng(seed).random(shape)
-    lit = {
-        "even": np.s_[:, :],
-        "halves": np.s_[:, : (shape[1] + 1) // 2],
-        "point": np.s_[shape[0] // 2, shape[1] // 2],
-        "one lit corner": np.s_[0, 0],
-    }[kind]
-    dark[lit] = level
+    lit = {"even": np.s_[:, :], "halves": np.s_[:, : (shape[1] + 1) // 2], "one lit corner": np.s_[0, 0]}
+    dark[lit.get(kind, np.s_[shape[0] // 2, shape[1] // 2])] = level  # else a point
     return dark
 
 
@@ -196,13 +191,9 @@ def chains(draw: st.DrawFn) -> dict[str, Any]:
     display = draw(values(Display))
     display["dots"] = draw(st.sampled_from([9, 16, 25, 40]))
     return {
-        "irradiance": draw(irradiances(pixel.get("pitch_um", 6.5))),
-        "camera": draw(cameras()),
-        "pixel": pixel,
-        "exposure": draw(values(Exposure)),
-        "display": display,
-        "seed": draw(st.integers(0, 2**64)),
-    }
+        "irradiance": draw(irradiances(pixel.get("pitch_um", 6.5))), "camera": draw(cameras()), "pixel": pixel,
+        "exposure": draw(values(Exposure)), "display": display, "seed": draw(st.integers(0, 2**64)),
+    }  # fmt: skip
 
 
 def records_of(chain: dict[str, Any]) -> dict[str, Any]:
@@ -282,9 +273,7 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
 
     @settings(max_examples=540, **REPEATABLE)
     @given(any_technology(), pixels(), LEVELS, values(Exposure))
-    def captured(
-        process: dict[str, Any], fields: dict[str, Any], level: tuple[float, float, int], exposure: dict[str, Any]
-    ) -> None:
+    def captured(process: dict[str, Any], fields: dict[str, Any], level: tuple[Any, ...], exposure: dict[str, Any]) -> None:
         fields.pop("capacitance", None)
         with only_explained_errors(outcomes):
             technology = Technology.model_validate(process)

@@ -221,10 +221,6 @@ def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
 
 def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
     """A nested table without the entries that `removed` has too."""
-    rest: dict[str, Any] = {}
-    for name, value in table.items():
-        if isinstance(value, dict) and isinstance(removed.get(name), dict):
-            rest[name] = _without(value, removed[name])
-        elif name not in removed:
-            rest[name] = value
-    return rest
+    inner = {name for name, value in table.items() if isinstance(value, dict) and isinstance(removed.get(name), dict)}
+    left = {name: value for name, value in table.items() if name in inner or name not in removed}
+    return left | {name: _without(table[name], removed[name]) for name in inner}

@@ -102,12 +102,9 @@ MAX_PICTURE = 1 << 28  # samples of a PNG or TIFF
 MAX_SPECTRUM = 16 * MIB
 MAX_ASSET = 4096 * MIB  # a texture or a mesh
 KINDS = {
-    stat.S_ISDIR: "a folder",
-    stat.S_ISFIFO: "a named pipe",
-    stat.S_ISCHR: "a device",
-    stat.S_ISBLK: "a device",
+    stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a named pipe", stat.S_ISCHR: "a device", stat.S_ISBLK: "a device",
     stat.S_ISSOCK: "a socket",
-}
+}  # fmt: skip
 
 
 @contextmanager

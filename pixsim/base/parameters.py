@@ -33,19 +33,9 @@ from pixsim.base.files import read_text
 
 # Documented in the reference; the other names are internal.
 __all__ = [
-    "Camera",
-    "CameraOptions",
-    "Display",
-    "Effort",
-    "Exposure",
-    "PitchRange",
-    "Pixel",
-    "PixelOptions",
-    "Run",
-    "Study",
-    "StudyScene",
+    "Camera", "CameraOptions", "Display", "Effort", "Exposure", "PitchRange", "Pixel", "PixelOptions", "Run", "Study", "StudyScene",
     "pixel_of",
-]
+]  # fmt: skip
 
 
 class Record(BaseModel):
@@ -99,6 +89,7 @@ ResetFactor = Annotated[float, Field(ge=0, le=100)]
 GainSpread = Annotated[float, Field(ge=0, le=0.3)]
 DarkSpread = Annotated[float, Field(ge=0, le=100)]  # of the mean: at 100 a few hot pixels have all the dark current
 OffsetSpread = Annotated[float, Field(ge=0, le=1)]
+StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1.6e9
 EfficiencyCurve = tuple[tuple[float, float], ...]  # (wavelength in nm, electrons per photon), wavelengths increasing
 ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
@@ -482,14 +473,7 @@ class StudyScene(Record):
 class Study(Effort):
     """Settings of a study: mean ΔE of many pitches, technologies and sensors."""
 
-    name: Annotated[
-        str,
-        Field(
-            pattern=r"^\w[\w.\-]*$",
-            max_length=100,
-            description="name: letters, digits, dots and dashes; the random streams depend on it",
-        ),
-    ]
+    name: StudyName = Field(description="name: letters, digits, dots and dashes; the random streams depend on it")
     title: str = Field("", description="title of the report")
     seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(

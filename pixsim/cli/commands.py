@@ -18,31 +18,8 @@ from cyclopts import Parameter
 from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import MIB, output_folder
-from pixsim.cli.options import (
-    DEFAULT_OUT,
-    FILE_WIDTH,
-    NO_EFFORT,
-    NO_OPTIONS,
-    Config,
-    Define,
-    DisplayTable,
-    Effort,
-    ExposureTable,
-    Full,
-    Json,
-    Out,
-    PixelTable,
-    SceneOptions,
-    Seed,
-    SensorId,
-    Tolerance,
-    Variant,
-    app,
-    definitions,
-    given,
-    show,
-    stages,
-)
+from pixsim.cli import options as common
+from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, definitions, given, show, stages
 
 if TYPE_CHECKING:
     from pixsim.cli.doctor import Finding
@@ -58,14 +35,14 @@ def run(
         str, Parameter(help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen by the camera.")
     ],
     *,
-    options: SceneOptions = NO_OPTIONS,
-    display: DisplayTable = None,
-    seed: Seed = None,
-    tolerance_e: Tolerance = None,
-    effort: Effort = NO_EFFORT,
-    full: Full = False,
-    sensor: SensorId = None,
-    variant: Variant = None,
+    options: SceneOptions = common.NO_OPTIONS,
+    display: common.DisplayTable = None,
+    seed: common.Seed = None,
+    tolerance_e: common.Tolerance = None,
+    effort: common.Effort = common.NO_EFFORT,
+    full: common.Full = False,
+    sensor: common.SensorId = None,
+    variant: common.Variant = None,
     units: Annotated[str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.")] = None,
     raw: Annotated[
         list[Literal["tiff", "png", "npz"]] | None,
@@ -89,39 +66,25 @@ def run(
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
+    render_options: dict[str, Any] = {"full": full, "sensor": sensor, "variant": variant, "units": units}
+    files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance_too": not no_irradiance}
     with stages() as stage:
-        result = run_and_write(
-            scene,
-            chosen,
-            folder,
-            full=full,
-            sensor=sensor,
-            variant=variant,
-            units=units,
-            raw_suffixes=[f".{suffix}" for suffix in raw or []],
-            irradiance_too=not no_irradiance,
-            progress=stage,
-        )
+        result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
     noise = result.get("render_noise")
-    show(
-        result,
-        json,
-        score_line(result)
-        + (f"; render noise {noise['fraction']:.2g} of the sensor's noise" if noise else "")
-        + f"; report: {folder / 'report.html'}"
-        + "".join(f"\n{line}" for line in [*dark_note(result), *budget_lines(result)]),
-    )
+    of_noise = f"; render noise {noise['fraction']:.2g} of the sensor's noise" if noise else ""
+    line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
+    show(result, json, "\n".join([line, *dark_note(result), *budget_lines(result)]))
 
 
 @app.command
 def plan(
     scene: Annotated[str, Parameter(help=SCENE_HELP)],
     *,
-    options: SceneOptions = NO_OPTIONS,
-    tolerance_e: Tolerance = None,
-    full: Full = False,
-    sensor: SensorId = None,
-    variant: Variant = None,
+    options: SceneOptions = common.NO_OPTIONS,
+    tolerance_e: common.Tolerance = None,
+    full: common.Full = False,
+    sensor: common.SensorId = None,
+    variant: common.Variant = None,
     json: Json = False,
 ) -> None:
     """Show which effects a render would include or leave out, why, and the error bound of each; nothing is rendered.
@@ -169,16 +132,16 @@ def study(
         str, Parameter(help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.")
     ],
     *,
-    config: Config = None,
-    define: Define = None,
-    pixel: PixelTable = None,
+    config: common.Config = None,
+    define: common.Define = None,
+    pixel: common.PixelTable = None,
     quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Annotated[
         str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.")
     ] = None,
-    effort: Effort = NO_EFFORT,
-    variant: Variant = None,
+    effort: common.Effort = common.NO_EFFORT,
+    variant: common.Variant = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -203,13 +166,14 @@ def study(
         raise invalid("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", hint)
     layers = study_layers(table, config or [], options)
     seconds: dict[str, float] = {}
+    suffix = "-quick" if quick else ""
     run_options: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
     with stages(seconds) as stage:
         if "vary" in table.table:
             from pixsim.studies.sensitivity import Sensitivity, run_sensitivity, write_sensitivity_report
 
             sensitivity: Sensitivity = checked(Sensitivity, layers)
-            folder = study_folder(out, sensitivity.name, quick)
+            folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
             outcome = run_sensitivity(sensitivity, folder, progress=stage, **run_options)
             stage("report")
             report = write_sensitivity_report(outcome, folder, seconds)
@@ -219,22 +183,13 @@ def study(
             from pixsim.studies.engine import Workers, workers_here
 
             plan = sweep.checked_study(layers)
-            folder = study_folder(out, plan.name, quick)
+            folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
             result = sweep.study(plan, folder, progress=stage, **run_options)
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             summary = result.as_dict()
-            lines = [
-                *(optimum_line(curve) for curve in result.curves),
-                *target_notes(result),
-                *study_dark_notes(result),
-                *budget_lines(summary),
-            ]
+            lines = [*map(optimum_line, result.curves), *target_notes(result), *study_dark_notes(result), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
-
-
-def study_folder(out: Path | None, name: str, quick: bool) -> Path:
-    return out or DEFAULT_OUT / (name + ("-quick" if quick else ""))
 
 
 @app.command
@@ -242,11 +197,11 @@ def accuracy(
     scene: Annotated[str, Parameter(help=SCENE_HELP)],
     *,
     quick: Annotated[bool, Parameter(help="Fewer steps, about a minute in all.")] = False,
-    options: SceneOptions = NO_OPTIONS,
-    display: DisplayTable = None,
-    seed: Seed = None,
-    sensor: SensorId = None,
-    variant: Variant = None,
+    options: SceneOptions = common.NO_OPTIONS,
+    display: common.DisplayTable = None,
+    seed: common.Seed = None,
+    sensor: common.SensorId = None,
+    variant: common.Variant = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -279,9 +234,9 @@ def datasheet(
         ),
     ] = None,
     *,
-    config: Config = None,
-    pixel: PixelTable = None,
-    exposure: ExposureTable = None,
+    config: common.Config = None,
+    pixel: common.PixelTable = None,
+    exposure: common.ExposureTable = None,
     wavelength_nm: Annotated[float | None, Parameter(help="Wavelength of the light [default: peak of the response].")] = None,
     seed: Annotated[str | None, Parameter(help="Seed of the sensor and its noise [default: 0].")] = None,
     out: Out = None,
@@ -367,9 +322,7 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
     try:
         x0, y0, x1, y1 = (int(number) for number in region.split(","))
     except ValueError:
-        raise PixsimError(
-            f"--region: got '{region}'; allowed: x0,y0,x1,y1 in whole pixels, as in --region 100,0,400,512."
-        ) from None
+        raise invalid("--region", f"'{region}'", "x0,y0,x1,y1 in whole pixels, as in --region 100,0,400,512") from None
     return x0, y0, x1, y1
 
 
@@ -391,9 +344,8 @@ def chart(
 
     texels = charts.make_chart(kind, width, height, die_mm)
     charts.write_chart(output, texels)
-    height_texels, width_texels = texels.shape
-    result = {"file": str(output), "kind": kind, "width": width_texels, "height": height_texels}
-    show(result, json, f"{width_texels} × {height_texels} texels in {output}")
+    result = {"file": str(output), "kind": kind, "width": texels.shape[1], "height": texels.shape[0]}
+    show(result, json, f"{result['width']} × {result['height']} texels in {output}")
 
 
 @app.command
@@ -480,12 +432,9 @@ def cache_summary(kind: str | None = None) -> dict[str, Any]:
             total = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
             total["entries"] += 1
             total["size_bytes"] += entry.size_bytes
-    return {
-        "folder": str(entry_cache.folder()),
-        "limit_bytes": entry_cache.limit_bytes(),
-        "size_bytes": sum(total["size_bytes"] for total in kinds.values()),
-        "kinds": dict(sorted(kinds.items())),
-    }
+    size_bytes, limit_bytes = sum(total["size_bytes"] for total in kinds.values()), entry_cache.limit_bytes()
+    folder = str(entry_cache.folder())
+    return {"folder": folder, "limit_bytes": limit_bytes, "size_bytes": size_bytes, "kinds": dict(sorted(kinds.items()))}
 
 
 @app.command
@@ -541,11 +490,9 @@ def report(findings: list[Finding], width: int) -> str:
     from pixsim.cli.doctor import NOTE, PROBLEM
 
     lines: list[str] = []
-    group = None
-    for finding in findings:
-        if finding.room != group:
-            group = finding.room
-            lines += [*([""] if lines else []), group]
+    for previous, finding in zip([None, *findings], findings, strict=False):
+        if previous is None or finding.room != previous.room:
+            lines += [*([""] if lines else []), finding.room]
         start = f"  {finding.mark:<8} {finding.subject:<{SUBJECT_WIDTH}} "
         columns = max(width - len(start), SUBJECT_WIDTH)
         wrapped = textwrap.wrap(finding.found, columns, break_long_words=False, break_on_hyphens=False)

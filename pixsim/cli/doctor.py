@@ -31,10 +31,9 @@ def requirements(lines: Iterable[str]) -> dict[str, str]:
     """Package -> allowed versions, such as `>=2.0`, from the metadata of a package; requirements of extras are skipped."""
     from packaging.requirements import Requirement
 
-    parsed = [Requirement(line) for line in lines]
-    return {
-        package.name: str(package.specifier) for package in parsed if not package.marker or package.marker.evaluate({"extra": ""})
-    }
+    parsed = (Requirement(line) for line in lines)
+    needed = (package for package in parsed if not package.marker or package.marker.evaluate({"extra": ""}))
+    return {package.name: str(package.specifier) for package in needed}
 
 
 def satisfies(version: str, allowed: str) -> bool:

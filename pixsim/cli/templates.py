@@ -14,56 +14,23 @@ KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
 # Unit of a field by the end of its name; longer ends come first.
 UNITS = {
-    "_cd_per_m2": "cd/m²",
-    "_e_per_s": "electrons per second",
-    "samples_per_deg": "display dots per degree",
-    "_delta_e": "ΔE",
-    "_seconds": "s",
-    "_ci_um": "µm",
-    "_dn": "DN",
-    "_mm": "mm",
-    "_um": "µm",
-    "_nm": "nm",
-    "_m": "m",
-    "_s": "s",
-    "_k": "kelvin",
+    "_cd_per_m2": "cd/m²", "_e_per_s": "electrons per second", "samples_per_deg": "display dots per degree", "_delta_e": "ΔE",
+    "_seconds": "s", "_ci_um": "µm", "_dn": "DN", "_mm": "mm", "_um": "µm", "_nm": "nm", "_m": "m", "_s": "s", "_k": "kelvin",
     "_e": "electrons",
-}
+}  # fmt: skip
 NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
 # Plausible values for fields without a default.
 EXAMPLES: dict[str, Any] = Camera().model_dump() | {
-    "name": "my-study",
-    "title": "How small should my pixel be?",
-    "technologies": ["0.35um", "4t-bsi"],
-    "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
-    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0],
-    "tolerance_delta_e": 0.01,
-    "target_ci_um": 0.1,
-    "max_evaluations": 1000,
-    "f_number": 2.8,
-    "pitch_um": 3.75,
-    "data_sheet_pitch_um": 3.75,
-    "min_um": 2.0,
-    "full_well_e": 10500.0,
-    "read_noise_e": 2.3,
-    "dark_current_e_per_s": 3.0,
-    "quantum_efficiency": 0.62,
-    "bits": 12,
-    "prnu": 0.005,
-    "dsnu": 0.2,
-    "infrared_cut_nm": 650.0,
-    "fill_factor": 0.8,
-    "reset_noise_factor": 0.0,
-    "offset_fpn": 0.0002,
-    "column_fpn": 0.0001,
-    "integration_s": 0.02,
-    "white_cd_per_m2": 1000.0,
-    "parameters": {"resolution": 512},
-    "scene": {"resolution": 512},
-    "detail": [0.8, 0.9],
-    "sources": {"pixel.bits": "data sheet, page 3"},
-    "quick": {"repeats": 4},
-}
+    "name": "my-study", "title": "How small should my pixel be?",
+    "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
+    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "data_sheet_pitch_um": 3.75, "min_um": 2.0,
+    "tolerance_delta_e": 0.01, "target_ci_um": 0.1, "max_evaluations": 1000,
+    "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.62, "bits": 12,
+    "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.0002, "column_fpn": 0.0001, "reset_noise_factor": 0.0,
+    "infrared_cut_nm": 650.0, "fill_factor": 0.8, "f_number": 2.8, "integration_s": 0.02, "white_cd_per_m2": 1000.0,
+    "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
+    "sources": {"pixel.bits": "data sheet, page 3"}, "quick": {"repeats": 4},
+}  # fmt: skip
 # Fields that are not commented out.
 SENSOR_SHOWN = tuple(f"pixel.{name}" for name in ("pitch_um", *DATA_SHEET, "bits", "prnu", "dsnu"))
 STUDY_SHOWN = (

@@ -137,16 +137,13 @@ def render(variant: str = "") -> Iterator[Line]:
         return
     expected = closed_form_lx(scene.camera(), TRIED_RESOLUTION)
     yield {
-        "start_s": loaded - start,
-        "render_s": time.perf_counter() - loaded,
-        "mean_lx": float(illuminance_lx.mean()),
-        "expected_lx": float(expected.mean()),
+        "start_s": loaded - start, "render_s": time.perf_counter() - loaded,
+        "mean_lx": float(illuminance_lx.mean()), "expected_lx": float(expected.mean()),
         "mean_error": float(illuminance_lx.mean() / expected.mean() - 1),
         "rms_error": float(np.sqrt(np.mean((illuminance_lx / expected - 1) ** 2))),
         "threads": int(import_module("drjit").thread_count()),
-        "compiled_in": list(mitsuba.variants()),
-        "mapped_llvm": variants.mapped(),
-    }
+        "compiled_in": list(mitsuba.variants()), "mapped_llvm": variants.mapped(),
+    }  # fmt: skip
 
 
 def closed_form_lx(camera: Any, resolution: int) -> Any:

@@ -17,34 +17,8 @@ from scipy.special import ndtr
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure, Pixel
 from pixsim.base.progress import Stage
-from pixsim.measure.estimators import (
-    NOISE_SPEED_LX_S,
-    QUANTISATION_DN2,
-    SATURATION_SPEED_LX_S,
-    SIGNAL_TO_NOISE,
-    Estimate,
-    Linearity,
-    Pair,
-    PhotonTransfer,
-    Series,
-    Stack,
-    dark_current,
-    daylight_e_per_lx_s,
-    doubling_k,
-    dsnu_e,
-    exposure_at_snr,
-    linearity,
-    noise_15739,
-    pair,
-    parts,
-    photon_transfer,
-    prnu,
-    root,
-    saturation_index,
-    series,
-    signal_at_snr_e,
-    stack,
-)
+from pixsim.measure import estimators
+from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, Series, Stack, root
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
@@ -150,7 +124,7 @@ class DataSheet:
 
     @cached_property
     def transfer(self) -> PhotonTransfer:
-        return photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, self.prnu.value)
+        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, self.prnu.value)
 
     @property
     def signal_dn(self) -> Array:
@@ -165,26 +139,26 @@ class DataSheet:
 
     @cached_property
     def linearity(self) -> Linearity:
-        return linearity(self.light.at, self.signal_dn, self.transfer.saturation_index)
+        return estimators.linearity(self.light.at, self.signal_dn, self.transfer.saturation_index)
 
     @cached_property
     def dsnu_e(self) -> Estimate:
-        return dsnu_e(self.dark_stack, self.transfer.gain_dn_per_e)
+        return estimators.dsnu_e(self.dark_stack, self.transfer.gain_dn_per_e)
 
     @cached_property
     def prnu(self) -> Estimate:
-        return prnu(self.dark_stack, self.bright_stack)
+        return estimators.prnu(self.dark_stack, self.bright_stack)
 
     @cached_property
     def dark_currents(self) -> tuple[Estimate, Estimate]:
         """Dark current from the mean and from the variance, e-/s."""
-        return dark_current(self.dark_series, self.transfer.gain_dn_per_e, self.pixels)
+        return estimators.dark_current(self.dark_series, self.transfer.gain_dn_per_e, self.pixels)
 
     @cached_property
     def warm_currents(self) -> tuple[Array, list[Estimate]]:
         """(temperatures in K, dark currents from the mean); their errors exclude that of K, which they share."""
         gain = Estimate(self.transfer.gain_dn_per_e.value)
-        return np.array(list(self.warm)), [dark_current(series_, gain, self.pixels)[0] for series_ in self.warm.values()]
+        return np.array(list(self.warm)), [estimators.dark_current(series_, gain, self.pixels)[0] for series_ in self.warm.values()]
 
     @property
     def true_dark_noise_e(self) -> float:
@@ -205,7 +179,7 @@ class DataSheet:
         e = self.experiment
         mean, _ = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
         dark, _ = expected_curve(np.zeros(1), e.integration_s, e.physics)
-        return linearity(e.photons, mean - dark, self.transfer.saturation_index)
+        return estimators.linearity(e.photons, mean - dark, self.transfer.saturation_index)
 
     @property
     def notes(self) -> list[str]:
@@ -243,23 +217,25 @@ def measure(experiment: Experiment, stage: Stage | None = None) -> DataSheet:
     def pairs(name: str, photons: Array) -> Series:
         report_fraction, measured = report_progress(name), []
         for index, level in enumerate(photons.tolist()):
-            measured.append(pair(*experiment.frames(2, level, name, index)))
+            measured.append(estimators.pair(*experiment.frames(2, level, name, index)))
             report_fraction((index + 1) / photons.size)
-        return series(photons, measured)
+        return estimators.series(photons, measured)
 
     light = pairs("light series", experiment.photons)
     dim = pairs("dim light", experiment.dim_photons)
     report_progress("stacks")
-    saturation = float(light.at[saturation_index(light.variance_dn2)])
+    saturation = float(light.at[estimators.saturation_index(light.variance_dn2)])
     bright, grey = saturation / 2, GREY_SHARE * saturation
     count = experiment.stack_frames
-    stacks = [stack(experiment.frames(count, level, name)) for level, name in ((0.0, "dark stack"), (bright, "bright stack"))]
+    stacks = [
+        estimators.stack(experiment.frames(count, level, name)) for level, name in ((0.0, "dark stack"), (bright, "bright stack"))
+    ]
     report_progress("dark series")
     return DataSheet(
         experiment,
         light=light,
         dim=dim,
-        dark=pair(*experiment.frames(2, 0.0, "dark")),
+        dark=estimators.pair(*experiment.frames(2, 0.0, "dark")),
         dark_series=experiment.dark_series(),
         warm={temperature_k: experiment.dark_series(temperature_k) for temperature_k in experiment.temperatures_k},
         dark_stack=stacks[0],
@@ -308,18 +284,11 @@ def sheet_summary(sheet: DataSheet) -> dict[str, Any]:
     """The data sheet as the contents of summary.json."""
     e = sheet.experiment
     return {
-        "pixel": e.physics.pixel.model_dump(),
-        "wavelength_nm": e.wavelength_nm,
-        "integration_s": e.integration_s,
-        "shape": list(e.sensor.shape),
-        "exposures": e.photons.size,
-        "stack_frames": e.stack_frames,
-        "seed": e.seed,
-        "black_level_asked_dn": e.asked_black_dn,
-        "quantisation_limited": sheet.transfer.limited,
-        "notes": sheet.notes,
-        "entries": [entry.as_dict() for entry in entries(sheet)],
-    }
+        "pixel": e.physics.pixel.model_dump(), "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s,
+        "shape": list(e.sensor.shape), "exposures": e.photons.size, "stack_frames": e.stack_frames, "seed": e.seed,
+        "black_level_asked_dn": e.asked_black_dn, "quantisation_limited": sheet.transfer.limited,
+        "notes": sheet.notes, "entries": [entry.as_dict() for entry in entries(sheet)],
+    }  # fmt: skip
 
 
 def line(standard: str, name: str, symbol: str, unit: str, measured: Estimate, true: float, source: str, note: str = "") -> Entry:
@@ -378,7 +347,7 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     nominal = math.sqrt(p.offset_fpn_e**2 + p.column_fpn_e**2 + (p.dsnu * dark_e) ** 2)
     dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
     of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
-    split = zip(PARTS, parts(sheet.dark_stack), parts(Stack(1, map_e, np.zeros_like(map_e))), strict=True)
+    split = zip(PARTS, estimators.parts(sheet.dark_stack), estimators.parts(Stack(1, map_e, np.zeros_like(map_e))), strict=True)
     return [
         line(EMVA, "dark signal non-uniformity", "DSNU_1288", "e-", sheet.dsnu_e, float(map_e.std(ddof=1)), dsnu),
         *(
@@ -401,7 +370,7 @@ def dark(sheet: DataSheet) -> list[Entry]:
     ]
     temperatures, warm = sheet.warm_currents
     if warm and current:
-        doubling = doubling_k(temperatures, *np.array([(current.value, current.error) for current in warm]).T)
+        doubling = estimators.doubling_k(temperatures, *np.array([(current.value, current.error) for current in warm]).T)
         name, true_k = "doubling temperature of the dark current", p.technology.dark_doubling_k
         entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, "from the technology file"))
     return entries
@@ -410,7 +379,7 @@ def dark(sheet: DataSheet) -> list[Entry]:
 def noise(sheet: DataSheet) -> list[Entry]:
     """ISO 15739: noise and S/N at 13 % of saturation, and dynamic range."""
     e, p, k = sheet.experiment, sheet.experiment.physics, sheet.experiment.physics.dn_per_e
-    (temporal, fixed, total), signal_e = noise_15739(sheet.grey), sheet.grey_photons * e.efficiency
+    (temporal, fixed, total), signal_e = estimators.noise_15739(sheet.grey), sheet.grey_photons * e.efficiency
     pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
     dark_e = p.dark_current_e_per_s * e.integration_s
     temporal_dn2 = k**2 * (signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2) + QUANTISATION_DN2
@@ -436,24 +405,24 @@ def noise(sheet: DataSheet) -> list[Entry]:
 def speed(sheet: DataSheet) -> list[Entry]:
     """ISO 12232: saturation-based and noise-based speed in daylight (CIE D65)."""
     e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.physics
-    per_lx_s = daylight_e_per_lx_s(p)
+    per_lx_s = estimators.daylight_e_per_lx_s(p)
     lx_s_per_photon = e.efficiency / per_lx_s
     top = Estimate(float(2**p.pixel.bits - 1) - sheet.dark.mean_dn)
     filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon
     dark_e = p.dark_current_e_per_s * e.integration_s
     of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
     entries = [
-        line(SPEED, "saturation-based speed", "S_sat", "", Estimate(SATURATION_SPEED_LX_S) / filling,
-             SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}")
+        line(SPEED, "saturation-based speed", "S_sat", "", Estimate(estimators.SATURATION_SPEED_LX_S) / filling,
+             estimators.SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}")
     ]  # fmt: skip
     lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
     deviation = np.sqrt(rising.frame_variance_dn2[:-1])
     dark_dn2 = float(dark_map_e(e).var(ddof=1)) + sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / p.dn_per_e**2
-    for wanted in SIGNAL_TO_NOISE:
-        exposure = exposure_at_snr(lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
-        true_e = signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
-        true = NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.full_well_e else math.nan
+    for wanted in estimators.SIGNAL_TO_NOISE:
+        exposure = estimators.exposure_at_snr(lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
+        true_e = estimators.signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
+        true = estimators.NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.full_well_e else math.nan
         note = "" if math.isfinite(exposure.value) else "not reached below saturation"
-        name, speed = f"noise-based speed, S/N {wanted:g}", Estimate(NOISE_SPEED_LX_S) / exposure
+        name, speed = f"noise-based speed, S/N {wanted:g}", Estimate(estimators.NOISE_SPEED_LX_S) / exposure
         entries.append(line(SPEED, name, f"S_noise{wanted:g}", "", speed, true, f"10 / H_S/N; {of_daylight}", note))
     return entries

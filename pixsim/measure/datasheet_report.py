@@ -163,13 +163,8 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
     caption = "Dark current: slopes of the dark mean and variance over time. They agree if only dark charge adds noise."
     caption += " Right: dark current against temperature." if warm else ""
-    table = {
-        "integration_s": dark.at,
-        "mean_dn": dark.mean_dn,
-        "variance_dn2": dark.variance_dn2,
-        "temperature_k": temperatures,
-        "dark_current_e_per_s": np.array([current.value for current in warm]),
-    }
+    table = {"integration_s": dark.at, "mean_dn": dark.mean_dn, "variance_dn2": dark.variance_dn2, "temperature_k": temperatures,
+             "dark_current_e_per_s": np.array([current.value for current in warm])}  # fmt: skip
     return plate("dark_current", caption, figure, table)
 
 
@@ -311,13 +306,8 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
         rows_csv([entry.as_dict() for entry in entries(sheet)], folder / "datasheet.csv")
         write_json(folder / "summary.json", sheet_summary(sheet))
         page = {
-            "described": described(sheet),
-            "sheet": sheet,
-            "entries": entries(sheet),
-            "number": number,
-            "off": off,
+            "described": described(sheet), "sheet": sheet, "entries": entries(sheet), "number": number, "off": off,
             "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
-            "plates": shown,
-            "versions": versions(),
-        }
+            "plates": shown, "versions": versions(),
+        }  # fmt: skip
         return write_page(folder / "report.html", "datasheet.html.j2", page)

@@ -116,12 +116,8 @@ def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysic
     if physics.pixel.black_level_dn >= least:
         return physics
     if least > MAX_BLACK * (2**physics.pixel.bits - 1):
-        raise invalid(
-            "pixel.bits",
-            physics.pixel.bits,
-            f"enough bits for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes",
-            "Raise pixel.bits, or reduce the dark noise.",
-        )
+        expected = f"enough bits for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes"
+        raise invalid("pixel.bits", physics.pixel.bits, expected, "Raise pixel.bits, or reduce the dark noise.")
     return replace(physics, pixel=physics.pixel.model_copy(update={"black_level_dn": float(least)}))
 
 
@@ -135,11 +131,8 @@ def usual_integration_s(physics: PixelPhysics, exposure: Exposure) -> float:
     if chosen is None:
         return min(USUAL_INTEGRATION_S, DARK_SHARE * physics.full_well_e / dark) if dark else USUAL_INTEGRATION_S
     if dark * chosen > physics.full_well_e / 2:
-        raise invalid(
-            "exposure.integration_s",
-            f"{chosen:g} s, which collects {dark * chosen:.3g} e- of dark charge",
-            f"at most {physics.full_well_e / 2 / dark:.3g} s, which fills half of the well",
-        )
+        expected = f"at most {physics.full_well_e / 2 / dark:.3g} s, which fills half of the well"
+        raise invalid("exposure.integration_s", f"{chosen:g} s, which collects {dark * chosen:.3g} e- of dark charge", expected)
     return chosen
 
 

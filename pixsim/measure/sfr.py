@@ -333,14 +333,9 @@ def sfr_summary(edge: EdgeResponse, pitch_um: float | None) -> dict[str, Any]:
     """The results for JSON, with frequencies in cy/px, and in cy/mm if the pitch is known."""
     mtf50 = edge.mtf50_cy_per_px
     result: dict[str, Any] = {
-        "mtf50_cy_per_px": mtf50,
-        "sfr_at_nyquist": edge.at_nyquist,
-        "angle_deg": edge.angle_deg,
-        "contrast": edge.contrast,
-        "half_window_px": edge.half_window_px,
-        "rows_used": edge.rows_used,
-        "pitch_um": pitch_um,
-    }
+        "mtf50_cy_per_px": mtf50, "sfr_at_nyquist": edge.at_nyquist, "angle_deg": edge.angle_deg, "contrast": edge.contrast,
+        "half_window_px": edge.half_window_px, "rows_used": edge.rows_used, "pitch_um": pitch_um,
+    }  # fmt: skip
     if pitch_um is not None:
         result["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * 1e3 / pitch_um
         result["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * 1e3 / pitch_um

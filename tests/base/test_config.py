@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
+from helpers.tiny import tiny_toml
 
 import pixsim
 from pixsim.base.config import checked, study_layers
@@ -80,12 +81,9 @@ def test_study_layers_data_sheet_becomes_the_sensor(tmp_path: Path) -> None:
     assert pitches_um[[0, -1]] == pytest.approx([1.0, 16.0])
     wells_e = [pixsim.derive(pixel_of(study, "none", pitch_um)).full_well_e for pitch_um in pitches_um.tolist()]
     np.testing.assert_allclose(wells_e, 12000 * (pitches_um / 4) ** 2, rtol=1e-12)
-
-
-def test_study_layers_pitch_range_of_study_is_used(tmp_path: Path) -> None:
-    study_path = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
-    study = study_of(SHEET, tmp_path, str(study_path))
-    np.testing.assert_allclose(study_pitches_um(study, "none"), np.geomspace(2, 6, 5), atol=5e-5)
+    with_range = written(tmp_path / "own.toml", 'name = "own"\n[pitch]\nmin_um = 2\nmax_um = 6\ncount = 5\n')
+    pitches_um = study_pitches_um(study_of(SHEET, tmp_path, str(with_range)), "none")
+    np.testing.assert_allclose(pitches_um, np.geomspace(2, 6, 5), atol=5e-5)
 
 
 def test_study_layers_technology_replaces_that_of_study(tmp_path: Path) -> None:
@@ -206,10 +204,8 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
     paths = [written(tmp_path / "sensor.toml", SHEET)]
     study = checked_study(study_layers(read_study("modern"), paths)).quickened
     assert (study.technologies, study.pitch.count) == (("none",), 10)
-    study_path = written(
-        tmp_path / "own.toml",
-        'name = "own"\n[quick]\nrepeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n',
-    )
+    quick = "[quick]\nrepeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n"
+    study_path = written(tmp_path / "own.toml", f'name = "own"\n{quick}')
     option = {"scene": {"parameters": {"resolution": 96}}}
     study = checked_study(study_layers(read_study(study_path), paths, option)).quickened
     assert study.scene.parameters == {"resolution": 96, "spp": 4}
@@ -217,11 +213,9 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
 
 
 def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
-    first = written(tmp_path / "a.toml", SHEET)
-    second = written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")
-    study = checked_study(study_layers(read_study("pixel-size"), [first, second]))
-    assert (study.pixel.read_noise_e, study.pixel.full_well_e) == (7, 12000)
-    assert checked_study(study_layers(read_study("pixel-size"), [second, first])).pixel.read_noise_e == 2.5
+    paths = [written(tmp_path / "a.toml", SHEET), written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")]
+    pixel, other = (checked_study(study_layers(read_study("pixel-size"), files)).pixel for files in (paths, paths[::-1]))
+    assert (pixel.read_noise_e, pixel.full_well_e, other.read_noise_e) == (7, 12000, 2.5)
 
 
 def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
@@ -294,17 +288,10 @@ def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_
 
 def test_study_command_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
     """The smallest pixel has the smallest full well, and so the largest error."""
-    table = """name = "dark"
-technologies = ["0.35um", "4t-bsi"]
-repeats = 2
-scene = { file = "csf", parameters = { resolution = 64, spp = 4 } }
-pitch = { values_um = [6, 8, 10, 14, 20] }
-display = { dots = 64 }
-[pixel]
-bits = 14
-"""
-    for black, notes in (("", 2), ("black_level_dn = 250\n", 0)):
-        path = written(tmp_path / "dark.toml", table + black)
+    pitch = {"values_um": [6, 8, 10, 14, 20]}
+    for black, notes in (({}, 2), ({"black_level_dn": 250}, 0)):
+        table = tiny_toml(technologies=["0.35um", "4t-bsi"], pitch=pitch, pixel={"bits": 14, **black})
+        path = written(tmp_path / "dark.toml", table)
         code, out, err = command(f"study {path} --jobs 1 --out {tmp_path / 'out'}")
         assert code == 0, err
         lines = [line for line in out.splitlines() if line.startswith("note: ")]
@@ -319,9 +306,6 @@ bits = 14
             assert line.endswith(f"set pixel.black_level_dn = {max(dark['least_black_level_dn'])} to avoid this")
             assert f"<p>{line.removeprefix('note: ')}." in page
         assert all(len(values) == 5 for curve in curves for values in curve["dark"].values())
-
-
-# --- Messages -------------------------------------------------------------------------------------------------------
 
 
 def test_run_command_unknown_scene_lists_all() -> None:

@@ -219,9 +219,8 @@ def test_broken_packages_uses_lines_before_abort():
 
 
 def test_broken_packages_missing_or_old_are_problems():
-    required = requirements(
-        ["numpy>=2.0", "mitsuba==3.9.*", "drjit", 'dask[distributed]>=2024.8; extra == "cluster"', "rich >=14.3"]
-    )
+    lines = ["numpy>=2.0", "mitsuba==3.9.*", "drjit", 'dask[distributed]>=2024.8; extra == "cluster"', "rich >=14.3"]
+    required = requirements(lines)
     assert required == {"numpy": ">=2.0", "mitsuba": "==3.9.*", "drjit": "", "rich": ">=14.3"}
     versions = {"numpy": "1.26.4", "mitsuba": "3.9.1", "drjit": None, "rich": "14.3"}
     findings = list(doctor._broken_packages(required, versions, trial.Trial([], 0.1, 0, "")))
@@ -309,10 +308,9 @@ def test_cache_settings_give_mark_and_fix(name: str, value: str, mark: str, fix:
 
 
 def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
-    no_home = Mock(side_effect=RuntimeError("Could not determine home directory."))
     monkeypatch.delenv("PIXSIM_CACHE_DIR")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", no_home)
+    monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory.")))
     assert (doctor._cache().mark, doctor._cache().mend) == (PROBLEM, "export PIXSIM_CACHE_DIR=FOLDER")
 
 
@@ -321,11 +319,8 @@ def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
 
 def test_report_wraps_text_but_not_commands():
     fix = "export A=" + "x" * 200
-    findings = [
-        Finding("group", "good", OK, "text"),
-        Finding("group", "bad", PROBLEM, "word " * 60, fix),
-        Finding("b", "c", NOTE, "-"),
-    ]
+    bad = Finding("group", "bad", PROBLEM, "word " * 60, fix)
+    findings = [Finding("group", "good", OK, "text"), bad, Finding("b", "c", NOTE, "-")]
     lines = report(findings, 80).splitlines()
     assert lines[:2] == ["group", "  ok       good                 text"]
     assert lines[2].startswith("  problem  bad ")

@@ -13,6 +13,7 @@ from unittest.mock import Mock
 import pytest
 from helpers.commands import assert_refused, command, process
 from helpers.processes import HANG_S
+from helpers.tiny import tiny_toml
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
@@ -21,9 +22,6 @@ from pixsim.cli import options
 from pixsim.cli.options import app
 
 SMALL = "-D resolution=64 --display.dots 64"
-
-
-# --- Errors ------------------------------------------------------------------------------------------------------------
 
 
 def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
@@ -72,9 +70,6 @@ def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.Mo
     assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, 1 << 20, {})
 
 
-# --- Output -------------------------------------------------------------------------------------------
-
-
 def test_help_shows_usage_json_and_example() -> None:
     commands = sorted(name for name in app if not name.startswith("-"))
     assert {"run", "study", "plan", "accuracy", "datasheet", "sfr", "chart", "cache", "template", "schema"} <= set(commands)
@@ -121,25 +116,17 @@ def test_options_match_fields_of_files() -> None:
     """An option --table.name-of-field has the name table.name_of_field in a file."""
     text = process("run --help", COLUMNS="200").stdout
     options = {name.replace("-", "_") for name in re.findall(r"--((?:camera|pixel|exposure|display)\.[a-z0-9-]+)", text)}
-    fields = {
-        f"{table}.{name}"
-        for table in ("camera", "pixel", "exposure", "display")
-        for name in Run.model_fields[table].annotation.model_fields
-    }
-    assert options == fields
+    tables = {table: Run.model_fields[table].annotation for table in ("camera", "pixel", "exposure", "display")}
+    assert options == {f"{table}.{name}" for table, record in tables.items() for name in record.model_fields}
 
 
 def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
     home, here, cache, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
-    for folder in (home, here):
-        folder.mkdir()
+    home.mkdir()
+    here.mkdir()
     environment = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
     environment |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(cache)}
-    study = tmp_path / "s.toml"
-    study.write_text(
-        'name = "s"\nrepeats = 2\n[scene]\nparameters = { resolution = 64 }\n[display]\ndots = 64\n[pitch]\ncount = 5\n',
-        encoding="utf-8",
-    )
+    (study := tmp_path / "s.toml").write_text(tiny_toml(), encoding="utf-8")
     for line in (f"run csf {SMALL} --out {out}/run", f"study {study} --jobs 2 --out {out}/study"):
         done = process(line, folder=here, **environment)
         assert done.returncode == 0, done.stderr

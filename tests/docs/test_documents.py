@@ -52,12 +52,8 @@ def test_page_blocks_are_all_checked(path: Path) -> None:
 @pytest.mark.slow
 def test_readme_first_study_gives_shown_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first study of README gives the output and the first picture that it shows."""
-    elsewhere = [
-        block
-        for block in blocks_of(text_of(README))
-        if block.comments.get("elsewhere", "").startswith((".ci", "tests/docs/test_d"))
-    ]
-    first, printed = elsewhere
+    here = (".ci", "tests/docs/test_d")
+    first, printed = (block for block in blocks_of(text_of(README)) if block.comments.get("elsewhere", "").startswith(here))
     command = re.search(r"\.venv/bin/(pixsim study .*)", first.text)[1]
     page = tmp_path / "page.md"
     picture = next(line for line in text_of(README).splitlines() if line.startswith("!["))

@@ -7,9 +7,9 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -65,22 +65,6 @@ onload = () => document.title = JSON.stringify([...document.querySelectorAll("if
 </script>"""
 
 
-@dataclass(frozen=True)
-class PageView:
-    """Measurements of a page at one width; see `FRAMES`."""
-
-    width: int
-    available: int
-    needed: int
-    smallest: float
-    pictures: list[int]
-    outside: int
-    tiles: list[list[int]]
-    unnamed: int
-    headings: list[tuple[int, str]]
-    sliders: list[dict[str, Any]]
-
-
 def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Run Chromium without network services."""
     flags = [*FLAGS, f"user-data-dir={folder}/profile", *(f"disable-{name}" for name in DISABLED)]
@@ -102,14 +86,14 @@ def in_frames(script: str, sources: list[str], height: int, folder: Path, *argum
     return results
 
 
-def views_of(page: Path, folder: Path) -> list[PageView]:
-    """The page at each of `WIDTHS`."""
+def views_of(page: Path, folder: Path) -> list[SimpleNamespace]:
+    """The measurements of `FRAMES` of the page at each of `WIDTHS`."""
     text = html.escape(page.read_text(encoding="utf-8"))
     results = in_frames(FRAMES, [f'width="{width}" srcdoc="{text}"' for width in WIDTHS], 20000, folder)
-    return [PageView(width, **result) for width, result in zip(WIDTHS, results, strict=True)]
+    return [SimpleNamespace(width=width, **result) for width, result in zip(WIDTHS, results, strict=True)]
 
 
-def assert_fits(page: Path, folder: Path) -> list[PageView]:
+def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
     """At every width nothing overflows, pictures load, text is legible, tiles are 1:1, and all elements have names."""
     views = views_of(page, folder)
     for view in views:
@@ -126,7 +110,7 @@ def assert_fits(page: Path, folder: Path) -> list[PageView]:
     return views
 
 
-def assert_sliders_move(views: list[PageView], pictures: int) -> None:
+def assert_sliders_move(views: list[SimpleNamespace], pictures: int) -> None:
     """The ideal image is left of the border, the chosen output right of it."""
     for view in views:
         assert view.sliders

@@ -54,14 +54,9 @@ def public() -> dict[str, Any]:
     for module in MODULES.values():
         for name, thing in vars(module).items():
             home = getattr(thing, "__module__", "")
-            listed = name in getattr(module, "__all__", (name,))
-            defined = listed and f"{home}.".startswith(f"{module.__name__}.")
-            if (
-                defined
-                and (inspect.isroutine(thing) or inspect.isclass(thing))
-                and not name.startswith("_")
-                and id(thing) not in short
-            ):
+            listed = name in getattr(module, "__all__", (name,)) and not name.startswith("_") and id(thing) not in short
+            defined = f"{home}.".startswith(f"{module.__name__}.") and (inspect.isroutine(thing) or inspect.isclass(thing))
+            if listed and defined:
                 inner[f"{module.__name__}.{name}"] = thing
     names |= inner
     classes = {name: kind for name, kind in names.items() if inspect.isclass(kind)}

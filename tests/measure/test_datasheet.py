@@ -14,26 +14,10 @@ from helpers.looks import grey_look
 from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
-from pixsim.measure import datasheet
+from pixsim.measure import datasheet, estimators
 from pixsim.measure.datasheet import DataSheet, Entry, clipped_moments, entries, expected_moments, make_datasheet, variance_peak_e
 from pixsim.measure.datasheet_report import datasheet_plates, sheet_name, spectrogram, write_datasheet
-from pixsim.measure.estimators import (
-    Estimate,
-    Series,
-    Stack,
-    doubling_k,
-    exposure_at_snr,
-    linearity,
-    noise_15739,
-    pair,
-    parts,
-    photon_transfer,
-    saturation_index,
-    signal_at_snr_e,
-    slope_through_origin,
-    stack,
-    straight_line,
-)
+from pixsim.measure.estimators import Estimate, Series, Stack
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_dn2, least_black_level_dn, read_out, sample_sensor
@@ -55,27 +39,27 @@ def test_pair_with_pattern_and_drift_gives_temporal_variance() -> None:
     rng = stream("test pair")
     pattern = 100 * rng.standard_normal((300, 300))
     first, second = (np.rint(5000 + pattern + drift + 7 * rng.standard_normal(pattern.shape)).astype(np.int32) for drift in (0, 20))
-    result = pair(first, second)
+    result = estimators.pair(first, second)
     assert result.variance_dn2 == pytest.approx(49 + 1 / 12, rel=5 * math.sqrt(2 / pattern.size))
     assert result.frame_variance_dn2 == pytest.approx(pattern.var() + 49, rel=0.02)
 
 
 def test_stack_matches_numpy_mean_and_variance() -> None:
     frames = stream("test stack").integers(0, 2**24, (5, 3, 4)).astype(np.int32)
-    result = stack(frames)
+    result = estimators.stack(frames)
     np.testing.assert_allclose(result.mean_dn, frames.mean(axis=0), rtol=1e-14)
     np.testing.assert_allclose(result.variance_dn2, frames.var(axis=0, ddof=1), rtol=1e-12)
     with pytest.raises(PixsimError, match="frames of a stack: got 1"):
-        stack(frames[:1])
+        estimators.stack(frames[:1])
     with pytest.raises(PixsimError, match="frames: got 5"):
-        noise_15739(frames)
+        estimators.noise_15739(frames)
 
 
 def test_parts_of_known_maps_recovers_variances() -> None:
     rng = stream("test parts")
     rows, columns = 400, 300
     maps = 3 * rng.standard_normal(columns), 2 * rng.standard_normal((rows, 1)), 5 * rng.standard_normal((rows, columns))
-    variances = [estimate.value for estimate in parts(Stack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
+    variances = [estimate.value for estimate in estimators.parts(Stack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
     assert variances[:2] == pytest.approx([maps[0].var(), maps[1].var()], rel=0.03)
     assert variances[2] == pytest.approx(25, rel=0.02)
     assert sum(variances) == pytest.approx(sum(maps).var(ddof=1), rel=1e-2)
@@ -90,7 +74,7 @@ def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, ful
 
 def test_photon_transfer_ideal_frames_gives_parameters() -> None:
     gain, eta, dark_e2, full_e = 0.4, 0.5, 100.0, 9000.0
-    result = photon_transfer(ideal_light(gain, eta, dark_e2, full_e), 50.0, gain**2 * dark_e2 + 1 / 12, 10_000)
+    result = estimators.photon_transfer(ideal_light(gain, eta, dark_e2, full_e), 50.0, gain**2 * dark_e2 + 1 / 12, 10_000)
     threshold_p = (math.sqrt(100 + 1 / 12 / gain**2) + 0.5) / eta
     expected = {
         "gain_dn_per_e": gain, "responsivity_dn_per_p": gain * eta, "efficiency": eta, "dark_noise_e": 10, "saturation_p": 17_600,
@@ -102,17 +86,17 @@ def test_photon_transfer_ideal_frames_gives_parameters() -> None:
 
 def test_photon_transfer_below_quantisation_limit_is_limited() -> None:
     """EMVA 1288: σ_d < 0.40/K, since √(0.24 - 1/12) = 0.396."""
-    result = photon_transfer(ideal_light(), 50.0, 0.2399, 10_000)
+    result = estimators.photon_transfer(ideal_light(), 50.0, 0.2399, 10_000)
     assert result.limited
     assert result.dark_noise_e.value * result.gain_dn_per_e.value == pytest.approx(0.3958, abs=1e-4)
-    assert not photon_transfer(ideal_light(), 50.0, 0.2401, 10_000).limited
+    assert not estimators.photon_transfer(ideal_light(), 50.0, 0.2401, 10_000).limited
 
 
 @pytest.mark.parametrize(
     ("variance", "index"), [([1, 2, 3, 4, 2, 0], 3), ([1, 2, 5, 4.9, 5.2, 4, 0.1, 0.2, 0.1], 4), ([1, 2, 3], 2)]
 )
 def test_saturation_index_finds_peak_from_bright_side(variance: list[float], index: int) -> None:
-    assert saturation_index(np.array(variance)) == index
+    assert estimators.saturation_index(np.array(variance)) == index
 
 
 def test_photon_transfer_noise_beyond_saturation_is_ignored() -> None:
@@ -120,14 +104,14 @@ def test_photon_transfer_noise_beyond_saturation_is_ignored() -> None:
     light.variance_dn2[-4] = 0.02
     light.variance_dn2[-5] = 0.011
     light.variance_dn2[-6] = 0.012
-    assert photon_transfer(light, 50.0, 16.1, 10_000).saturation_p.value == 17_600
+    assert estimators.photon_transfer(light, 50.0, 16.1, 10_000).saturation_p.value == 17_600
 
 
 def test_linearity_known_curve_gives_its_errors() -> None:
     """A straight line has no linearity error; y = x(1 - 0.04 x) has a known range of deviations."""
     x = np.arange(1, 51) / 50
-    assert linearity(x, 3 * x + 0.2, 49).error < 1e-14
-    bent = linearity(x, x * (1 - 0.04 * x), 49)
+    assert estimators.linearity(x, 3 * x + 0.2, 49).error < 1e-14
+    bent = estimators.linearity(x, x * (1 - 0.04 * x), 49)
     assert bent.error == pytest.approx(np.abs(bent.deviation[bent.within]).mean(), rel=1e-12)
     assert bent.lowest < -0.002 < 0.001 < bent.highest < 0.01
     assert bent.within.sum() == 45
@@ -137,8 +121,8 @@ def test_line_fits_standard_errors_match_repeats() -> None:
     rng, x = stream("test slopes"), np.linspace(1, 10, 12)
     error = 0.1 * x
     lines = [(2 * x + error * rng.standard_normal(x.size)) for _ in range(4000)]
-    through = [slope_through_origin(x, y, error) for y in lines]
-    free = [straight_line(x, y, error) for y in lines]
+    through = [estimators.slope_through_origin(x, y, error) for y in lines]
+    free = [estimators.straight_line(x, y, error) for y in lines]
     for estimates, true in ((through, 2.0), ([estimate[0] for estimate in free], 2.0), ([estimate[1] for estimate in free], 0.0)):
         values = np.array([estimate.value for estimate in estimates])
         assert values.mean() == pytest.approx(true, abs=4 * values.std() / math.sqrt(values.size))
@@ -148,8 +132,8 @@ def test_line_fits_standard_errors_match_repeats() -> None:
 def test_doubling_k_exact_law_is_recovered() -> None:
     kelvin = np.linspace(300, 325, 6)
     current = 7 * 2 ** ((kelvin - 300) / 8)
-    assert doubling_k(kelvin, current, 0.01 * current).value == pytest.approx(8, rel=1e-12)
-    assert math.isnan(doubling_k(kelvin, current - 8, current).value)
+    assert estimators.doubling_k(kelvin, current, 0.01 * current).value == pytest.approx(8, rel=1e-12)
+    assert math.isnan(estimators.doubling_k(kelvin, current - 8, current).value)
 
 
 def test_estimate_ratio_propagates_both_errors() -> None:
@@ -162,10 +146,10 @@ def test_estimate_ratio_propagates_both_errors() -> None:
 def test_exposure_at_snr_matches_closed_form(wanted: float) -> None:
     signal = np.geomspace(1, 1e5, 4000)
     noise = np.sqrt(signal + 500 + (0.01 * signal) ** 2)
-    result = exposure_at_snr(signal / 7, signal, noise, wanted, 0.01)
-    assert result.value * 7 == pytest.approx(signal_at_snr_e(wanted, 500, 0.01), rel=1e-5)
-    assert math.isnan(exposure_at_snr(signal, signal, noise, 99.99, 0.01).value)
-    assert math.isnan(signal_at_snr_e(100.0, 500, 0.01))
+    result = estimators.exposure_at_snr(signal / 7, signal, noise, wanted, 0.01)
+    assert result.value * 7 == pytest.approx(estimators.signal_at_snr_e(wanted, 500, 0.01), rel=1e-5)
+    assert math.isnan(estimators.exposure_at_snr(signal, signal, noise, 99.99, 0.01).value)
+    assert math.isnan(estimators.signal_at_snr_e(100.0, 500, 0.01))
 
 
 def test_clipped_moments_at_the_mean_closed_form() -> None:
@@ -192,7 +176,7 @@ def test_expected_moments_near_full_well_match_frames(share: float, options: dic
     sensor = sample_sensor(physics, (400, 400), stream("test moments"))
     frames = [read_out(np.full(sensor.shape, mean_e), 0.03, sensor, stream("test moments", share, index)) for index in range(2)]
     mean, variance = expected_moments(mean_e, 0.03, physics)
-    result = pair(*frames)
+    result = estimators.pair(*frames)
     assert result.mean_dn == pytest.approx(mean, rel=3e-4)
     assert result.variance_dn2 == pytest.approx(variance, rel=0.05)
 
@@ -323,27 +307,6 @@ def test_datasheet_command_bad_folder_fails_before_measurement(tmp_path: Path, m
     code, out, err = command(f"datasheet 0.35um --out {tmp_path / 'file'}")
     assert (code, out) == (2, "")
     assert "Choose another with --out" in err
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("datasheet 0.35um --pixel.technology 4t-bsi", "give only one of them"),
-        ("datasheet nothing", "technology: got 'nothing'"),
-        ("datasheet nothing.toml", "does not exist"),
-        ("datasheet --pixel.bits 2", "pixel.bits: got 2"),
-        ("datasheet --wavelength-nm 2000", "wavelength_nm: got 2000"),
-        ("datasheet --exposure.integration-s 1e6", "exposure.integration_s"),
-    ],
-)
-def test_datasheet_command_invalid_input_prints_one_message(
-    line: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, out, err = command(line)
-    assert (code, out) == (2, "")
-    assert message in err
-    assert not list(tmp_path.iterdir())
 
 
 @needs_browser

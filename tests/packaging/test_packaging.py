@@ -89,17 +89,12 @@ def contents(wheel: Path) -> dict[str, bytes]:
 def test_wheel_contains_package_and_scenes_only(shipped: dict[str, Path]):
     names = set(contents(shipped["wheel"]))
     info = f"pixsim-{PROJECT['version']}.dist-info"
-    package = ROOT / "pixsim"
-    expected = {
-        path.relative_to(ROOT).as_posix() for path in package.rglob("*") if path.is_file() and "__pycache__" not in path.parts
-    }
+    files = (path for path in (ROOT / "pixsim").rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    expected = {path.relative_to(ROOT).as_posix() for path in files}
     scenes = {f"pixsim/data/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "scenes").rglob("*") if path.is_file()}
-    assert {"py.typed", "data/style.css.j2", "data/technologies/0.35um.toml", "data/studies/chen2000.toml"} <= {
-        name.removeprefix("pixsim/") for name in expected
-    }
-    assert {"csf.xml", "charts/csf.exr", "spectra/macbeth/01_dark_skin.spd"} <= {
-        name.removeprefix("pixsim/data/scenes/") for name in scenes
-    }
+    data = ("style.css.j2", "technologies/0.35um.toml", "studies/chen2000.toml")
+    assert {"pixsim/py.typed", *(f"pixsim/data/{name}" for name in data)} <= expected
+    assert {f"pixsim/data/scenes/{name}" for name in ("csf.xml", "charts/csf.exr", "spectra/macbeth/01_dark_skin.spd")} <= scenes
     metadata = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE")}
     assert names == expected | scenes | metadata  # neither tests nor caches
 
