@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -345,7 +345,7 @@ def test_findings_good_evidence_agrees() -> None:
     assert {row.statement for row in rows if not row.agrees} == GROWTH
     assert all(row.given and row.found for row in rows)
     assert all(row.why for row in rows if not row.agrees)
-    assert all(set(row.as_dict()) == {"statement", "given", "found", "agrees", "why"} for row in rows)
+    assert all(asdict(row).keys() == {"statement", "given", "found", "agrees", "why"} for row in rows)
 
 
 RATIO_FALLS = {"0.5um": 13.0, "0.35um": 6.5, "0.25um": 4.4, "0.18um": 3.0}  # 26, 18.6, 17.6 and 16.7 features
