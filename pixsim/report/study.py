@@ -146,16 +146,8 @@ class Section(NamedTuple):
         return f"figures of {self.technology or self.kind}"
 
 
-class DrawnSection(NamedTuple):
-    """A drawn section: its figures, its pictures, and its statements of the paper."""
-
-    section: Section
-    drawn: list[Drawn]
-    views: Views | None
-    rows: list[Finding]
-
-
-def draw_section(section: Section, result: StudyResult) -> DrawnSection:
+def draw_section(section: Section, result: StudyResult) -> tuple[Section, list[Drawn], Views | None, list[Finding]]:
+    """Return a section, its figures, its pictures, and its statements of the paper."""
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
     rows: list[Finding] = []
@@ -174,7 +166,7 @@ def draw_section(section: Section, result: StudyResult) -> DrawnSection:
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return DrawnSection(section, [plate.drawn() for plate in plates], views, rows)
+    return section, [plate.drawn() for plate in plates], views, rows
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -217,11 +209,11 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
 
-    drawn_sections = sorted(results_of(draw_section, [(section, shared) for section in longest_first], workers))
-    rows = [row for drawn in drawn_sections for row in drawn.rows]
-    views = [drawn.views for drawn in drawn_sections if drawn.views]
+    sections = sorted(results_of(draw_section, [(section, shared) for section in longest_first], workers))
+    rows = [row for *_, own in sections for row in own]
+    views = [view for _, _, view, _ in sections if view]
     shown = {
-        heading: write_figures(folder, [plate for drawn in drawn_sections if drawn.section.kind in kinds for plate in drawn.drawn])
+        heading: write_figures(folder, [plate for section, drawn, _, _ in sections if section.kind in kinds for plate in drawn])
         for heading, kinds in HEADINGS.items()
     }
     for view in views:
