@@ -102,9 +102,8 @@ def figure_4(result: StudyResult) -> Plate:
     figure = new_figure(4.6, 4.4)
     axes = figure.subplots()
     draw_picture(axes, lux / lux.max(), picture_axes(result.irradiance))
-    table = coarse_table(lux, "illuminance_lx")
     caption = f"Figure 4. The scene as rendered on the sensor plane, {lux.min():.3g} to {lux.max():.3g} lx, fall-off included."
-    return Plate("figure_4_scene", caption, figure, table)
+    return Plate("figure_4_scene", caption, figure, coarse_table(lux, "illuminance_lx"))
 
 
 def figure_5(evidence: Evidence) -> Plate:
@@ -127,7 +126,7 @@ def figure_6(evidence: Evidence) -> Plate:
         down, across = evidence.border(pitch_um)
         border_um = 1e3 * down * height_mm, 1e3 * across * width_mm
         where = picture_axes(evidence.result.irradiance, border_um)
-        lines = draw_iso(axes, where, smooth, [level], [look], [1.6], [f"{pitch_um:g} µm"])
+        lines = draw_iso(axes, where, smooth, [(level, look, 1.6, f"{pitch_um:g} µm")])
         vertices += [(pitch_um, x / width_mm, y / height_mm) for x, y in lines]
     handles = [axes.plot([], [], label=f"{p:g} µm", **look.stroke)[0]
                for p, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False)]  # fmt: skip
@@ -153,9 +152,8 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     axes = figure.subplots()
     image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=DELTA_E_SHOWN)
     for (row, column), value in np.ndenumerate(values):
-        axes.text(
-            column, row, f"{value:.1f}", ha="center", va="center", fontsize=8, color="w" if value < DELTA_E_SHOWN / 2 else "k"
-        )
+        colour = "w" if value < DELTA_E_SHOWN / 2 else "k"
+        axes.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(frequency.size), [f"{value:.2g}" for value in frequency])
     axes.set_yticks(range(contrast.size), [f"{value:.2g}" for value in contrast])
     axes.set(xlabel="spatial frequency on the sensor (lp/mm)", ylabel=CONTRAST_LABEL)

@@ -78,10 +78,10 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     statistics = score.statistics()
     if sheet and statistics["fill_factor"] > FILLED:
         del statistics["fill_factor"]  # the data sheet states none
-    exposure = Exposure.model_validate(summary["exposure"])
     others = {
         path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
+    exposure = Exposure.model_validate(summary["exposure"])
     records = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "display": display}
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
@@ -149,13 +149,11 @@ def run_and_write(
 
     derive(settings.pixel)
     if settings.pixel.bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(raw_suffixes):
-        raise invalid(
-            "--raw", f"tiff or png for an ADC of {settings.pixel.bits} bits", f"at most {BITS_OF_PICTURES} bits; use npz for more"
-        )
+        got = f"tiff or png for an ADC of {settings.pixel.bits} bits"
+        raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
     if settings.tolerance_delta_e and full:
-        raise invalid(
-            "--tolerance-delta-e", "with --full", "one of the two: a tolerance selects cheaper settings, --full uses none"
-        )
+        allowed = "one of the two: a tolerance selects cheaper settings, --full uses none"
+        raise invalid("--tolerance-delta-e", "with --full", allowed)
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -247,18 +245,9 @@ def _prepare(
         scene = scene.with_parameters(resolution=plan.resolution)
 
     def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
-        image, noise = render_until(
-            scene,
-            camera,
-            plan,
-            [settings.pixel],
-            settings.exposure,
-            settings.seed,
-            render_noise=settings.render_noise,
-            max_seconds=settings.max_seconds,
-            progress=progress("render"),
-            keep=True,
-        )
+        limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
+        fixed = scene, camera, plan, [settings.pixel], settings.exposure, settings.seed
+        image, noise = render_until(*fixed, progress=progress("render"), keep=True, **limits)
         more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict()}
         if settled:
             more["error_budget"] = settled.budget(noise, plan.bound_e if plan.bounded else None, settled.choice.sensors)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from pixsim.base.files import output_folder, replacing, versions, write_json
-from pixsim.base.parameters import NO_TECHNOLOGY, Record, Study
+from pixsim.base.parameters import NO_TECHNOLOGY, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import is_csf
@@ -130,11 +130,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
 
 
 # In the paper, of curves that any study has.
-FIGURE_NUMBERS = {
-    "delta_e_against_pitch": "Figure 7. ",
-    "delta_e_against_pitch_all": "Figure 8. ",
-    "optimum_against_technology": "Figure 9. ",
-}
+FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "optimum_against_technology": 9}
 # Headings of the page, and the kinds of sections under them.
 HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
@@ -150,16 +146,8 @@ class Section(NamedTuple):
         return f"figures of {self.technology or self.kind}"
 
 
-class DrawnSection(NamedTuple):
-    """A drawn section: its figures, its pictures, and its statements of the paper."""
-
-    section: Section
-    drawn: list[Drawn]
-    views: Views | None
-    rows: list[Finding]
-
-
-def draw_section(section: Section, result: StudyResult) -> DrawnSection:
+def draw_section(section: Section, result: StudyResult) -> tuple[Section, list[Drawn], Views | None, list[Finding]]:
+    """Return a section, its figures, its pictures, and its statements of the paper."""
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
     rows: list[Finding] = []
@@ -178,7 +166,7 @@ def draw_section(section: Section, result: StudyResult) -> DrawnSection:
     else:
         evidence = Evidence(result, by_name)
         rows, plates = findings(evidence), map_plates(evidence)
-    return DrawnSection(section, [plate.drawn() for plate in plates], views, rows)
+    return section, [plate.drawn() for plate in plates], views, rows
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -190,7 +178,7 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
         return plates
-    return [replace(plate, caption=FIGURE_NUMBERS[plate.name] + plate.caption) for plate in plates]
+    return [replace(plate, caption=f"Figure {FIGURE_NUMBERS[plate.name]}. {plate.caption}") for plate in plates]
 
 
 def write_report(
@@ -221,17 +209,17 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
 
-    drawn_sections = sorted(results_of(draw_section, [(section, shared) for section in longest_first], workers))
-    rows = [row for drawn in drawn_sections for row in drawn.rows]
-    views = [drawn.views for drawn in drawn_sections if drawn.views]
+    sections = sorted(results_of(draw_section, [(section, shared) for section in longest_first], workers))
+    rows = [row for *_, own in sections for row in own]
+    views = [view for _, _, view, _ in sections if view]
     shown = {
-        heading: write_figures(folder, [plate for drawn in drawn_sections if drawn.section.kind in kinds for plate in drawn.drawn])
+        heading: write_figures(folder, [plate for section, drawn, _, _ in sections if section.kind in kinds for plate in drawn])
         for heading, kinds in HEADINGS.items()
     }
     for view in views:
         with replacing(folder / "figures" / f"contact_sheet_{view.file_label}.png") as partial:
             partial.write_bytes(view.sheet)
-    write_json(folder / "summary.json", result.as_dict() | ({"paper": [row.as_dict() for row in rows]} if rows else {}))
+    write_json(folder / "summary.json", result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}))
     provenance = {"versions": versions(), "seconds": seconds}
     write_json(folder / "provenance.json", provenance)
 
@@ -268,9 +256,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
 def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row]]]:
     """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
     study = result.study
-    records: dict[str, Record] = {"camera": result.camera} | {
-        name: getattr(study, name) for name in ("pixel", "exposure", "display")
-    }
+    records = {"camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display}
     sheets = all(name == NO_TECHNOLOGY for name in study.technologies)
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]

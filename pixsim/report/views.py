@@ -63,7 +63,8 @@ def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequen
     iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
-    draw_iso(iso, where, smooth, levels, LOOKS, [1, 1, 2.2, 1], [f"ΔE = {value:g}" for value in levels])
+    lines = [(value, look, 2.2 if value == level else 1, f"ΔE = {value:g}") for value, look in zip(levels, LOOKS, strict=False)]
+    draw_iso(iso, where, smooth, lines)
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.label}): the ideal image, the picture of one sensor, its ΔE map "
         f"(colour scale 0 to 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
@@ -72,33 +73,20 @@ def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequen
 
 
 def draw_iso(
-    axes: Axes,
-    where: PictureAxes,
-    smooth: Array,
-    levels: Sequence[float],
-    looks: Sequence[Look],
-    widths: Sequence[float],
-    labels: Sequence[str],
+    axes: Axes, where: PictureAxes, smooth: Array, lines: Sequence[tuple[float, Look, float, str]]
 ) -> list[tuple[float, float]]:
-    """Draw curves of equal ΔE in the axes of the picture, and return their points, (x, y) in mm."""
+    """Draw curves of equal ΔE (level, look, width, label) in the picture's axes, and return their points, (x, y) in mm."""
     points: list[tuple[float, float]] = []
     left, right, bottom, top = where.extent_mm
     x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
     y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
-    drawn = [i for i, level in enumerate(levels) if smooth.min() < level < smooth.max()]
-    if drawn:
-        lines = axes.contour(
-            x,
-            y,
-            smooth,
-            levels=[levels[i] for i in drawn],
-            colors=[looks[i].colour for i in drawn],
-            linestyles=[looks[i].dashes for i in drawn],
-            linewidths=[widths[i] for i in drawn],
-        )
-        handles = [axes.plot([], [], lw=widths[i], label=labels[i], **looks[i].stroke)[0] for i in drawn]
+    if drawn := [line for line in lines if smooth.min() < line[0] < smooth.max()]:
+        levels, looks, widths, _ = zip(*drawn, strict=True)
+        colours, dashes = [look.colour for look in looks], [look.dashes for look in looks]
+        contours = axes.contour(x, y, smooth, levels, colors=colours, linestyles=dashes, linewidths=widths)
+        handles = [axes.plot([], [], lw=width, label=label, **look.stroke)[0] for _, look, width, label in drawn]
         axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
-        points = [(float(px), float(py)) for segments in lines.allsegs for segment in segments for px, py in segment]
+        points = [(float(px), float(py)) for segments in contours.allsegs for segment in segments for px, py in segment]
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     label_axes(axes, where)
     for spine in axes.spines.values():

@@ -35,14 +35,11 @@ def write_page(path: Path, template: str, content: dict[str, Any]) -> Path:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup, escape
 
-    def code(text: str) -> Markup:
-        return Markup(CODE.sub(r"<code>\1</code>", str(escape(text))))
-
     folder = str(resources.files("pixsim") / "data")
     options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
     environment = Environment(loader=FileSystemLoader(folder), **options)
     environment.filters["png"] = lambda content: data_uri("image/png", content)
-    environment.filters["code"] = code
+    environment.filters["code"] = lambda text: Markup(CODE.sub(r"<code>\1</code>", str(escape(text))))
     with replacing(path) as partial:
         partial.write_text(environment.get_template(template).render(**content), encoding="utf-8")
     return path

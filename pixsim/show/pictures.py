@@ -69,10 +69,11 @@ def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes) -> None:
     """Write a ΔE map as a PNG with its colour scale and axes."""
     from PIL import Image, ImageDraw
 
-    shown = _enlarged(delta_e_colours(delta_e))
-    height, width = shown.shape[:2]
+    factor = MAP / max(delta_e.shape)  # each dot several px, or several dots one
+    height, width = (max(1, round(dots * factor)) for dots in delta_e.shape)
+    resampling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
     canvas = Image.new("RGB", (LEFT + width + RIGHT, TOP + height + BOTTOM), WHITE)
-    canvas.paste(Image.fromarray(shown), (LEFT, TOP))
+    canvas.paste(Image.fromarray(delta_e_colours(delta_e)).resize((width, height), resampling), (LEFT, TOP))
     draw = ImageDraw.Draw(canvas)
     title = f"S-CIELAB difference from the ideal image, mean {delta_e.mean():.3f}"
     draw.text((LEFT + width / 2, TOP - POINT), title, BLACK, font(18), anchor="ms")
@@ -98,17 +99,6 @@ def delta_e_colours(delta_e: Array) -> NDArray[np.uint8]:
 @lru_cache
 def viridis() -> NDArray[np.uint8]:
     return np.loadtxt(str(resources.files("pixsim") / "data/viridis.csv"), np.uint8, delimiter=",", skiprows=2)
-
-
-def _enlarged(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a map scaled to about `MAP` px along its longer side, each dot several px or several dots one."""
-    from PIL import Image
-
-    height, width = colours.shape[:2]
-    factor = MAP / max(height, width)
-    size = max(1, round(width * factor)), max(1, round(height * factor))
-    resampling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
-    return np.asarray(Image.fromarray(colours).resize(size, resampling))
 
 
 def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:

@@ -23,10 +23,9 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -53,6 +52,8 @@ SCAN_PITCHES = 9  # of the coarse search for the optimum
 AROUND = 1.35  # the fine search covers the coarse optimum divided and multiplied by this
 FEW_E, MAX_FEW = 16.0, 80  # counts above 80 have a probability of 1e-27 at a mean of 16
 DEGREE = 3  # of the polynomial through pitches near the optimum
+# Suppresses warnings, such as of clipped white, that the run itself gives once.
+without_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
 LEVEL = 1e-9  # relative range of ΔE below which a minimum is due to rounding
 MIN_PIXELS, MAX_PIXELS = 16, 1024  # across the die, for the largest and the smallest pitch tried
 
@@ -227,14 +228,6 @@ def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = 
         return chain_at_pitch(light, physics, setup.exposure)
 
     return at
-
-
-@contextmanager
-def without_warnings() -> Iterator[None]:
-    """Suppress warnings, such as of clipped white, that the run itself gives once."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        yield
 
 
 def pitch_range_um(setup: Setup) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -70,9 +70,6 @@ class Finding:
     found: str
     agrees: bool
     why: str = ""
-
-    def as_dict(self) -> dict[str, str | bool]:
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -238,26 +235,16 @@ def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
         inside = bool(low <= db.min() and db.max() <= high)
         yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", axis, reach, inside, "`paper` capacitance, fitted to this axis")
         exponent = growth_exponent(pitch_um, db)
-        yield Finding(
-            f"{name} grows roughly as √pitch",
-            "pitch^0.5",
-            f"pitch^{exponent:.2f}",
-            abs(exponent - 0.5) < 0.15,
-            "with the paper's fill factors, 5 to 73 %, the photodiode's area grows as pitch^4.6 between these "
-            "pitches, and the axis of its Fig. 2a, 35 to 70 dB, allows more than √pitch",
-        )
+        why = "with the paper's fill factors, 5 to 73 %, the photodiode's area grows as pitch^4.6 between these pitches, and the "
+        why += "axis of its Fig. 2a, 35 to 70 dB, allows more than √pitch"
+        yield Finding(f"{name} grows roughly as √pitch", "pitch^0.5", f"pitch^{exponent:.2f}", abs(exponent - 0.5) < 0.15, why)
 
 
 def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     curve = evidence.curves[REFERENCE_TECHNOLOGY]
     best = curve.optimum
-    yield Finding(
-        "Optimal pixel size at 0.35 µm",
-        f"about {OPTIMUM_UM:g} µm",
-        f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)})",
-        best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM,
-        ASSUMED,
-    )
+    found, agrees = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)})", abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM
+    yield Finding("Optimal pixel size at 0.35 µm", f"about {OPTIMUM_UM:g} µm", found, best.inside and agrees, ASSUMED)
     fill_factor = curve.optimum_fill_factor
     agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
     yield depending("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees)

@@ -62,9 +62,8 @@ class ResultsFile:
         try:
             return {row["key"]: {name: row[name] for name in COLUMNS} for row in table if self._is_whole(row)}
         except csv.Error as error:
-            raise invalid(
-                "results", f"'{self.path}' ({error})", allowed, "Move the file away: its rows are then computed again."
-            ) from None
+            hint = "Move the file away: its rows are then computed again."
+            raise invalid("results", f"'{self.path}' ({error})", allowed, hint) from None
 
     def _is_whole(self, row: Row) -> bool:
         """Return whether a row has every column, with numbers where they belong; other rows are computed again."""
@@ -280,9 +279,8 @@ class Fingerprints:
 
     def scene(self, technology: str) -> str:
         """Return the hash of the light that all pitches of a technology share."""
-        return content_hash(
-            [self.imaging, self.display, technology_of(self.study, technology).content, self.study.pixel.model_dump()]
-        )
+        process = technology_of(self.study, technology).content
+        return content_hash([self.imaging, self.display, process, self.study.pixel.model_dump()])
 
     def pixel(self, technology: str, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
@@ -373,10 +371,7 @@ class Evaluations:
 
         Raises PixsimError if the file cannot be written; finished rows stay in it.
         """
-        tasks = {
-            technology: list(tasks_of(self.fingerprints, technology, sensors, self._done))
-            for technology, sensors in sampling.items()
-        }
+        tasks = {name: list(tasks_of(self.fingerprints, name, sensors, self._done)) for name, sensors in sampling.items()}
         missing = total = sum(len(task.keys) for group in tasks.values() for task in group)
         names, capacity = self.study.technologies, self._scenes.capacity
         for first in range(0, len(names), capacity):  # technologies whose prepared scenes fit into memory together

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -117,16 +117,9 @@ class Case:
         return [statement for statement, agrees in self.agrees.items() if agrees != base.agrees.get(statement, agrees)]
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "variation": self.variation,
-            "label": self.label,
-            "alone": self.alone,
-            "agrees": self.agrees,
-            "technologies": [
-                {name: value for name, value in curve.as_dict().items() if name in ("technology", "optimum", "optimum_fill_factor")}
-                for curve in self.curves
-            ],
-        }
+        names, curves = ("technology", "optimum", "optimum_fill_factor"), [curve.as_dict() for curve in self.curves]
+        own = {"variation": self.variation, "label": self.label, "alone": self.alone, "agrees": self.agrees}
+        return own | {"technologies": [{name: curve[name] for name in names} for curve in curves]}
 
 
 @dataclass(frozen=True)
@@ -159,7 +152,7 @@ class SensitivityResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
         claims = [
-            row.as_dict()
+            asdict(row)
             | {"turned_by": [{"variation": case.variation, "label": case.label} for case in self.turning(row.statement)]}
             for row in self.base_case.rows
         ]

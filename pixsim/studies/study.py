@@ -152,18 +152,8 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     scene, camera = scene_for(study, variant)
     largest = [physics_of(study, study.technologies[0], study.pitch.max_um)]
     plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
-    image, _ = render_until(
-        scene,
-        camera,
-        plan,
-        largest,
-        study.exposure,
-        study.seed,
-        render_noise=study.render_noise,
-        max_seconds=study.max_seconds,
-        progress=progress,
-        keep=True,
-    )
+    limits: dict[str, Any] = {"render_noise": study.render_noise, "max_seconds": study.max_seconds}
+    image, _ = render_until(scene, camera, plan, largest, study.exposure, study.seed, progress=progress, keep=True, **limits)
     return image, camera
 
 

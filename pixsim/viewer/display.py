@@ -39,12 +39,9 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     """
     white = display.white_cd_per_m2 or irradiance.header.get("luminance_cd_per_m2")
     if not white:
-        raise invalid(
-            "display.white_cd_per_m2",
-            "no value, and the scene has no emissive chart that defines it",
-            "the scene luminance in cd/m² that the display shows as white",
-            "Set --display.white-cd-per-m2.",
-        )
+        got = "no value, and the scene has no emissive chart that defines it"
+        allowed = "the scene luminance in cd/m² that the display shows as white"
+        raise invalid("display.white_cd_per_m2", got, allowed, "Set --display.white-cd-per-m2.")
     return float(white)
 
 
@@ -62,11 +59,8 @@ def white_header(irradiance: SpectralImage, camera: Camera, display: Display) ->
     luminance /= camera.transmittance
     white = float(f"{np.percentile(luminance, WHITE_PERCENTILE, overwrite_input=True):.{WHITE_DIGITS}g}")
     if not white > 0:
-        raise invalid(
-            "display.white_cd_per_m2",
-            "no value, and the picture is too dark to estimate it",
-            "the scene luminance in cd/m² shown as white",
-        )
+        got = "no value, and the picture is too dark to estimate it"
+        raise invalid("display.white_cd_per_m2", got, "the scene luminance in cd/m² shown as white")
     warnings.warn(
         f"the scene does not define its white: using {white:g} cd/m², the 99th percentile of its luminance; "
         f"set --display.white-cd-per-m2 {white:g} to fix this value",
@@ -100,12 +94,10 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     rate = electrons / lux * white_lx * M2_PER_UM2 if lux > 0 else 0.0
     low, high = WHITE_E_PER_S_UM2
     if not low < rate < high:
-        raise invalid(
-            "the scene's white",
-            f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx from its light in all bands)",
-            f"light to which both the sensor and the eye respond, {low:g} to {high:g}",
-            "Choose a lamp within the sensor's response and 360-830 nm, or another technology, infrared cut or white.",
-        )
+        got = f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx from its light in all bands)"
+        allowed = f"light to which both the sensor and the eye respond, {low:g} to {high:g}"
+        hint = "Choose a lamp within the sensor's response and 360-830 nm, or another technology, infrared cut or white."
+        raise invalid("the scene's white", got, allowed, hint)
     return rate
 
 
@@ -135,12 +127,9 @@ def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display
     for length_um, count in zip(size_um, counts, strict=True):
         cut = math.ceil(border_um / length_um * count * (1 - 1e-9))
         if 2 * cut >= count:
-            raise invalid(
-                "pixel.pitch_um",
-                f"{border_um:g} µm: a border this wide on each side leaves none of the {count} dots of {length_um / count:.3g} µm",
-                f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die",
-                "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'.",
-            )
+            dot_um, hint = length_um / count, "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'."
+            got = f"{border_um:g} µm: a border this wide on each side leaves none of the {count} dots of {dot_um:.3g} µm"
+            raise invalid("pixel.pitch_um", got, f"below {(count - 1) // 2 * length_um / count:.4g} µm on this die", hint)
         edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
     return edges[0], edges[1]
 

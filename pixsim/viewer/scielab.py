@@ -110,9 +110,8 @@ class ViewingConditions:
             raise invalid("samples_per_deg", repr(samples_per_deg), "one finite number above 0", hint)
         low, high = ZHANG1996_SAMPLES_PER_DEG
         if filters == "zhang1996" and not low <= samples_per_deg <= high:
-            raise invalid(
-                "samples_per_deg", repr(samples_per_deg), f"{low:g} to {high:g} for 'zhang1996'", "Or choose 'published'."
-            )
+            allowed = f"{low:g} to {high:g} for 'zhang1996'"
+            raise invalid("samples_per_deg", repr(samples_per_deg), allowed, "Or choose 'published'.")
         exponent = math.frexp(white[1])[1]
         x, y, z = np.ldexp(white, -exponent).tolist()
         return cls((x, y, z), exponent, float(samples_per_deg), filters)

@@ -59,24 +59,19 @@ def test_windows_are_square_and_cover(shape: tuple[int, int]) -> None:
     assert len(seen) == picture.size
 
 
-CORNERS = [((0.0, 0.0), (0, 0)), ((1.0, 1.0), (400, 188)), ((0.5, 0.5), (200, 94)), ((1.0, 0.0), (0, 188))]
-
-
-@pytest.mark.parametrize(("centre", "corner"), CORNERS)
-def test_window_at_position(centre: tuple[float, float], corner: tuple[int, int]) -> None:
-    window = window_at(centre, (512, 300))
+def test_window_at_position() -> None:
     y, x = np.indices((512, 300))
-    assert (window.of(y)[0, 0], window.of(x)[0, 0]) == corner
-    assert window.of(y).shape == (112, 112)
+    for centre, corner in {(0.0, 0.0): (0, 0), (1.0, 1.0): (400, 188), (0.5, 0.5): (200, 94), (1.0, 0.0): (0, 188)}.items():
+        window = window_at(centre, (512, 300))
+        assert (window.of(y)[0, 0], window.of(x)[0, 0]) == corner
+        assert window.of(y).shape == (112, 112)
 
 
-def test_window_of_scales_with_dots() -> None:
-    window = Window(0.25, 0.5, 0.25, 0.25)
-    for dots in (8, 64, 512):
-        y, x = np.indices((dots, dots)) / dots
-        assert window.of(x).min() == 0.5
-        assert window.of(y).min() == 0.25
-        assert window.of(x).shape == (dots // 4, dots // 4)
+@pytest.mark.parametrize("dots", [8, 64, 512])
+def test_window_of_scales_with_dots(dots: int) -> None:
+    y, x = (Window(0.25, 0.5, 0.25, 0.25).of(at) for at in np.indices((dots, dots)) / dots)
+    assert (y.min(), x.min()) == (0.25, 0.5)
+    assert x.shape == (dots // 4, dots // 4)
 
 
 @pytest.mark.parametrize("coarse", [(1, 1), (2, 2), (5, 3)])
@@ -147,8 +142,7 @@ def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult, monkey
 
 @pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
 def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
-    study = tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9])
-    result = pixsim.study(study, tmp_path, jobs=1)
+    result = pixsim.study(tiny(display={"raster": raster, "dots": 160}, detail=[0.9, 0.9]), tmp_path, jobs=1)
     curve = result.curves[0]
     at = best_place(curve)
     scores = [result.scores(curve.technology, pitch_um, 1)[0] for pitch_um in curve.pitch_um.tolist()]
@@ -232,8 +226,7 @@ def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
 
 
 def test_study_detail_does_not_change_rows(tiny_result: StudyResult, tmp_path: Path) -> None:
-    study = tiny(paper=True, display={"dots": 120}, detail=[0.1, 0.2])
-    again = pixsim.study(study, tmp_path, jobs=1)
+    again = pixsim.study(tiny(paper=True, display={"dots": 120}, detail=[0.1, 0.2]), tmp_path, jobs=1)
     np.testing.assert_array_equal(again.curves[0].delta_e, tiny_result.curves[0].delta_e)
     assert replace(again, study=tiny_result.study).as_dict() == tiny_result.as_dict()
     text = (tmp_path / "results.csv").read_text(encoding="utf-8")

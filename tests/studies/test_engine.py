@@ -33,6 +33,7 @@ from pixsim.studies.study import load_study
 from pixsim.viewer.score import ImagingChain
 
 COMMAND = Path(sys.executable).with_name("pixsim")
+CAPTURED = {"capture_output": True, "text": True, "timeout": HANG_S, "check": False}
 ROWS = 24
 
 
@@ -68,8 +69,7 @@ def test_results_of_yields_every_call_once(jobs: int) -> None:
         made.append("second")
         return {"values": np.full(3, 2.0)}
 
-    calls = [(task, first if task % 2 else second) for task in range(20)]
-    actual = sorted(results_of(double, calls, Workers(jobs)))
+    actual = sorted(results_of(double, [(task, first if task % 2 else second) for task in range(20)], Workers(jobs)))
     assert jobs == 1 or sorted(made) == ["first", "second"], "what is shared is made once"
     assert actual == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
 
@@ -178,7 +178,7 @@ def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: 
     """Killed with two pitches done, in the third's second sensor."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     command = [sys.executable, "-c", signalled(signal.SIGKILL, 10), "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False)
+    ended = subprocess.run(command, **CAPTURED)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
     finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
     assert len(finished) == 8
@@ -202,8 +202,7 @@ def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, mon
 
     command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
     own = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python leaves cut bytecode behind, which no later process can import
-    how = {"preexec_fn": limit, "env": own, "capture_output": True, "text": True, "timeout": HANG_S}
-    ended = subprocess.run(command, **how, check=False)
+    ended = subprocess.run(command, preexec_fn=limit, env=own, **CAPTURED)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert "Traceback" not in ended.stderr
     assert "results.csv' cannot be written (No space left on device). Finished rows are kept" in ended.stderr
@@ -224,7 +223,7 @@ def test_study_locked_folder_raises(toml: Path, expected: bytes, tmp_path: Path,
 
     def view_after_the_second(self, frame):
         if not second:
-            second.append(subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False))
+            second.append(subprocess.run(command, **CAPTURED))
         return view(self, frame)
 
     monkeypatch.setattr(ImagingChain, "score_frame", view_after_the_second)

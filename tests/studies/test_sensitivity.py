@@ -63,8 +63,6 @@ settings = [
     { label = "f/2.8", set.camera.f_number = 2.8 },
 ]
 """
-
-
 SENSITIVITY = tomllib.loads(SENSITIVITY_TOML)
 
 
@@ -209,11 +207,8 @@ def synthetic() -> SensitivityResult:
 def test_turning_lists_changed_verdicts() -> None:
     """At 8 µm, 22.9 features of 0.35 µm, the optimum no longer shrinks slower: 20.8 and 22.8 follow. At 12 µm neither."""
     result = synthetic()
-    assert {name: [item.label for item in result.turning(name)] for name in (SHRINKS, SLOWER, WORSE)} == {
-        SHRINKS: [],
-        SLOWER: ["d", "0.35um"],
-        WORSE: [],
-    }
+    turning = {name: [item.label for item in result.turning(name)] for name in (SHRINKS, SLOWER, WORSE)}
+    assert turning == {SHRINKS: [], SLOWER: ["d", "0.35um"], WORSE: []}
     claims = {row["statement"]: row for row in result.as_dict()["claims"]}
     assert claims[SLOWER]["agrees"] is True
     turned_by = claims[SLOWER]["turned_by"]
@@ -229,17 +224,10 @@ def test_paper_table_of_synthetic_result() -> None:
     yes, no = claims_table(rows[:1], summary["cases"])[-1], claims_table(rows[1:], summary["cases"])[-1]
     assert yes == f"| {SLOWER} | g | f | yes | 2 of 5: wide (d); narrow (0.35um) |"
     assert no == f"| {SLOWER} | g | f | **does not agree**: w | 3 of 5: narrow (a); wide (b); one-sided (c) |"
-    assert claims_table(rows[:1], []) == [
-        "| the paper says | given | pixsim finds | agrees |",
-        "|---|---|---|---|",
-        f"| {SLOWER} | g | f | yes |",
-    ]
-    lines = tornado_table(summary["base"], summary["cases"])[2:]
-    assert [line.split("|")[1:3] for line in lines] == [
-        [" wide ", " 6.00 to 8.00 "],
-        [" one-sided ", " 6.50 to 7.00 "],
-        [" narrow ", " 6.40 to 6.50 "],
-    ]
+    head = ["| the paper says | given | pixsim finds | agrees |", "|---|---|---|---|"]
+    assert claims_table(rows[:1], []) == [*head, f"| {SLOWER} | g | f | yes |"]
+    lines = ["".join(line.split("|")[1:3]) for line in tornado_table(summary["base"], summary["cases"])[2:]]
+    assert lines == [" wide  6.00 to 8.00 ", " one-sided  6.50 to 7.00 ", " narrow  6.40 to 6.50 "]
     *_, every = counts([{"statement": name, "agrees": True} for name in (SHRINKS, SLOWER, WORSE)], summary["cases"])
     assert every == "3 of 5 have every verdict of the table"
 
@@ -335,9 +323,9 @@ def test_tornado_bars_match_table() -> None:
     plate: Plate = tornado(synthetic())
     header, *table = csv.reader(io.StringIO(plate.csv))
     assert len(table) == 3 * 6
-    size = {row[header.index("variation")] + row[header.index("setting")]: float(row[header.index("optimum_um")])
-            for row in table if row[header.index("technology")] == "0.35um"}  # fmt: skip
-    assert list(size.values()) == pytest.approx([6.5, 6.4, 6.0, 7.0, 8.0, 12.0], rel=5e-4)
+    named = [dict(zip(header, row, strict=True)) for row in table]
+    sizes = [float(row["optimum_um"]) for row in named if row["technology"] == "0.35um"]
+    assert sizes == pytest.approx([6.5, 6.4, 6.0, 7.0, 8.0, 12.0], rel=5e-4)
     left = plate.figure.axes[0]
     bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in left.patches]
     np.testing.assert_allclose(bars, [(6.0, 8.0), (6.5, 7.0), (6.4, 6.5)], rtol=2e-4)
@@ -366,20 +354,11 @@ def test_packaged_cases_are_valid_and_distinct(shipped: Sensitivity) -> None:
 
 # Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
 ASSUMED = {
-    "camera.f_number": (2.8, 8.0),
-    "pixel.response": None,
-    "pixel.quantum_efficiency": None,
-    "pixel.offset_fpn": (0.001, 0.01),
-    "pixel.prnu": None,
-    "pixel.bits": (8, 12),
-    "display.samples_per_deg": (15.0, 45.0),
-    "display.raster": None,
-    "display.delta_e": ("1976", "2000"),
-    "display.filters": None,
-    "pixel.fill_factor_law": None,
-    "pixel.capacitance": None,
+    "camera.f_number": (2.8, 8.0), "pixel.response": None, "pixel.quantum_efficiency": None, "pixel.offset_fpn": (0.001, 0.01),
+    "pixel.prnu": None, "pixel.bits": (8, 12), "display.samples_per_deg": (15.0, 45.0), "display.raster": None,
+    "display.delta_e": ("1976", "2000"), "display.filters": None, "pixel.fill_factor_law": None, "pixel.capacitance": None,
     "scene.parameters.luminance_cd_per_m2": None,
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ASSUMED)

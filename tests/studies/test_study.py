@@ -139,26 +139,19 @@ def test_study_other_content_has_other_keys(done: tuple[StudyResult, Path], tmp_
         "camera": tiny(**few, camera={"f_number": 5.6}),
         "scene": tiny(**merge(few, {"scene": {"parameters": {"luminance_cd_per_m2": 99.0}}})),
     }
-    actual = {name: set() for name in others}
+    everything = [own]
     for name, study in others.items():
         pixsim.study(study, tmp_path / name, jobs=1)
-        actual[name] = set(keys(tmp_path / name))
-    everything = [own, *actual.values()]
+        everything.append(set(keys(tmp_path / name)))
     assert len(set.union(*everything)) == sum(map(len, everything)), "two contents share a key"
     pixsim.study(tiny(**few, title="another", iso_delta_e=2.0), tmp_path / "words", jobs=1)
     assert set(keys(tmp_path / "words")) < own
 
 
 NUMBERS = {
-    "dark_current_na_per_cm2": 30.0,
-    "dsnu": 0.6,
-    "column_fpn": 0.003,
-    "peak_quantum_efficiency": 0.2,
-    "node_capacitance_ff": 2.5,
-    "voltage_swing_v": 0.9,
-    "fill_factor_limit": 0.8,
-    "feature_size_um": 0.34,
-}
+    "dark_current_na_per_cm2": 30.0, "dsnu": 0.6, "column_fpn": 0.003, "peak_quantum_efficiency": 0.2,
+    "node_capacitance_ff": 2.5, "voltage_swing_v": 0.9, "fill_factor_limit": 0.8, "feature_size_um": 0.34,
+}  # fmt: skip
 
 
 def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
@@ -167,12 +160,8 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     lines = ['name = "0.35um"']
     for name, entry in table.items():
         if isinstance(entry, dict):
-            lines += [
-                f"[{name}]",
-                f"value = {json.dumps(NUMBERS.get(name, entry['value']))}",
-                'confidence = "D"',
-                'source = "here"',
-            ]
+            value = json.dumps(NUMBERS.get(name, entry["value"]))
+            lines += [f"[{name}]", f"value = {value}", 'confidence = "D"', 'source = "here"']
     (tmp_path / "own.toml").write_text("\n".join(lines), encoding="utf-8")
     few = {"repeats": 2, "pitch": {"min_fill_factor": 0.1, "count": 5, "values_um": None}}
     by_file = pixsim.study(tiny(**few, technologies=(str(tmp_path / "own.toml"),)), tmp_path / "file", jobs=1)
@@ -217,9 +206,8 @@ def test_study_data_sheet_with_process_raises() -> None:
 def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
     """And `[quick]`, which leaves one out, leaves its numbers out too."""
     (tmp_path / "mine.toml").write_bytes(packaged("data/technologies")["0.35um"].read_bytes())
-    text = (
-        'name = "own"\ntechnologies = ["mine.toml", "0.25um"]\nprocess."mine.toml".dsnu = 0.1\n[quick]\ntechnologies = ["0.25um"]\n'
-    )
+    own = 'name = "own"\ntechnologies = ["mine.toml", "0.25um"]\nprocess."mine.toml".dsnu = 0.1\n'
+    text = own + '[quick]\ntechnologies = ["0.25um"]\n'
     (tmp_path / "study.toml").write_text(text, encoding="utf-8")
     study = load_study(tmp_path / "study.toml")
     assert technology_of(study, str(tmp_path / "mine.toml")).dsnu == 0.1

@@ -55,10 +55,7 @@ def test_next_sensors_round_size_and_position(seed: int) -> None:
     assert list(more) == sorted(more)
     assert START.keys() <= more.keys()
     low, high = fit.optimum.interval_um
-    lowest, highest = (
-        sorted(item for item in START if item < low)[-BEYOND],
-        sorted(item for item in START if item > high)[BEYOND - 1],
-    )
+    lowest, highest = [item for item in START if item < low][-BEYOND], [item for item in START if item > high][BEYOND - 1]
     changed = [pitch_um for pitch_um, count in more.items() if count != START.get(pitch_um)]
     assert changed
     assert all(lowest <= pitch_um <= highest for pitch_um in changed)
