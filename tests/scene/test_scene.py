@@ -124,15 +124,8 @@ def test_packaged_scenes_have_default_camera(name):
     assert load(name).camera() == pixsim.Camera()
 
 
-FIELDS = {
-    "x": FOV,
-    "y": FOV + '<string name="fov_axis" value="y"/>',
-    "diagonal": FOV + '<string name="fov_axis" value="diagonal"/>',
-    "smaller": FOV + '<string name="fov_axis" value="smaller"/>',
-    "larger": FOV + '<string name="fov_axis" value="larger"/>',
-    "50mm": '<string name="focal_length" value="50mm"/>',
-    "35": '<string name="focal_length" value="35"/>',
-}
+FIELDS = {"default": FOV} | {length: f'<string name="focal_length" value="{length}"/>' for length in ("50mm", "35")}
+FIELDS |= {axis: f'{FOV}<string name="fov_axis" value="{axis}"/>' for axis in ("y", "diagonal", "smaller", "larger")}
 
 
 @pytest.mark.parametrize(("width", "height"), [(60, 40), (40, 60), (50, 50)])
@@ -220,10 +213,7 @@ def test_chart_frequencies_hold_on_sensor(lens):
     ("sensors", "message"),
     [
         ([], r"got no sensor; allowed: one thinlens sensor\."),
-        (
-            [sensor_xml(name="left"), sensor_xml(name="right")],
-            r"got sensors 'left', 'right'; allowed: one thinlens sensor\. .*--sensor",
-        ),
+        ([sensor_xml(name="left"), sensor_xml(name="right")], r"'left', 'right'; allowed: one thinlens sensor\. .*--sensor"),
         ([sensor_xml(FOV, "perspective")], r"got 'perspective'; allowed: thinlens.*aperture_radius = f/\(2N\)"),
         ([sensor_xml(FOV + '<float name="focus_distance" value="1"/>')], "a thinlens without aperture_radius"),
         ([sensor_xml(FOV + '<float name="aperture_radius" value="1e-3"/>')], "a thinlens without focus_distance"),
@@ -326,16 +316,7 @@ def test_find_lamps_equal_spectra_are_grouped(tmp_path):
         [area(d65_xml(1, bitmap("texture"))), area(d65_xml(2, bitmap("texture")))],
         ['<emitter type="envmap"><string name="filename" value="grey.exr"/></emitter>'],
     ],
-    ids=[
-        "none",
-        "two kinds",
-        "two lines",
-        "coloured texture on d65",
-        "coloured texture",
-        "d65 and rgb",
-        "two textures at two scales",
-        "environment",
-    ],
+    ids=["none", "kinds", "lines", "coloured texture on d65", "coloured texture", "d65 and rgb", "scales", "environment"],
 )
 def test_find_lamp_other_lights_return_none(tmp_path, emitters):
     assert lamp_of(tmp_path, *emitters) is None
@@ -420,9 +401,7 @@ def test_load_scene_damaged_texture_raises(tmp_path):
 
 @pytest.fixture
 def copy(tmp_path):
-    """Copy the flat scene and its chart into a new folder."""
-    shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")
-    return tmp_path / "scenes" / "flat.xml"
+    return Path(shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")) / "flat.xml"
 
 
 def test_content_hash_depends_on_content_only(copy, tmp_path):
@@ -436,9 +415,8 @@ def test_content_hash_depends_on_content_only(copy, tmp_path):
 
 
 def test_content_hash_changes_with_textures_and_parameters(copy):
-    hashes = {load(copy).content_hash}
-    for parameters in ({"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}, {"aperture_radius": 1e-3}):
-        hashes.add(load(copy, **parameters).content_hash)
+    changes = {}, {"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}, {"aperture_radius": 1e-3}
+    hashes = {load(copy, **parameters).content_hash for parameters in changes}
     assert len(hashes) == 5
     pixsim.write_chart(copy.parent / "charts/flat.exr", np.full((4, 4), 0.999, np.float32))
     hashes.add(load(copy).content_hash)
