@@ -13,21 +13,11 @@ from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import photons_per_joule, photopic_efficiency
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.thin_lens import field_factor
-from pixsim.scene import bands as spectral_bands
+from pixsim.scene import bands as spectral_bands, rules
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces
 from pixsim.scene.mitsuba import nodes_of
-from pixsim.scene.rules import (
-    TOLERANCE_E,
-    Chart,
-    Decision,
-    decide_bounces,
-    decide_diffraction,
-    decide_lens,
-    decide_samples,
-    decide_tables,
-    lone_chart,
-)
+from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -152,16 +142,16 @@ def make_render_plan(
     surfaces = find_surfaces(state, scene.choice.variant)
     if not lamps:
         raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
-    integrator, met, bounces = decide_bounces(state, bodies, full)
+    integrator, met, bounces = rules.decide_bounces(state, bodies, full)
     lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
-    by_index, tables = decide_tables(state, full)
-    lens, focus = decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
+    by_index, tables = rules.decide_tables(state, full)
+    lens, focus = rules.decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
     # An unfocused chart differs from its picture, and the lens needs samples too.
-    chart = lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
+    chart = rules.lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
     scene_spp = sample_count(state, sensor)
     passes = sum(len(light.fit.passes) for light in lights)
-    spp, samples = decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit="spp" in scene.parameters)
-    diffraction = decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
+    spp, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit="spp" in scene.parameters)
+    diffraction = rules.decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
     warnings = []
     if surfaces.short:

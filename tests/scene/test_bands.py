@@ -121,21 +121,16 @@ def test_on_grid_trapezoids_equal_integral(name, step_nm):
     assert np.trapezoid(values, dx=step_nm) == pytest.approx(TABLES[name].integral(), rel=1e-10, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("nodes", "step_nm"),
-    [
-        ([380, 385, 390], 1.0),
-        ([531, 532, 533], 1.0),
-        ([400, 500, 500, 600], 1.0),  # a step
-        ([631.8, 632.8, 633.8], 1 / 8),
-        ([400, 400.2, 401], 1 / 8),
-        ([400, 400.19, 401], 1 / 32),
-        ([532.0, 532.01, 532.02], 1 / 32),
-        ([400, 450.5, 450.5, 600], 1 / 32),
-    ],
-)
-def test_step_nm_is_coarsest_that_resolves_table(nodes, step_nm):
-    assert spectrum(nodes, np.ones(len(nodes))).step_nm == step_nm
+RESOLVING = {
+    1.0: ([380, 385, 390], [531, 532, 533], [400, 500, 500, 600]),  # the last is a step
+    1 / 8: ([631.8, 632.8, 633.8], [400, 400.2, 401]),
+    1 / 32: ([400, 400.19, 401], [532.0, 532.01, 532.02], [400, 450.5, 450.5, 600]),
+}
+
+
+@pytest.mark.parametrize("step_nm", RESOLVING)
+def test_step_nm_is_coarsest_that_resolves_table(step_nm):
+    assert [spectrum(nodes, np.ones(len(nodes))).step_nm for nodes in RESOLVING[step_nm]] == [step_nm] * len(RESOLVING[step_nm])
     # In binary, so that Mitsuba's float32 has the same nodes.
     assert np.array_equal(grid_nm(step_nm).astype(np.float32), grid_nm(step_nm))
 
@@ -183,11 +178,8 @@ def test_bands_integrals_match_direct_sums():
     assert energy[0].sum() == pytest.approx(470**2, rel=1e-13)
 
 
-LINES_NM = [
-    *(360.0, 360.5, 361.0, 362.0, 364.5, 365.0, 365.125, 370.0, 374.99, 375.0, 532.0, 546.07, 632.8, 655.0, 824.9, 825.0),
-    *(828.0, 829.0, 829.5, 830.0),
-    *np.random.default_rng(4).uniform(360, 830, 40).round(2).tolist(),
-]
+LINES_NM = [360.0, 360.5, 361.0, 362.0, 364.5, 365.0, 365.125, 370.0, 374.99, 375.0, 532.0, 546.07, 632.8, 655.0, 824.9, 825.0]
+LINES_NM += [828.0, 829.0, 829.5, 830.0, *np.random.default_rng(4).uniform(360, 830, 40).round(2).tolist()]
 
 
 def band_energies(lamp: Spectrum, bands: Bands) -> tuple[np.ndarray, float, float]:
@@ -337,8 +329,7 @@ def test_every_band_narrow_bands_are_disjoint(count):
 def test_every_band_dark_bands_are_skipped():
     lamp = spectrum([365, 366, 367], [0, 1, 0])  # touches the border of a band, from above
     every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
-    assert len(every.pulses) == 1
-    assert every.passes == [[0]]
+    assert (len(every.pulses), every.passes) == (1, [[0]])
     dark = spectrum([900, 1000], [1, 1])
     every = every_band(dark, place_bands([dark], NONE, WITNESSES, TOLERANCE))
     assert (every.pulses, every.passes) == ((), [])
@@ -459,10 +450,7 @@ def test_fit_tighter_tolerance_needs_more_pulses(name, family):
     counts = [len(item.pulses) for item in fits if item]
     assert counts == sorted(counts)
     assert len(counts) > 3
-    if name == "laser_532nm":
-        assert set(counts) == {1}
-    else:
-        assert counts[-1] > counts[0]
+    assert set(counts) == {1} if name == "laser_532nm" else counts[-1] > counts[0]
 
 
 @pytest.mark.parametrize(("name", "family"), FITS)
@@ -483,8 +471,7 @@ def test_fit_bands_are_right_with_negative_weights(name, family):
 
 def test_fit_bands_are_within_shape_tolerance():
     # A response that is the same at all wavelengths needs one pulse of the shape of the lamp, which does not determine the bands.
-    even = [Witness(np.ones_like)]
-    lamp = shipped("fl11")
+    even, lamp = [Witness(np.ones_like)], shipped("fl11")
     placed = place_bands([lamp], SURFACES, even, 1e-3)
     result = fit(lamp, placed, SURFACES, even, 1e-3)
     assert len(result.pulses) > 1
