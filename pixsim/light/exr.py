@@ -281,16 +281,10 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
         header["spectralLayoutVersion"] = "1.0"
     if image.factors:
         channels |= {f"factor.{r}": picture.__getitem__ for r, picture in enumerate(image.factors[1])}
-    metadata: dict[str, Any] = {
-        "wavelength_nm": image.wavelength_nm.tolist(),
-        "band_width_nm": image.band_width_nm.tolist(),
-        "pitch_um": image.pitch_um,
-        "within_nm": image.within[0].tolist(),
-        "within_shares": image.within[1].tolist(),
-        "header": image.header,
-    }
-    if image.factors:
-        metadata["spectra_w_per_m2_nm"] = image.factors[0].tolist()
+    tables = {"wavelength_nm": image.wavelength_nm, "band_width_nm": image.band_width_nm}
+    tables |= {"within_nm": image.within[0], "within_shares": image.within[1]}
+    tables |= {"spectra_w_per_m2_nm": image.factors[0]} if image.factors else {}
+    metadata = {name: table.tolist() for name, table in tables.items()} | {"pitch_um": image.pitch_um, "header": image.header}
     header["pixsim"] = json.dumps(metadata, sort_keys=True)
     with writing(path) as unfinished:
         write_rows(unfinished, channels, image.shape, header)

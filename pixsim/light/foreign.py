@@ -26,12 +26,8 @@ ALLOWED_UNITS = (
     "spectral irradiance or radiance, as W.m^-2.nm^-1, mW/m^2/um, W.m^-2.sr^-1.nm^-1, W/(m^2 sr um), uW/cm^2/sr/nm or W.m^-3"
 )
 HOW_TO_STATE = f'State them: units="{IRRADIANCE_UNIT}" in Python, --units {IRRADIANCE_UNIT} on the command line.'
-# fmt: off
-PREFIXES = {
-    "Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1,
-    "d": -1, "c": -2, "m": -3, "u": -6, "n": -9, "p": -12,
-}
-# fmt: on
+PREFIXES = {"Y": 24, "Z": 21, "E": 18, "P": 15, "T": 12, "G": 9, "M": 6, "k": 3, "h": 2, "da": 1}
+PREFIXES |= {"d": -1, "c": -2, "m": -3, "u": -6, "n": -9, "p": -12}
 PREFIX = "|".join(PREFIXES)
 NM = PREFIXES["n"]
 TOKEN = r"[A-Za-z]+|\^?[+-]?\d+|[*/()]"
@@ -111,13 +107,8 @@ ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
 ENVI_COMPLEX = ("6", "9")  # data types
 # Header fields that change the meaning of the stored values, with the value that changes nothing.
-ENVI_NEUTRAL = {
-    "data gain values": 1.0,
-    "data offset values": 0.0,
-    "reflectance scale factor": 1.0,
-    "calibration scale factor": 1.0,
-    "bbl": 1.0,  # 0 marks a bad band
-}
+ENVI_NEUTRAL = {"data gain values": 1.0, "data offset values": 0.0, "reflectance scale factor": 1.0}
+ENVI_NEUTRAL |= {"calibration scale factor": 1.0, "bbl": 1.0}  # a bbl of 0 marks a bad band
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,8 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
 from pixsim.base.parameters import Camera, CameraOptions, Layer
 from pixsim.base.version import VERSION
+from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
-from pixsim.light.foreign import (
-    ALLOWED_UNITS,
-    HOW_TO_STATE,
-    IRRADIANCE_UNIT,
-    Cube,
-    LightUnit,
-    parse_light_unit,
-    read_cube,
-    shortened,
-)
 from pixsim.light.spectral import MAX_VALUE, SpectralImage
 from pixsim.optics.thin_lens import field_factor
 
@@ -66,7 +57,7 @@ def read_irradiance(
     path = Path(path)
     if path.suffix.lower() == ".exr" and "pixsim" in read_header(path):
         return _read_pixsim_exr(path, camera, units, pitch_um)
-    return _from_cube(path, read_cube(path), camera, units, pitch_um)
+    return _from_cube(path, foreign.read_cube(path), camera, units, pitch_um)
 
 
 def read_with_camera(
@@ -84,14 +75,14 @@ def read_with_camera(
         camera = options.over(checked(Camera, [Layer({**camera_metadata, **die}, f"camera in '{path}'")]))
         _agreed_pitch(path, image.pitch_um, None, camera, image.shape[1])
         return image, camera
-    cube = read_cube(path)
+    cube = foreign.read_cube(path)
     pitch_known = cube.pitch_um is not None and options.die_mm is None
     die_mm = _positive(path, "pitch_um", cube.pitch_um) * cube.data.shape[1] / 1e3 if pitch_known else Camera().die_mm
     camera = options.over(checked(Camera, [Layer({"die_mm": die_mm}, f"'{path}'")]))
     return _from_cube(path, cube, camera, units, None), camera
 
 
-def _from_cube(path: Path, cube: Cube, camera: Camera | None, units: str | None, pitch_um: float | None) -> SpectralImage:
+def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str | None, pitch_um: float | None) -> SpectralImage:
     nm, width_nm = _bands(path, cube)
     unit, text = _agreed_unit(path, cube.units, units, cube.per_nm)
     sampling_um = _agreed_pitch(path, cube.pitch_um, pitch_um, camera, cube.data.shape[1])
@@ -129,7 +120,7 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
 
     Raises PixsimError if `path` cannot be written.
     """
-    arrays: dict[str, Any] = {"data": image.data, "wavelength_nm": image.wavelength_nm, "units": IRRADIANCE_UNIT}
+    arrays: dict[str, Any] = {"data": image.data, "wavelength_nm": image.wavelength_nm, "units": foreign.IRRADIANCE_UNIT}
     arrays |= {"band_width_nm": image.band_width_nm, "pitch_um": image.pitch_um}
     if "luminance_cd_per_m2" in image.header:
         arrays["white_cd_per_m2"] = image.header["luminance_cd_per_m2"]
@@ -143,7 +134,7 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
 
 def _read_pixsim_exr(path: Path, camera: Camera | None, units: str | None, pitch_um: float | None) -> SpectralImage:
     image = read_exr(path)
-    _agreed_unit(path, IRRADIANCE_UNIT, units)
+    _agreed_unit(path, foreign.IRRADIANCE_UNIT, units)
     _agreed_pitch(path, image.pitch_um, pitch_um, camera, image.shape[1])
     # Check the pictures of the factors: a band that is made of them may be slightly below zero.
     planes = list(image.factors[1]) if image.factors else [image.band(band) for band in range(image.wavelength_nm.size)]
@@ -153,12 +144,12 @@ def _read_pixsim_exr(path: Path, camera: Camera | None, units: str | None, pitch
     return image
 
 
-def _bands(path: Path, cube: Cube) -> tuple[Array, Array]:
+def _bands(path: Path, cube: foreign.Cube) -> tuple[Array, Array]:
     """Return band centres and widths, (B,) nm."""
     nm = cube.wavelength_nm
     low, high = ALLOWED_NM
     if nm.shape != cube.data.shape[2:] or not np.all(np.diff(nm) > 0) or not np.all((nm >= low) & (nm <= high)):
-        got = f"{shortened(nm.tolist())} nm for {cube.data.shape[2]} bands"
+        got = f"{foreign.shortened(nm.tolist())} nm for {cube.data.shape[2]} bands"
         allowed = f"one per band, increasing, from {low:g} to {high:g} nm"
         raise invalid(f"wavelengths in '{path}'", got, allowed, "Remove the bands outside this range.")
     if cube.band_width_nm is not None:
@@ -174,21 +165,21 @@ def _bands(path: Path, cube: Cube) -> tuple[Array, Array]:
     return nm, np.diff(np.concatenate([[2 * nm[0] - middle[0]], middle, [2 * nm[-1] - middle[-1]]]))
 
 
-def _agreed_unit(path: Path, file_units: str, stated: str | None, per_nm: bool = False) -> tuple[LightUnit, str]:
+def _agreed_unit(path: Path, file_units: str, stated: str | None, per_nm: bool = False) -> tuple[foreign.LightUnit, str]:
     """Return the unit of the values and its text; a unit that the caller states must not contradict the file's."""
     name, text = f"units of '{path}'", stated or file_units
     if not text:
-        raise invalid(name, "none in the file", ALLOWED_UNITS, HOW_TO_STATE)
-    unit = file_unit = parse_light_unit(text, name)
+        raise invalid(name, "none in the file", foreign.ALLOWED_UNITS, foreign.HOW_TO_STATE)
+    unit = file_unit = foreign.parse_light_unit(text, name)
     if stated and file_units:
         with suppress(PixsimError):  # the file's text may be no unit
-            file_unit = parse_light_unit(file_units, name)
+            file_unit = foreign.parse_light_unit(file_units, name)
     if per_nm:
         unit, file_unit = (replace(one, spectral=True) if one.radiance else one for one in (unit, file_unit))
     if (file_unit != unit) if file_unit.spectral else (file_unit.radiance != unit.radiance):
         raise invalid(name, f"{file_units} in the file, {stated} given", "the same unit", "Leave units (--units) out.")
     if not unit.spectral:
-        raise invalid(name, f"{text}, which is not per wavelength", ALLOWED_UNITS, HOW_TO_STATE)
+        raise invalid(name, f"{text}, which is not per wavelength", foreign.ALLOWED_UNITS, foreign.HOW_TO_STATE)
     return unit, text
 
 

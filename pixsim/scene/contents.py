@@ -124,8 +124,7 @@ def _emission(state: Any, emitter: Any) -> tuple[tuple[Any, ...], float, int | N
         return (("uniform",), float(values.get("value", 1.0)), picture)
     if plugin == "d65":
         return (("d65",), float(values.get("scale", 1.0)), picture) if "color" not in node.props else None
-    table = table_of(node)
-    if table is not None:
+    if (table := table_of(node)) is not None:
         return (("table", tuple(table.nodes_nm.tolist()), tuple(table.values.tolist())), 1.0, picture)
     if plugin == "blackbody":
         return ((plugin, *sorted(values.items())), 1.0, picture)
@@ -266,17 +265,14 @@ def _property(state: Any, node: Any, name: str, variant: str, short: set[str]) -
         return [evaluate_spectrum({"type": "rgb", "value": value}, variant)] if np.ptp(value) else []
     if kind == "Spectrum":
         value = node.props[name]
-        if value.is_uniform():
-            return []
-        return [_table(parsed_table(value), short)]
+        return [] if value.is_uniform() else [_table(parsed_table(value), short)]
     if kind not in ("Reference", "ResolvedReference"):
         return None
     texture = state.nodes[children(node, state)[name]]
     plugin = texture.props.plugin_name()
     if plugin == "uniform" or is_neutral(texture):
         return []
-    table = table_of(texture)
-    if table is not None:
+    if (table := table_of(texture)) is not None:
         return [_table(table, short)]
     if plugin == "checkerboard":
         parts = [_property(state, texture, colour, variant, short) for colour in ("color0", "color1") if colour in texture.props]

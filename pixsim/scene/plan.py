@@ -13,21 +13,11 @@ from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import photons_per_joule, photopic_efficiency
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.thin_lens import field_factor
-from pixsim.scene import bands as spectral_bands
+from pixsim.scene import bands as spectral_bands, rules
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces
 from pixsim.scene.mitsuba import nodes_of
-from pixsim.scene.rules import (
-    TOLERANCE_E,
-    Chart,
-    Decision,
-    decide_bounces,
-    decide_diffraction,
-    decide_lens,
-    decide_samples,
-    decide_tables,
-    lone_chart,
-)
+from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -107,24 +97,12 @@ class Plan:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for `pixsim plan --json`."""
-        return {
-            "decisions": [asdict(decision) for decision in self.decisions],
-            "tolerance_e": self.tolerance_e,
-            "bound_e": self.bound_e,
-            "bounded": self.bounded,
-            "lamp_spectra": len(self.lights),
-            "passes": self.passes,
-            "passes_full": self.full_passes,
-            "spp": self.spp,
-            "spp_full": self.full_spp,
-            "resolution": self.resolution,
-            "diffraction": self.diffraction,
-            "warnings": list(self.warnings),
-            "lens": self.lens,
-            "integrator": self.integrator,
-            "wavelength_nm": self.bands.wavelength_nm.tolist(),
-            "band_width_nm": self.bands.width_nm.tolist(),
-        }
+        table: dict[str, Any] = {"decisions": [asdict(decision) for decision in self.decisions], "tolerance_e": self.tolerance_e}
+        table |= {"bound_e": self.bound_e, "bounded": self.bounded, "lamp_spectra": len(self.lights)}
+        table |= {"passes": self.passes, "passes_full": self.full_passes, "spp": self.spp, "spp_full": self.full_spp}
+        table |= {"resolution": self.resolution, "diffraction": self.diffraction, "warnings": list(self.warnings)}
+        table |= {"lens": self.lens, "integrator": self.integrator}
+        return table | {"wavelength_nm": self.bands.wavelength_nm.tolist(), "band_width_nm": self.bands.width_nm.tolist()}
 
     def __repr__(self) -> str:
         return (
@@ -164,17 +142,16 @@ def make_render_plan(
     surfaces = find_surfaces(state, scene.choice.variant)
     if not lamps:
         raise invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
-    integrator, met, bounces = decide_bounces(state, bodies, full)
+    integrator, met, bounces = rules.decide_bounces(state, bodies, full)
     lights, bands, full_passes, spectral = _lights(lamps, surfaces, met, _witnesses(pixel), tolerance_e, full, band_count)
-    by_index, tables = decide_tables(state, full)
-    lens, focus = decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
+    by_index, tables = rules.decide_tables(state, full)
+    lens, focus = rules.decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
     # An unfocused chart differs from its picture, and the lens needs samples too.
-    chart = lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
+    chart = rules.lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
     scene_spp = sample_count(state, sensor)
     passes = sum(len(light.fit.passes) for light in lights)
-    spp, samples = decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit="spp" in scene.parameters)
-    diffraction = decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
-    emitters = nodes_of(state, "Emitter")
+    spp, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit="spp" in scene.parameters)
+    diffraction = rules.decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
     warnings = []
     if surfaces.short:
@@ -183,6 +160,7 @@ def make_render_plan(
     if bound_e > tolerance_e:
         limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
         warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
+    emitters = nodes_of(state, "Emitter")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
     return Plan(
         lights=tuple(lights),
@@ -339,10 +317,7 @@ def decide_oversampling(
 
 
 def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
-    """Describe how generated charge is stored, and from which charge on the response is not linear.
-
-    The bound, 1e-6 of the well relative to the limit, holds for pictures below the limit.
-    """
+    """Describe how charge is stored, and from which limit on not linearly; the bound, 1e-6 of the well, holds below that limit."""
     pixel, diode = physics.pixel, physics.diode
     bent = pixel.conversion == "junction" and diode is not None and not diode.constant
     conversion = "; V(Q) of the junction at every level" if bent else ""
@@ -359,15 +334,9 @@ def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
 
 def decide_noise(physics: PixelPhysics, full: bool) -> Decision:
     """List the noise sources that are zero."""
-    sources = {
-        "PRNU": physics.prnu,
-        "dark current": physics.dark_current_e_per_s,
-        "DSNU": physics.dsnu and physics.dark_current_e_per_s,
-        "reset noise": physics.reset_noise_e,
-        "read noise": physics.read_noise_e,
-        "offset FPN": physics.offset_fpn_e,
-        "column FPN": physics.column_fpn_e,
-    }
+    p, dark = physics, physics.dark_current_e_per_s
+    sources = {"PRNU": p.prnu, "dark current": dark, "DSNU": p.dsnu and dark, "reset noise": p.reset_noise_e}
+    sources |= {"read noise": p.read_noise_e, "offset FPN": p.offset_fpn_e, "column FPN": p.column_fpn_e}
     silent = [name for name, value in sources.items() if not value]
     if not silent or full:
         return Decision("noise stages", True, "shot noise, " + ", ".join(name for name, value in sources.items() if value))

@@ -30,18 +30,9 @@ SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them see
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
     """Describe a specfilm for some rows: float32 with a box filter, so that cells are means and runs are reproducible."""
     height, width = size
-    return {
-        "type": "specfilm",
-        "width": width,
-        "height": height,
-        "component_format": "float32",
-        "rfilter": {"type": "box"},
-        "crop_offset_x": 0,
-        "crop_offset_y": int(top),
-        "crop_width": width,
-        "crop_height": int(bottom - top),
-        **{f"band{channel}": response for channel, response in enumerate(responses)},
-    }
+    whole = {"type": "specfilm", "width": width, "height": height, "component_format": "float32", "rfilter": {"type": "box"}}
+    crop = {"crop_offset_x": 0, "crop_offset_y": int(top), "crop_width": width, "crop_height": int(bottom - top)}
+    return whole | crop | {f"band{channel}": response for channel, response in enumerate(responses)}
 
 
 def film_response(pulse: Pulse) -> dict[str, Any]:
@@ -84,17 +75,13 @@ KIND = "render"
 
 
 def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int) -> str:
-    """Return a hash of everything that the runs of a job depend on; pixel and display matter only through the plan.
-
-    state : the scene as parsed for the camera
-    """
+    """Return a hash of all that a job's runs depend on (`state`: parsed for the camera); pixel and display act by the plan."""
     lights = []
     for light in plan.lights:
         pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
         lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
     settings = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
-    tree = hash_of_tree(state, scene.path.parent)
-    version = cache.version_fingerprint("mitsuba", "drjit")
+    tree, version = hash_of_tree(state, scene.path.parent), cache.version_fingerprint("mitsuba", "drjit")
     return content_hash([tree, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
 
 
@@ -181,10 +168,7 @@ def render(
 
 
 class Renderer:
-    """Independent renders of one scene, which is loaded once per lamp spectrum on first use.
-
-    keep : use the cache of renders
-    """
+    """Independent renders of one scene, loaded once per lamp spectrum on first use; `keep` uses the cache of renders."""
 
     def __init__(self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False) -> None:
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
@@ -315,13 +299,11 @@ class Renderer:
     @property
     def units(self) -> SpectralImage:
         """An image with one sample per pulse: the irradiance on the axis of a unit of its picture."""
-        spectra = self.spectra
-        return self._image({}, factors=(spectra, np.eye(len(spectra))[:, None, :]))
+        return self._image({}, factors=(self.spectra, np.eye(len(self.spectra))[:, None, :]))
 
     def _image(self, header: dict[str, Any], **light: Any) -> SpectralImage:
-        bands = self.plan.bands
-        within = bands.nodes_nm, bands.shares
-        return SpectralImage(bands.wavelength_nm, bands.width_nm, self.pitch_um, within=within, header=header, **light)
+        b = self.plan.bands
+        return SpectralImage(b.wavelength_nm, b.width_nm, self.pitch_um, within=(b.nodes_nm, b.shares), header=header, **light)
 
 
 def _checked(values: Array, channels: int) -> Array:
@@ -336,19 +318,10 @@ def _checked(values: Array, channels: int) -> Array:
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
     """Return the provenance of an irradiance; equal inputs give equal files."""
-    header = {
-        "scene": scene.path.name,
-        "scene_hash": scene.content_hash,
-        "parameters": dict(scene.parameters),
-        "camera": camera.model_dump(),
-        "seed": seed,
-        "spp": spp,
-        "variant": scene.choice.variant,
-        "plan": [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions],
-        "bound_e": plan.bound_e if plan.bounded else None,
-        "diffraction": plan.diffraction,
-        "pixsim": VERSION,
-    }
+    decisions = [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions]
+    header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": dict(scene.parameters)}
+    header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": scene.choice.variant, "plan": decisions}
+    header |= {"bound_e": plan.bound_e if plan.bounded else None, "diffraction": plan.diffraction, "pixsim": VERSION}
     spectra = [light.lamp.spectrum for light in plan.lights]
     if len(spectra) == 1 and spectra[0] is not None:
         header["lamp_w_per_m2_sr_nm"] = spectra[0].cell_means(plan.bands.edges_nm).tolist()

@@ -43,10 +43,7 @@ class Columns:
 
 
 def map_columns(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
-    """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an axis, strip by strip.
-
-    Only the picture, the result and one strip are in memory.
-    """
+    """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an axis, by strips for memory."""
     if axis == 1 and not isinstance(picture, Columns):
         return map_columns(picture.T, 0, count, of_columns).T
     result = np.empty((count, picture.shape[1]))
@@ -208,12 +205,10 @@ def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
 def integrate_axis(
     samples: Array | Columns, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int, running: Array | None = None
 ) -> Array:
-    """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm.
+    """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the sum is conserved.
 
-    Light between neighbouring edges is counted exactly once, so the sum is conserved. At a high-contrast edge the spline would
-    ring into the dark side and below zero; a picture with such an edge is limited everywhere (`limit_overshoot`).
-
-    running : `running_integral` of the samples if available, for axis 0 only
+    At a high-contrast edge the spline would ring into the dark side and below zero; a picture with such an edge is limited
+    everywhere (`limit_overshoot`). `running` is `running_integral` of the samples if available, for axis 0 only.
     """
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
     spline = knots_of(samples.shape[axis])

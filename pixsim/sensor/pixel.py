@@ -141,12 +141,8 @@ class Diode:
 
     def scaled(self, factor: float) -> Diode:
         """Return a diode with `factor` times the capacitance at every bias and the same currents."""
-        return replace(
-            self,
-            cj_ff_per_um2=factor * self.cj_ff_per_um2,
-            cjsw_ff_per_um=factor * self.cjsw_ff_per_um,
-            node_capacitance_ff=factor * self.node_capacitance_ff,
-        )
+        names = "cj_ff_per_um2", "cjsw_ff_per_um", "node_capacitance_ff"
+        return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
 # The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the 1 V swing that its authors use.
@@ -156,11 +152,8 @@ WELL_REFERENCE_S = 0.03  # integration time of Fig. 2 of Chen et al. (2000), whi
 
 def mean_junction_ff(zero_bias_ff: float, built_in_v: float, grading: float, high_v: float, low_v: float) -> float:
     """Return the mean of C0 (1 + V/PB)^-M over a reverse-bias range, which turns a swing into a charge."""
-
-    def charge(v: float) -> float:
-        return built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading)
-
-    return zero_bias_ff * (charge(high_v) - charge(low_v)) / (high_v - low_v)
+    high, low = (built_in_v / (1 - grading) * (1 + v / built_in_v) ** (1 - grading) for v in (high_v, low_v))
+    return zero_bias_ff * (high - low) / (high_v - low_v)
 
 
 def photodiode_capacitances_ff(area_um2: float, junction: Junction) -> tuple[float, float]:

@@ -148,11 +148,7 @@ class Frame:
         The response is taken as linear. With `conversion = "junction"` the error is up to 1.8 % of the swing of a 0.35 µm
         pixel, at every level; in soft saturation the estimate is too low.
         """
-        electrons = self.dn.astype(float)
-        electrons -= self.black_level_dn
-        electrons /= self.dn_per_e
-        electrons -= self.mean_dark_e
-        return electrons
+        return (self.dn.astype(float) - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
 
 
 def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
@@ -229,8 +225,7 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
     dark_e = p.dark_current_e_per_s * integration_s
     variance_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2
     if fixed_pattern:
-        variance_e2 = variance_e2 + (p.prnu * signal_e) ** 2 + (p.dsnu * dark_e) ** 2
-        variance_e2 = variance_e2 + p.offset_fpn_e**2 + p.column_fpn_e**2
+        variance_e2 = variance_e2 + (p.prnu * signal_e) ** 2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2
     return variance_e2 * p.dn_per_e**2 + 1 / 12
 
 

@@ -152,22 +152,12 @@ class Technology(Record):
 # For a sensor that is described by a data sheet (`pixsim.base.parameters.DATA_SHEET`). Numbers that the data sheet lacks are
 # ideal: no non-uniformity, no offsets, no reset noise apart from the read noise, and a fill factor of 1, since a data sheet's
 # quantum efficiency is that of the whole pixel with its microlens. The other numbers are placeholders.
-NO_PROCESS = Technology(
-    name=NO_TECHNOLOGY,
-    feature_size_um=1e-4,
-    full_well_e_per_um2=1.0,
-    reset_noise_factor=0.0,
-    response_curve="silicon",
-    dark_current_na_per_cm2=0.0,
-    dark_doubling_k=8.0,
-    peak_quantum_efficiency=1.0,
-    prnu=0.0,
-    dsnu=0.0,
-    offset_fpn=0.0,
-    column_fpn=0.0,
-    read_noise_e=0.0,
-    fill_factor_limit=1.0,
-    fill_factor_zero_pitch_features=1e-6,
+NO_PROCESS = Technology.model_validate(
+    dict.fromkeys(("dark_current_na_per_cm2", "reset_noise_factor", "read_noise_e"), 0.0)
+    | dict.fromkeys(("prnu", "dsnu", "offset_fpn", "column_fpn"), 0.0)
+    | dict.fromkeys(("full_well_e_per_um2", "peak_quantum_efficiency", "fill_factor_limit"), 1.0)
+    | {"name": NO_TECHNOLOGY, "feature_size_um": 1e-4, "response_curve": "silicon", "dark_doubling_k": 8.0}
+    | {"fill_factor_zero_pitch_features": 1e-6}
 )
 # Other laws that fit the paper's three fill factors about as well: (limit, zero pitch, inset) of `fill_factor_law`.
 OTHER_FILL_FACTOR_LAWS = {"inset": (0.870, 14.67, 1.44), "inset_unlimited": (1.0, 14.54, 4.9)}

@@ -200,13 +200,11 @@ def test_write_exr_strided_arrays_are_written_correctly(tmp_path):
     assert np.array_equal(bits(channels["Z"]), bits(plane[::-1]))
 
 
+DAMAGED = struct.pack("<II", 20000630, 2) + b"\xff" * 400
+
+
 @pytest.mark.parametrize(
-    ("content", "got"),
-    [
-        (b"not an EXR", "does not start like an EXR file"),
-        (struct.pack("<II", 20000630, 2) + b"\xff" * 400, "damaged"),
-        (None, "which does not exist"),
-    ],
+    ("content", "got"), [(b"not an EXR", "not start like an EXR file"), (DAMAGED, "damaged"), (None, "does not exist")]
 )
 def test_read_exr_other_file_raises(tmp_path, content, got):
     if content:
@@ -360,10 +358,7 @@ def test_spectral_image_factors_equal_their_data():
         ({"data": np.ones((2, 2, 1)), "pitch_um": 0.0}, "positive pitch"),
         ({"data": np.ones((2, 2, 1)), "band_width_nm": -1.0}, "positive pitch and band widths"),
         *(({"data": np.ones((2, 2, 1)), "wavelength_nm": [nm]}, "positive wavelengths") for nm in (0.0, -550.0, np.nan)),
-        (
-            {"data": np.ones((2, 2, 1)), "within": ([[550.0]], [[0.5, 0.5]])},
-            r"within: got \(1, 1\) and \(1, 2\); allowed: .*\(B, n\)",
-        ),
+        ({"data": np.ones((2, 2, 1)), "within": ([[550.0]], [[0.5, 0.5]])}, r"within: got \(1, 1\) and \(1, 2\); .*\(B, n\)"),
         ({"data": np.ones((2, 2, 1)), "within": ([[550.0], [560.0]], [[0.5], [0.5]])}, r"within: got \(2, 1\) and \(2, 1\)"),
     ],
 )
@@ -373,16 +368,11 @@ def test_spectral_image_wrong_shapes_raise(arguments, message):
 
 
 NO_TABLES = [([], []), ([500], [1]), ([500, 400, 600], [1, 0, 0]), ([400, 500], [1, 2, 3]), ([400, np.nan], [1, 2])]
+INFINITE = [([400, 500], [1.0, np.nan]), ([400, 500], [np.inf, 1.0])]
 
 
-@pytest.mark.parametrize(
-    ("nodes", "values", "got"),
-    [
-        *((nodes, values, "two nodes or more, in increasing order") for nodes, values in NO_TABLES),
-        ([400, 500], [1.0, np.nan], "NaN or infinity"),
-        ([400, 500], [np.inf, 1.0], "NaN or infinity"),
-    ],
-)
-def test_spectrum_invalid_table_raises(nodes, values, got):
+@pytest.mark.parametrize(("nodes", "values"), NO_TABLES + INFINITE)
+def test_spectrum_invalid_table_raises(nodes, values):
+    got = "two nodes or more, in increasing order" if (nodes, values) in NO_TABLES else "NaN or infinity"
     with pytest.raises(PixsimError, match=rf"spectrum: got .*{got}"):
         Spectrum(np.array(nodes, float), np.array(values, float))

@@ -56,6 +56,15 @@ def cube(path: Path, data: np.ndarray, interleave: str = "bil", byte_order: int 
     return path
 
 
+def written(kind: str, path: Path, data: np.ndarray, units: str | None) -> Path:
+    """Write a file of a format, without the pitch; `units` may be left out."""
+    if kind == "exr":
+        return exr(path.with_suffix(".exr"), stokes(data), **({"emissiveUnits": units} if units else {}))
+    if kind == "npz":
+        return npz(path.with_suffix(".npz"), data=data, units=units, pitch_um=None)
+    return cube(path.with_suffix(".hdr"), data, data_units=units)
+
+
 def refused(path: Path, *parts: str, **options: object) -> None:
     with pytest.raises(PixsimError) as caught:
         pixsim.read_irradiance(path, **{"pitch_um": 2.5, **options})
@@ -107,31 +116,24 @@ def test_write_npz_image_reads_back_bit_for_bit(tmp_path):
 # --- Units ---
 
 
-@pytest.mark.parametrize(
-    ("text", "factor", "radiance"),
-    [
-        ("W.m^-2.nm^-1", 1, False),
-        ("W m-2 nm-1", 1, False),
-        ("W/m2/nm", 1, False),
-        ("W·m⁻²·nm⁻¹", 1, False),
-        ("W*m**-2*nm**-1", 1, False),
-        ("W.m^{-2}.nm^{-1}", 1, False),
-        ("mW.m^-2.nm^-1", 1e-3, False),
-        ("kW m^-2 um^-1", 1, False),
-        ("W.m^-3", 1e-9, False),
-        ("uW.cm^-2.nm^-1", 1e-2, False),
-        ("W.m^-2.sr^-1.nm^-1", 1, True),
-        ("W/(m^2 sr nm)", 1, True),
-        ("W/(m2.sr.µm)", 1e-3, True),
-        ("W m^-2 sr^-1 um^-1", 1e-3, True),  # ENVI's radiometric calibration
-        ("uW/cm^2/SR/nm", 1e-2, True),
-        ("nW/(cm)^2/(nm)/(sr)", 1e-5, True),  # NERC-ARF
-        ("W/m^3/sr", 1e-9, True),
-    ],
-)
-def test_parse_light_unit_spellings_have_equal_factor(text, factor, radiance):
+# (factor, whether it is a radiance): spellings. The fourth radiance is of ENVI's radiometric calibration, the sixth of NERC-ARF.
+SPELLINGS = {
+    (1, False): "W.m^-2.nm^-1,W m-2 nm-1,W/m2/nm,W·m⁻²·nm⁻¹,W*m**-2*nm**-1,W.m^{-2}.nm^{-1},kW m^-2 um^-1",
+    (1e-3, False): "mW.m^-2.nm^-1",
+    (1e-9, False): "W.m^-3",
+    (1e-2, False): "uW.cm^-2.nm^-1",
+    (1, True): "W.m^-2.sr^-1.nm^-1,W/(m^2 sr nm)",
+    (1e-3, True): "W/(m2.sr.µm),W m^-2 sr^-1 um^-1",
+    (1e-2, True): "uW/cm^2/SR/nm",
+    (1e-5, True): "nW/(cm)^2/(nm)/(sr)",
+    (1e-9, True): "W/m^3/sr",
+}
+
+
+@pytest.mark.parametrize(("text", "key"), [(text, key) for key, texts in SPELLINGS.items() for text in texts.split(",")])
+def test_parse_light_unit_spellings_have_equal_factor(text, key):
     unit = parse_light_unit(text)
-    assert (unit.factor, unit.radiance, unit.spectral) == (factor, radiance, True)
+    assert (unit.factor, unit.radiance, unit.spectral) == (*key, True)
 
 
 WRONG = """lx,DN,Reflectance,uW/cm2*nm*sr,W/m2 nm,W//m^2,W/(m^2 nm,W/m^2 nm),W/m^2/nm),W.m^-2.Hz^-1,J.m^-2,W^2.m^-6,W^2.m^-3,\
@@ -146,12 +148,7 @@ def test_parse_light_unit_other_text_raises(tmp_path, text):
 
 @pytest.mark.parametrize("make", ["exr", "npz", "hdr"])
 def test_read_irradiance_missing_units_raises(tmp_path, make):
-    paths = {
-        "exr": lambda: exr(tmp_path / "a.exr", stokes(light())),
-        "npz": lambda: npz(tmp_path / "a.npz", units=None),
-        "hdr": lambda: cube(tmp_path / "a.hdr", light(), data_units=None),
-    }
-    path = paths[make]()
+    path = written(make, tmp_path / "a", light(), None)
     refused(path, "units of '", "none in the file", 'units="W.m^-2.nm^-1" in Python', "--units")
     back = pixsim.read_irradiance(path, pitch_um=2.5, units="mW/m^2/nm")
     np.testing.assert_allclose(back.data, 1e-3 * light(), rtol=1e-6)
@@ -264,13 +261,9 @@ def test_read_irradiance_published_files(tmp_path):
 def test_read_irradiance_radiance_becomes_irradiance(tmp_path, make):
     data = np.full((41, 81, 3), 2.0, np.float32)
     data[0, 0] = 4.0
-    paths = {
-        "exr": lambda: exr(tmp_path / "a.exr", stokes(data), emissiveUnits="W.m^-2.sr^-1"),
-        "npz": lambda: npz(tmp_path / "a.npz", data=1e3 * data, units="W/m2/sr/um", pitch_um=None),
-        "hdr": lambda: cube(tmp_path / "a.hdr", 100 * data, data_units="uW/cm^2/sr/nm"),
-    }
+    scale, units = {"exr": (1, "W.m^-2.sr^-1"), "npz": (1e3, "W/m2/sr/um"), "hdr": (100, "uW/cm^2/sr/nm")}[make]
     camera = pixsim.Camera(focal_length_mm=4.0, f_number=2.0, die_mm=6.0, object_distance_m=0.1, transmittance=0.9)
-    image = pixsim.read_irradiance(paths[make](), camera)
+    image = pixsim.read_irradiance(written(make, tmp_path / "a", scale * data, units), camera)
     m = 4.0 / (100.0 - 4.0)
     on_axis = 2 * 0.9 * math.pi / (1 + 4 * 2.0**2 * (1 + m) ** 2)
     # float32: 6e-8. Without |m| it is 8 % more, with π/(4N²) 6 % more.
@@ -294,13 +287,9 @@ def test_read_irradiance_with_camera_is_unchanged(tmp_path):
 
 
 def test_read_irradiance_row_0_is_top(tmp_path):
-    data = light()
-    for path in (
-        npz(tmp_path / "a.npz"),
-        exr(tmp_path / "a.exr", stokes(data), emissiveUnits=UNIT, lineOrder=OpenEXR.DECREASING_Y),
-        cube(tmp_path / "a.hdr", data),
-    ):
-        assert np.array_equal(bits(pixsim.read_irradiance(path, pitch_um=2.5).data), bits(data))
+    downwards = exr(tmp_path / "b.exr", stokes(light()), emissiveUnits=UNIT, lineOrder=OpenEXR.DECREASING_Y)
+    for path in (downwards, *(written(kind, tmp_path / "a", light(), UNIT) for kind in ("npz", "hdr"))):
+        assert np.array_equal(bits(pixsim.read_irradiance(path, pitch_um=2.5).data), bits(light()))
 
 
 def test_evaluate_irradiance_of_file_runs(tmp_path):
@@ -419,13 +408,7 @@ def test_read_irradiance_absurd_size_raises(tmp_path):
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("kind", ["exr", "npz", "raw"])
 def test_read_irradiance_truncated_file_raises(tmp_path, kind, share):
-    data = light((32, 32, 3))
-    paths = {
-        "exr": lambda: exr(tmp_path / "a.exr", stokes(data), emissiveUnits=UNIT),
-        "npz": lambda: npz(tmp_path / "a.npz", data=data),
-        "raw": lambda: cube(tmp_path / "a.hdr", data),
-    }
-    path = paths[kind]()
+    path = written(kind, tmp_path / "a", light((32, 32, 3)), UNIT)
     torn = path.with_suffix(f".{kind}")
     whole = torn.read_bytes()
     torn.write_bytes(whole[: int(share * len(whole))])
@@ -444,17 +427,9 @@ def test_read_envi_truncated_header_raises_or_is_complete(tmp_path):
         assert np.array_equal(image.data, light())
 
 
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [
-        ("a.png", "a name that ends in .exr, .npz or .hdr"),
-        ("nowhere.npz", "which does not exist"),
-        ("nowhere.hdr", "which does not exist"),
-        ("nowhere.exr", "which does not exist"),
-    ],
-)
-def test_read_irradiance_other_path_raises(tmp_path, name, part):
-    refused(tmp_path / name, part)
+@pytest.mark.parametrize("name", ["a.png", "nowhere.npz", "nowhere.hdr", "nowhere.exr"])
+def test_read_irradiance_other_path_raises(tmp_path, name):
+    refused(tmp_path / name, "a name that ends in .exr, .npz or .hdr" if name == "a.png" else "which does not exist")
 
 
 # --- ENVI ---

@@ -79,10 +79,9 @@ def exact_integral(lamp: Spectrum, low: float, high: float) -> float:
 
 # --- Tables ---
 
+RNG = np.random.default_rng(1)
 TABLES = {
-    "ragged": spectrum(
-        np.sort(np.random.default_rng(1).uniform(340, 850, 60)), np.random.default_rng(2).uniform(0, 3, 60)
-    ),  # ends outside
+    "ragged": spectrum(np.sort(RNG.uniform(340, 850, 60)), RNG.uniform(0, 3, 60)),  # ends outside
     "steps at its ends": spectrum([400.3, 500.7], [2, 5]),
     "a step inside": spectrum([400, 500, 500, 600.5], [1, 1, 3, 0]),
     "a line within a cell": line(555.03, 0.004),
@@ -122,21 +121,16 @@ def test_on_grid_trapezoids_equal_integral(name, step_nm):
     assert np.trapezoid(values, dx=step_nm) == pytest.approx(TABLES[name].integral(), rel=1e-10, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("nodes", "step_nm"),
-    [
-        ([380, 385, 390], 1.0),
-        ([531, 532, 533], 1.0),
-        ([400, 500, 500, 600], 1.0),  # a step
-        ([631.8, 632.8, 633.8], 1 / 8),
-        ([400, 400.2, 401], 1 / 8),
-        ([400, 400.19, 401], 1 / 32),
-        ([532.0, 532.01, 532.02], 1 / 32),
-        ([400, 450.5, 450.5, 600], 1 / 32),
-    ],
-)
-def test_step_nm_is_coarsest_that_resolves_table(nodes, step_nm):
-    assert spectrum(nodes, np.ones(len(nodes))).step_nm == step_nm
+RESOLVING = {
+    1.0: ([380, 385, 390], [531, 532, 533], [400, 500, 500, 600]),  # the last is a step
+    1 / 8: ([631.8, 632.8, 633.8], [400, 400.2, 401]),
+    1 / 32: ([400, 400.19, 401], [532.0, 532.01, 532.02], [400, 450.5, 450.5, 600]),
+}
+
+
+@pytest.mark.parametrize("step_nm", RESOLVING)
+def test_step_nm_is_coarsest_that_resolves_table(step_nm):
+    assert [spectrum(nodes, np.ones(len(nodes))).step_nm for nodes in RESOLVING[step_nm]] == [step_nm] * len(RESOLVING[step_nm])
     # In binary, so that Mitsuba's float32 has the same nodes.
     assert np.array_equal(grid_nm(step_nm).astype(np.float32), grid_nm(step_nm))
 
@@ -184,11 +178,8 @@ def test_bands_integrals_match_direct_sums():
     assert energy[0].sum() == pytest.approx(470**2, rel=1e-13)
 
 
-LINES_NM = [
-    *(360.0, 360.5, 361.0, 362.0, 364.5, 365.0, 365.125, 370.0, 374.99, 375.0, 532.0, 546.07, 632.8, 655.0, 824.9, 825.0),
-    *(828.0, 829.0, 829.5, 830.0),
-    *np.random.default_rng(4).uniform(360, 830, 40).round(2).tolist(),
-]
+LINES_NM = [360.0, 360.5, 361.0, 362.0, 364.5, 365.0, 365.125, 370.0, 374.99, 375.0, 532.0, 546.07, 632.8, 655.0, 824.9, 825.0]
+LINES_NM += [828.0, 829.0, 829.5, 830.0, *np.random.default_rng(4).uniform(360, 830, 40).round(2).tolist()]
 
 
 def band_energies(lamp: Spectrum, bands: Bands) -> tuple[np.ndarray, float, float]:
@@ -276,10 +267,8 @@ def test_place_bands_narrow_at_steep_response():
 
 def test_place_bands_slack_allows_larger_error():
     edge = 1 / (1 + np.exp((600 - grid_nm()) / 2))
-    counts = [
-        place_bands([SMOOTH["d65"]], edge[None], [Witness(RESPONSES["red"], slack)], TOLERANCE).width_nm.size
-        for slack in (0.2, 1.0, 5.0, 100.0)
-    ]
+    witnesses = [Witness(RESPONSES["red"], slack) for slack in (0.2, 1.0, 5.0, 100.0)]
+    counts = [place_bands([SMOOTH["d65"]], edge[None], [witness], TOLERANCE).width_nm.size for witness in witnesses]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[-1] == 48
 
@@ -340,8 +329,7 @@ def test_every_band_narrow_bands_are_disjoint(count):
 def test_every_band_dark_bands_are_skipped():
     lamp = spectrum([365, 366, 367], [0, 1, 0])  # touches the border of a band, from above
     every = every_band(lamp, place_bands([lamp], NONE, WITNESSES, TOLERANCE))
-    assert len(every.pulses) == 1
-    assert every.passes == [[0]]
+    assert (len(every.pulses), every.passes) == (1, [[0]])
     dark = spectrum([900, 1000], [1, 1])
     every = every_band(dark, place_bands([dark], NONE, WITNESSES, TOLERANCE))
     assert (every.pulses, every.passes) == ((), [])
@@ -391,27 +379,14 @@ def test_passes_span_spectrum(count):
 
 # Reflectances that turn over within 40 to 110 nm, as those of things do.
 SURFACES = np.array([0.5 + 0.4 * np.sin(grid_nm() / scale + phase) for scale in (40, 70, 110) for phase in (0, 2, 4)])
-FITS = [
-    ("fl11", "waves"),
-    ("fl11", "macbeth"),
-    ("led_b3", "macbeth"),
-    ("d65", "waves"),
-    ("d65", "macbeth"),
-    ("laser_532nm", "macbeth"),
-]
+FAMILIES = {"waves": SURFACES, "macbeth": macbeth()}
+FITS = [("fl11", "waves"), ("d65", "waves"), *((lamp, "macbeth") for lamp in ("fl11", "led_b3", "d65", "laser_532nm"))]
 
 
-def surfaces_of(name: str) -> np.ndarray:
-    return macbeth() if name == "macbeth" else SURFACES
-
-
-def answers(
-    fitted: Any, placed: Bands, response: spectral_bands.Response, factors: np.ndarray, nm: np.ndarray = FINE_NM
-) -> np.ndarray:
+def answers(fitted: Any, placed: Bands, response: spectral_bands.Response, factors: np.ndarray, nm: np.ndarray = FINE_NM):
     """Return the signals of light from surfaces (n, fine), computed from pulses."""
     pulses = np.array([np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) for pulse in fitted.pulses])
-    measured = factors @ pulses.T * (nm[1] - nm[0])
-    return measured @ fitted.spectra @ (placed.width_nm * placed.mean(response))
+    return factors @ pulses.T * (nm[1] - nm[0]) @ fitted.spectra @ (placed.width_nm * placed.mean(response))
 
 
 def errors_of(fitted: Any, placed: Bands, lamp: Spectrum, factors: np.ndarray) -> np.ndarray:
@@ -442,7 +417,7 @@ def test_fit_neutral_surface_needs_one_pulse(name):
 @pytest.mark.parametrize(("name", "family"), FITS)
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
 def test_fit_error_equals_reported_error(name, family, tolerance):
-    lamp, surfaces = shipped(name), surfaces_of(family)
+    lamp, surfaces = shipped(name), FAMILIES[family]
     result, placed = made(lamp, surfaces, tolerance)
     assert all(is_sound(pulse) for pulse in result.pulses)
     assert all(one.high_nm <= other.low_nm for one, other in pairwise(result.pulses))
@@ -456,7 +431,7 @@ def test_fit_error_equals_reported_error(name, family, tolerance):
 @pytest.mark.parametrize(("name", "family"), FITS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_fit_mixtures_are_within_bound(name, family, seed):
-    lamp, surfaces = shipped(name), surfaces_of(family)
+    lamp, surfaces = shipped(name), FAMILIES[family]
     result, placed = made(lamp, surfaces, 3e-3)
     rng = np.random.default_rng(seed)
     families = np.array([np.interp(FINE_NM, grid_nm(), item) for item in (np.ones(471), *surfaces)])
@@ -469,21 +444,18 @@ def test_fit_mixtures_are_within_bound(name, family, seed):
 
 @pytest.mark.parametrize(("name", "family"), FITS)
 def test_fit_tighter_tolerance_needs_more_pulses(name, family):
-    lamp, surfaces = shipped(name), surfaces_of(family)
+    lamp, surfaces = shipped(name), FAMILIES[family]
     placed = place_bands([lamp], surfaces, WITNESSES, 1e-4)
     fits = [fit(lamp, placed, surfaces, WITNESSES, tolerance) for tolerance in (0.3, 0.03, 0.01, 3e-3, 1e-3, 3e-4)]
     counts = [len(item.pulses) for item in fits if item]
     assert counts == sorted(counts)
     assert len(counts) > 3
-    if name == "laser_532nm":
-        assert set(counts) == {1}
-    else:
-        assert counts[-1] > counts[0]
+    assert set(counts) == {1} if name == "laser_532nm" else counts[-1] > counts[0]
 
 
 @pytest.mark.parametrize(("name", "family"), FITS)
 def test_fit_bands_are_right_with_negative_weights(name, family):
-    lamp, surfaces = shipped(name), surfaces_of(family)
+    lamp, surfaces = shipped(name), FAMILIES[family]
     result, placed = made(lamp, surfaces, 1e-3)
     assert result.spectra.min() < 0 or len(result.pulses) == 1
     factors = np.array([np.interp(FINE_NM, grid_nm(), item) for item in (np.ones(471), *surfaces)])
@@ -499,8 +471,7 @@ def test_fit_bands_are_right_with_negative_weights(name, family):
 
 def test_fit_bands_are_within_shape_tolerance():
     # A response that is the same at all wavelengths needs one pulse of the shape of the lamp, which does not determine the bands.
-    even = [Witness(np.ones_like)]
-    lamp = shipped("fl11")
+    even, lamp = [Witness(np.ones_like)], shipped("fl11")
     placed = place_bands([lamp], SURFACES, even, 1e-3)
     result = fit(lamp, placed, SURFACES, even, 1e-3)
     assert len(result.pulses) > 1
@@ -556,16 +527,10 @@ def test_fit_too_few_pulses_returns_none():
 def furnace(mi: Any, responses: list[dict[str, Any]], spp: int = 16) -> np.ndarray:
     """Render a uniform emitter of radiance 1 that fills the view, (12, 12, channels)."""
     size = (12, 12)
-    described = {
-        "type": "scene",
-        "lamp": {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}},
-        "sensor": {
-            "type": "perspective",
-            "fov": 20,
-            "sampler": {"type": "multijitter", "sample_count": spp},
-            "film": film(responses, size, 0, size[0]),
-        },
-    }
+    lamp = {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}}
+    sampler = {"type": "multijitter", "sample_count": spp}
+    sensor = {"type": "perspective", "fov": 20, "sampler": sampler, "film": film(responses, size, 0, size[0])}
+    described = {"type": "scene", "lamp": lamp, "sensor": sensor}
     integrator = mi.load_dict({"type": "path", "max_depth": 1, "block_size": 32})
     return np.asarray(mi.render(mi.load_dict(described), integrator=integrator, spp=spp, seed=1), float)
 

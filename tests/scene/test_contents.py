@@ -115,10 +115,7 @@ def bodies_of(path, **parameters) -> list[Body]:
 
 
 TURN = '<scale x="0.2" y="0.3" z="0.5"/><rotate x="1" y="2" z="0.5" angle="35"/><translate x="0.1" y="-0.2" z="0.7"/>'
-SHAPES = {
-    "rectangle": f'<transform name="to_world">{TURN}</transform>',
-    "cube": f'<transform name="to_world">{TURN}</transform>',
-    "disk": f'<transform name="to_world">{TURN}</transform>',
+SHAPES = dict.fromkeys(("rectangle", "cube", "disk"), f'<transform name="to_world">{TURN}</transform>') | {
     "sphere": '<point name="center" x="0.1" y="0.2" z="0.3"/><float name="radius" value="0.25"/>'
     '<transform name="to_world"><scale value="0.5"/><translate z="0.7"/></transform>',
     "cylinder": '<point name="p0" x="0.1" y="0" z="0.2"/><point name="p1" x="0.3" y="0.4" z="0.5"/>'
@@ -367,11 +364,9 @@ INDEX = {
 @pytest.mark.parametrize("plugin", ["conductor", "roughconductor"])
 def test_find_surfaces_metal_index_obeys_fresnel(given, plugin, variant, tmp_path):
     result = spectra(tmp_path, bsdf(plugin, INDEX[given]), variant=variant)
-    assert len(result) == 3
-    for seen, cosine in zip(result, (1.0, 0.7, 0.3), strict=True):
-        # float32; 0.01 in eta would be 1e-3.
-        np.testing.assert_allclose(seen, fresnel(ramp(0.2, 1.2), ramp(3, 2), cosine), rtol=1e-5)
     eta, k = ramp(0.2, 1.2), ramp(3, 2)
+    # float32; 0.01 in eta would be 1e-3.
+    np.testing.assert_allclose(result, [fresnel(eta, k, cosine) for cosine in (1.0, 0.7, 0.3)], rtol=1e-5)
     np.testing.assert_allclose(result[0], ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2), rtol=1e-5)
 
 
@@ -405,19 +400,15 @@ def test_find_surfaces_nested_bsdfs_are_included(tmp_path):
 
 # --- Unknown spectra and short tables ---
 
+VERTEX_COLOURS = '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>'
+INDEX_PICTURE = bitmap("false").replace('name="reflectance"', 'name="eta"')
 UNKNOWN = {
     "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),
     "within another": (bsdf("twosided", bsdf("principled")), "a BSDF 'principled'"),
-    "a mesh's colours": (
-        bsdf("diffuse", '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>'),
-        "an unknown texture of diffuse.reflectance",
-    ),
+    "a mesh's colours": (bsdf("diffuse", VERTEX_COLOURS), "an unknown texture of diffuse.reflectance"),
     "a table out of order": (bsdf("diffuse", table("reflectance", "500, 400, 600", "1, 0, 0.5")), "an unknown texture of diffuse"),
     "one node": (bsdf("diffuse", table("reflectance", "500", "1")), "an unknown texture of diffuse.reflectance"),
-    "a picture of indices": (
-        bsdf("conductor", bitmap("false").replace('name="reflectance"', 'name="eta"') + RAMP.format("k", 3, 2)),
-        "an unknown refractive index of conductor",
-    ),
+    "a picture of indices": (bsdf("conductor", INDEX_PICTURE + RAMP.format("k", 3, 2)), "an unknown refractive index of conductor"),
 }
 
 
@@ -430,18 +421,11 @@ def test_find_surfaces_unknown_spectra_state_reason(name, tmp_path):
     assert result.products(-1).shape == (0, 471)
 
 
-@pytest.mark.parametrize(
-    ("nodes", "values", "short"),
-    [
-        ("400, 600", "0.5, 0.7", ("400-600 nm",)),
-        ("300, 829", "0.5, 0.7", ("300-829 nm",)),
-        ("361, 1000", "0.5, 0.7", ("361-1000 nm",)),
-        ("400, 500, 600", "0, 0.7, 0", ()),  # ends at zero: nothing is cut
-        ("360, 830", "0.5, 0.7", ()),
-        ("300, 1000", "0.5, 0.7", ()),
-        ("300, 320", "0.5, 0.7", ("300-320 nm",)),
-    ],
-)
+SHORT = [(ends, "0.5, 0.7", (f"{ends.replace(', ', '-')} nm",)) for ends in ("400, 600", "300, 829", "361, 1000", "300, 320")]
+LONG = [("400, 500, 600", "0, 0.7, 0", ()), ("360, 830", "0.5, 0.7", ()), ("300, 1000", "0.5, 0.7", ())]  # or 0 at the ends
+
+
+@pytest.mark.parametrize(("nodes", "values", "short"), [*SHORT, *LONG])
 def test_find_surfaces_short_tables_are_listed(nodes, values, short, tmp_path):
     result = surfaces_of(tmp_path, bsdf("diffuse", table("reflectance", nodes, values)))
     assert result.short == short
@@ -493,13 +477,9 @@ def test_products_of_many_surfaces_are_sampled():
 @NEEDS_LLVM
 def test_find_surfaces_variants_agree(tmp_path):
     inside = RAMP.format("color0", 0.9, 0.2) + '<rgb name="color1" value="0.6, 0.1, 0.3"/>'
-    bodies = [
-        bsdf("diffuse", RGB),
-        bsdf("roughconductor", GOLD),
-        bsdf("conductor", INDEX["in the file"]),
-        bsdf("plastic", RAMP.format("diffuse_reflectance", 0.1, 0.9)),
-        bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{inside}</texture>'),
-    ]
+    bodies = [bsdf("diffuse", RGB), bsdf("roughconductor", GOLD), bsdf("conductor", INDEX["in the file"])]
+    bodies += [bsdf("plastic", RAMP.format("diffuse_reflectance", 0.1, 0.9))]
+    bodies += [bsdf("diffuse", f'<texture type="checkerboard" name="reflectance">{inside}</texture>')]
     one, other = (spectra(tmp_path, *bodies, variant=variant) for variant in ("scalar_spectral", "llvm_ad_spectral"))
     assert one.shape == other.shape
     # float32, through other instructions.

@@ -206,13 +206,8 @@ def test_render_until_time_limit_warns(monkeypatch):
     assert image.header["render_noise"]["ended_by"] == "max_seconds"
     assert next(now) <= 24  # one more pair at most
     (warning,) = caught
-    for text in (
-        "the time limit of 20 s",
-        f"render noise is {noise.fraction:.2g} of the sensor noise",
-        "target 1e-06",
-        "--max-seconds",
-        "--render-noise",
-    ):
+    noisy = f"render noise is {noise.fraction:.2g} of the sensor noise"
+    for text in ("the time limit of 20 s", noisy, "target 1e-06", "--max-seconds", "--render-noise"):
         assert text in str(warning.message)
 
 
@@ -294,9 +289,8 @@ def test_render_until_progress_reports_noise():
 
 
 def test_render_until_header_has_noise_and_plan(tmp_path):
-    code, out, err = command(
-        f"run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json --out {tmp_path}"
-    )
+    run = f"run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json --out {tmp_path}"
+    code, out, err = command(run)
     assert (code, err) == (0, "")
     message = json.loads(out)
     assert 0 < message["render_noise"]["fraction"] <= RENDER_NOISE == message["render_noise"]["target"] == 0.2
@@ -307,10 +301,7 @@ def test_render_until_header_has_noise_and_plan(tmp_path):
     for name, value in message["render_noise"].items():
         assert header["render_noise"][name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-5))
     assert len(header["plan"]) == len(message["plan"]["decisions"])
-    code, out, _ = command(
-        "run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json "
-        f"--render-noise {message['render_noise']['fraction'] / 1.5} --out {tmp_path}"
-    )
+    code, out, _ = command(f"{run} --render-noise {message['render_noise']['fraction'] / 1.5}")
     tighter = json.loads(out)
     assert code == 0
     assert tighter["render_noise"]["fraction"] <= message["render_noise"]["fraction"] / 1.5

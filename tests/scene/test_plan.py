@@ -32,16 +32,12 @@ ONE_PERCENT = 0.01
 # --- Pruned and full renders ---
 
 
-class Sampled(NamedTuple):
-    """Mean electrons of independent renders, (renders, places × pixels), and the bound of the plan."""
-
+class Sampled(NamedTuple):  # mean electrons of independent renders, (renders, places × pixels), and the bound of the plan
     mean_e: np.ndarray
     bound_e: float
 
 
-class Effort(NamedTuple):
-    """Samples and renders of the pruned and the full side for a noise below 1 %."""
-
+class Effort(NamedTuple):  # samples and renders of the pruned and the full side for a noise below 1 %
     spp: tuple[int, int] = (16, 4)
     renders: tuple[int, int] = (6, 5)
     places: int = 4
@@ -60,10 +56,8 @@ FILM = 24
 
 def patches(rate: np.ndarray) -> np.ndarray:
     """Return the means over the centres of the 24 patches of macbeth."""
-    rows, columns = (
-        np.stack([(np.arange(n) + side) * FILM / n for side in (0.3, 0.7)], axis=1).round().astype(int) for n in (4, 6)
-    )
-    return np.array([rate[slice(*row), slice(*column)].mean() for row in rows for column in columns])
+    rows, columns = ([slice(*np.rint((i + np.array([0.3, 0.7])) * FILM / n).astype(int)) for i in range(n)] for n in (4, 6))
+    return np.array([rate[row, column].mean() for row in rows for column in columns])
 
 
 def blocks(rate: np.ndarray, count: int) -> np.ndarray:
@@ -145,10 +139,8 @@ def test_plan_flat_field_coarse_film_keeps_fall_off():
     """Mean electrons of every pixel from 64 and from 1024 samples across, with the closed form of the fall-off."""
     for camera in (pixsim.Camera(), pixsim.Camera(focal_length_mm=2.0)):
         lens = camera.image_distance_mm, camera.f_number, camera.magnification
-        coarse, fine = (
-            integrate_pixels(optics.field_factor((n, n), 1e3 * camera.die_mm / n, *lens), 1e3 * camera.die_mm / n, 53.0, 40.0)
-            for n in (UNIFORM_RESOLUTION, 1024)
-        )
+        pitches = [(n, 1e3 * camera.die_mm / n) for n in (UNIFORM_RESOLUTION, 1024)]
+        coarse, fine = (integrate_pixels(optics.field_factor((n, n), um, *lens), um, 53.0, 40.0) for n, um in pitches)
         bound = decision(make_plan(load("flat"), camera), "oversampling").bound_e
         assert 0.5 * bound < np.abs(coarse / fine - 1).max() < bound
     # Where that is too much, the film stays as it is.
@@ -157,19 +149,8 @@ def test_plan_flat_field_coarse_film_keeps_fall_off():
 
 # --- Decisions ---
 
-SUBJECTS = [
-    "wavelength bands",
-    "spectral rank",
-    "spectrum tables",
-    "bounces",
-    "lens samples",
-    "texture samples",
-    "diffraction",
-    "oversampling",
-    "saturation",
-    "noise stages",
-    "repeated transforms",
-]
+SUBJECTS = ["wavelength bands", "spectral rank", "spectrum tables", "bounces", "lens samples", "texture samples", "diffraction"]
+SUBJECTS += ["oversampling", "saturation", "noise stages", "repeated transforms"]
 
 
 @pytest.mark.parametrize("full", [False, True])
@@ -225,13 +206,10 @@ def test_decide_saturation_states_law():
 
 
 def test_make_plan_uses_longest_exposure():
-    scene = pixsim.load_scene("flat")
-    reasons = [
-        decision(pixsim.make_plan(scene, pixel=pixsim.Pixel(well_limit="diode"), exposure=exposure), "saturation").reason
-        for exposure in (None, pixsim.Exposure(max_integration_s=1.0), pixsim.Exposure(integration_s=3600))
-    ]
-    for reason, part in zip(reasons, ("in 0.1 s (86%", "in 1 s (83%", "in 3.6e+03 s (73%"), strict=True):
-        assert part in reason
+    long = {"in 1 s (83%": {"max_integration_s": 1.0}, "in 3.6e+03 s (73%": {"integration_s": 3600}}
+    for part, exposure in {"in 0.1 s (86%": None, **{part: pixsim.Exposure(**times) for part, times in long.items()}}.items():
+        plan = pixsim.make_plan(load("flat"), pixel=pixsim.Pixel(well_limit="diode"), exposure=exposure)
+        assert part in decision(plan, "saturation").reason
 
 
 # --- The command ---

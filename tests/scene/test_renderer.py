@@ -280,10 +280,8 @@ for threads in (None,) if cores == "one" else (2, 3, 8):
 def test_render_threads_are_bit_identical(variant):
     def hashes(cores: str) -> list[str]:
         # Mitsuba 3.9.1 alone waits for ever for a texture where there is only one core, hence the limit.
-        done = subprocess.run(
-            [sys.executable, "-c", THREADS, variant, cores], capture_output=True, text=True, check=True, timeout=HANG_S
-        )
-        return done.stdout.split()
+        line = [sys.executable, "-c", THREADS, variant, cores]
+        return subprocess.run(line, capture_output=True, text=True, check=True, timeout=HANG_S).stdout.split()
 
     several = hashes("several")
     assert len(several) == 3
@@ -353,9 +351,8 @@ def test_render_plane_under_uniform_sky(variant, tmp_path):
     assert np.abs(ratio - 1)[centre_nm > 600].max() < 2e-3
     # Reflectances are tabulated at 1 nm: the step takes 2 nm of the 5 nm bands beside it, and they share its light.
     assert np.abs(ratio - 1)[~smooth].max() < 0.2
-    assert ratio[~smooth] @ reflectance_of_band(centre_nm[~smooth]) == pytest.approx(
-        reflectance_of_band(centre_nm[~smooth]).sum(), rel=1e-2
-    )
+    share = reflectance_of_band(centre_nm[~smooth])
+    assert ratio[~smooth] @ share == pytest.approx(share.sum(), rel=1e-2)
     nm = np.arange(360.0, 831.0)
     light = reflectance_of_band(nm) * d65_radiance(nm, 0.01 * D65_LUMINANCE) * spectral.photopic_efficiency(nm)
     luminance = spectrum_over_lens(image, camera) @ image.luminous_weight()
@@ -403,8 +400,9 @@ def test_render_fitted_and_coloured_lamps_add(tmp_path):
     rgb = np.random.default_rng(0).uniform(0, 1, (3, 4, 4))
     write_channels(tmp_path / "sky.exr", dict(zip("RGB", rgb, strict=True)), {})
     sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="1e-6"/></emitter>'
-    path = edited(tmp_path, "macbeth", (END, sky))
-    scene = pixsim.load_scene(path, lamp="spectra/fl11.spd", resolution=32, variant="scalar_spectral")
+    scene = pixsim.load_scene(
+        edited(tmp_path, "macbeth", (END, sky)), lamp="spectra/fl11.spd", resolution=32, variant="scalar_spectral"
+    )
     plan = make_render_plan(scene)
     assert [bool(light.fit.spectra.min() < 0) for light in plan.lights] == [True, False]
     image = pixsim.render(scene, plan=plan)

@@ -72,14 +72,11 @@ def test_load_scene_parameters_reach_nodes(tmp_path):
     assert radius(r="2e-3") == 0.002
 
 
-@pytest.mark.parametrize(
-    ("asked", "near"), [("resolutoin", "resolution"), ("chart_half_widht", "chart_half_width"), ("luminance", None)]
-)
+@pytest.mark.parametrize(("asked", "near"), [("resolutoin", "resolution"), ("chart_half_widht", "chart_half_width")])
 def test_load_scene_unknown_parameter_suggests_name(asked, near):
-    with pytest.raises(PixsimError, match=rf"scene parameter: got '{asked}'; allowed: .*emitter_scale.*spp") as error:
+    hint = rf"Did you mean '{near}'\?"
+    with pytest.raises(PixsimError, match=rf"scene parameter: got '{asked}'; allowed: .*emitter_scale.*spp.*{hint}"):
         load("csf", **{asked: 1})
-    if near:
-        assert f"Did you mean '{near}'?" in str(error.value)
 
 
 def test_load_scene_parameter_in_comment_is_unknown(tmp_path):
@@ -95,17 +92,11 @@ def test_load_scene_parameter_without_default_is_required(tmp_path):
     assert load(path, fov=30).camera().fov_deg == pytest.approx(30, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"<scene version='3.0.0'><sensor>", r"scene: got .*broken\.xml. .*allowed: a readable XML file"),
-        (b"", r"scene: got .*broken\.xml. .*allowed: a readable XML file"),
-        (b"<scene version='3.0.0'>\xff\xfe</scene>", "allowed: a readable XML file in UTF-8"),
-    ],
-)
-def test_load_scene_broken_file_raises(tmp_path, content, message):
+@pytest.mark.parametrize("content", [b"<scene version='3.0.0'><sensor>", b"", b"<scene version='3.0.0'>\xff\xfe</scene>"])
+def test_load_scene_broken_file_raises(tmp_path, content):
     (tmp_path / "broken.xml").write_bytes(content)
-    with pytest.raises(PixsimError, match=message) as error:
+    encoding = " in UTF-8" if b"\xff" in content else ""
+    with pytest.raises(PixsimError, match=rf"scene: got .*broken\.xml. .*allowed: a readable XML file{encoding}") as error:
         load(tmp_path / "broken.xml")
     assert "\n" not in str(error.value)
 
@@ -124,15 +115,8 @@ def test_packaged_scenes_have_default_camera(name):
     assert load(name).camera() == pixsim.Camera()
 
 
-FIELDS = {
-    "x": FOV,
-    "y": FOV + '<string name="fov_axis" value="y"/>',
-    "diagonal": FOV + '<string name="fov_axis" value="diagonal"/>',
-    "smaller": FOV + '<string name="fov_axis" value="smaller"/>',
-    "larger": FOV + '<string name="fov_axis" value="larger"/>',
-    "50mm": '<string name="focal_length" value="50mm"/>',
-    "35": '<string name="focal_length" value="35"/>',
-}
+FIELDS = {"default": FOV} | {length: f'<string name="focal_length" value="{length}"/>' for length in ("50mm", "35")}
+FIELDS |= {axis: f'{FOV}<string name="fov_axis" value="{axis}"/>' for axis in ("y", "diagonal", "smaller", "larger")}
 
 
 @pytest.mark.parametrize(("width", "height"), [(60, 40), (40, 60), (50, 50)])
@@ -220,10 +204,7 @@ def test_chart_frequencies_hold_on_sensor(lens):
     ("sensors", "message"),
     [
         ([], r"got no sensor; allowed: one thinlens sensor\."),
-        (
-            [sensor_xml(name="left"), sensor_xml(name="right")],
-            r"got sensors 'left', 'right'; allowed: one thinlens sensor\. .*--sensor",
-        ),
+        ([sensor_xml(name="left"), sensor_xml(name="right")], r"'left', 'right'; allowed: one thinlens sensor\. .*--sensor"),
         ([sensor_xml(FOV, "perspective")], r"got 'perspective'; allowed: thinlens.*aperture_radius = f/\(2N\)"),
         ([sensor_xml(FOV + '<float name="focus_distance" value="1"/>')], "a thinlens without aperture_radius"),
         ([sensor_xml(FOV + '<float name="aperture_radius" value="1e-3"/>')], "a thinlens without focus_distance"),
@@ -326,16 +307,7 @@ def test_find_lamps_equal_spectra_are_grouped(tmp_path):
         [area(d65_xml(1, bitmap("texture"))), area(d65_xml(2, bitmap("texture")))],
         ['<emitter type="envmap"><string name="filename" value="grey.exr"/></emitter>'],
     ],
-    ids=[
-        "none",
-        "two kinds",
-        "two lines",
-        "coloured texture on d65",
-        "coloured texture",
-        "d65 and rgb",
-        "two textures at two scales",
-        "environment",
-    ],
+    ids=["none", "kinds", "lines", "coloured texture on d65", "coloured texture", "d65 and rgb", "scales", "environment"],
 )
 def test_find_lamp_other_lights_return_none(tmp_path, emitters):
     assert lamp_of(tmp_path, *emitters) is None
@@ -420,9 +392,7 @@ def test_load_scene_damaged_texture_raises(tmp_path):
 
 @pytest.fixture
 def copy(tmp_path):
-    """Copy the flat scene and its chart into a new folder."""
-    shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")
-    return tmp_path / "scenes" / "flat.xml"
+    return Path(shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")) / "flat.xml"
 
 
 def test_content_hash_depends_on_content_only(copy, tmp_path):
@@ -436,9 +406,8 @@ def test_content_hash_depends_on_content_only(copy, tmp_path):
 
 
 def test_content_hash_changes_with_textures_and_parameters(copy):
-    hashes = {load(copy).content_hash}
-    for parameters in ({"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}, {"aperture_radius": 1e-3}):
-        hashes.add(load(copy, **parameters).content_hash)
+    changes = {}, {"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}, {"aperture_radius": 1e-3}
+    hashes = {load(copy, **parameters).content_hash for parameters in changes}
     assert len(hashes) == 5
     pixsim.write_chart(copy.parent / "charts/flat.exr", np.full((4, 4), 0.999, np.float32))
     hashes.add(load(copy).content_hash)
@@ -453,18 +422,18 @@ def test_content_hash_changes_with_visible_nodes(tmp_path):
     first = '<bsdf type="diffuse" id="a"><spectrum name="reflectance" value="400:0.1, 700:0.9"/></bsdf>'
     second = '<bsdf type="diffuse" id="b"><rgb name="reflectance" value="0.2, 0.3, 0.4"/></bsdf>'
     ball, disk = '<shape type="sphere"><ref id="{}"/></shape>', '<shape type="disk"><ref id="{}"/></shape>'
-    bodies = {
-        "as it is": first + second + ball.format("a") + disk.format("b"),
-        "another spectrum": first.replace("0.1", "0.2") + second + ball.format("a") + disk.format("b"),
-        "another colour": first + second.replace("0.3", "0.35") + ball.format("a") + disk.format("b"),
-        "the sixth digit": first + second.replace("0.3", "0.300001") + ball.format("a") + disk.format("b"),
-        "a ball moved by a hair": first + second + ball.format("a").replace("<ref", NEAR + "<ref") + disk.format("b"),
-        "a ball of another size": first + second + ball.format("a").replace("<ref", WIDE + "<ref") + disk.format("b"),
+    whole = first + second + ball.format("a") + disk.format("b")
+    changed = {
+        "another spectrum": whole.replace("400:0.1", "400:0.2"),
+        "another colour": whole.replace("0.3, 0.4", "0.35, 0.4"),
+        "the sixth digit": whole.replace("0.3, 0.4", "0.300001, 0.4"),
+        "a ball moved by a hair": whole.replace('"sphere">', f'"sphere">{NEAR}'),
+        "a ball of another size": whole.replace('"sphere">', f'"sphere">{WIDE}'),
         "materials exchanged": first + second + ball.format("b") + disk.format("a"),
     }
-    hashes = {name: load(write_scene(tmp_path, sensor_xml(), body)).content_hash for name, body in bodies.items()}
-    again = load(write_scene(tmp_path, sensor_xml(), bodies["as it is"])).content_hash
-    assert again == hashes.pop("as it is")
+    one, again = (load(write_scene(tmp_path, sensor_xml(), whole)).content_hash for _ in range(2))
+    hashes = {name: load(write_scene(tmp_path, sensor_xml(), body)).content_hash for name, body in changed.items()}
+    assert one == again
     assert [name for name, result in hashes.items() if result == again] == []
 
 

@@ -104,11 +104,8 @@ PATCHES = [f"macbeth/{path.stem}" for path in sorted((FOLDER / "spectra/macbeth"
 def patch(index: int, size: int = SIZE) -> tuple[slice, slice]:
     """Return rows and columns well inside one of the 6 × 4 patches of macbeth.xml."""
     row, column = divmod(index, 6)
-    rows, columns = (
-        (int((row + 0.15) * size / 4), int((row + 0.85) * size / 4)),
-        ((column + 0.2) * size / 6, (column + 0.8) * size / 6),
-    )
-    return slice(*rows), slice(int(np.ceil(columns[0])), int(columns[1]))
+    rows = slice(int((row + 0.15) * size / 4), int((row + 0.85) * size / 4))
+    return rows, slice(int(np.ceil((column + 0.2) * size / 6)), int((column + 0.8) * size / 6))
 
 
 # --- The steps of scenes/README.md ---
@@ -191,14 +188,9 @@ def test_packaged_scenes_render_in_stock_mitsuba(variant, tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_packaged_scenes_have_their_camera(name):
-    scene = pixsim.load_scene(name, variant=VARIANT)
+def test_packaged_scenes_have_their_camera_and_white(name):
     near = {"f_number": 2.8, "object_distance_m": 0.1} if name == "still_life" else {}
-    assert scene.camera() == pixsim.Camera(**near)
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_packaged_scenes_state_white(name):
+    assert pixsim.load_scene(name, variant=VARIANT).camera() == pixsim.Camera(**near)
     assert '<default name="white_cd_per_m2" value="1000"/>' in (FOLDER / f"{name}.xml").read_text(encoding="utf-8")
 
 
@@ -304,19 +296,13 @@ def test_macbeth_patch_illuminances_match_tables(lamp):
 
 # --- line_lamp ---
 
-RED, ORANGE, GREEN, BLUE, WHITE = (
-    np.s_[6:18, 51:61],
-    np.s_[30:42, 51:61],
-    np.s_[51:61, 4:20],
-    np.s_[51:61, 28:44],
-    np.s_[51:61, 51:61],
-)
+RED, ORANGE = np.s_[6:18, 51:61], np.s_[30:42, 51:61]
+GREEN, BLUE, WHITE = np.s_[51:61, 4:20], np.s_[51:61, 28:44], np.s_[51:61, 51:61]
 
 
 def test_line_lamp_patches_are_in_place():
     picture = shipped("line_lamp")
-    names = {"15_red": RED, "07_orange": ORANGE, "14_green": GREEN, "13_blue": BLUE}
-    for name, where in names.items():
+    for name, where in {"15_red": RED, "07_orange": ORANGE, "14_green": GREEN, "13_blue": BLUE}.items():
         relative = picture[where].mean(axis=(0, 1)) / picture[WHITE].mean(axis=(0, 1))
         # A line's flank within a pulse of 2 nm: .7 % of noise (orange at 530 nm). Any two patches differ by 20 % at some line.
         np.testing.assert_allclose(relative, in_pulses(f"macbeth/{name}") / 0.9, rtol=3e-2, err_msg=name)
@@ -450,13 +436,12 @@ def test_step_second_lamp(step):
     both = step.radiance
     step.replace(first, first.replace('filename="$lamp"', 'value="0"'))
     second = step.radiance
-    np.testing.assert_allclose(second[patch(18)].mean(axis=(0, 1)) / shipped("macbeth")[patch(18)].mean(axis=(0, 1)),
-                               in_pulses("a") / in_pulses("d65"), rtol=2e-3)  # fmt: skip
+    ratio = second[patch(18)].mean(axis=(0, 1)) / shipped("macbeth")[patch(18)].mean(axis=(0, 1))
+    np.testing.assert_allclose(ratio, in_pulses("a") / in_pulses("d65"), rtol=2e-3)
     # A path meets one of two lamps by chance. From 4 seeds the largest error of a patch is .08 %, of the picture .2 % (edges).
     for index in range(24):
-        result = both[patch(index)].mean(axis=(0, 1))
         expected = (second + shipped("macbeth"))[patch(index)].mean(axis=(0, 1))
-        np.testing.assert_allclose(result, expected, rtol=3e-3)
+        np.testing.assert_allclose(both[patch(index)].mean(axis=(0, 1)), expected, rtol=3e-3)
     total = both.mean(axis=(0, 1)) / (second + shipped("macbeth")).mean(axis=(0, 1))
     np.testing.assert_allclose(total, 1, rtol=6e-3)
 
@@ -546,10 +531,7 @@ def expected_blur_px(distance_m: float, focus_distance: float, aperture_radius: 
     return aperture_radius * abs(distance_m - focus_distance) / distance_m / (2 * focus_distance * HALF_FIELD) * 512
 
 
-SUN_EDGE = (0.115, 0.303)
-PAWN_EDGE = (0.785, 0.218)
-
-
+SUN_EDGE, PAWN_EDGE = (0.115, 0.303), (0.785, 0.218)
 # 2000 samples a column: from 6 seeds the fit scatters by 2 to 3 %. The sun's rim bends by .15 pixel, the pawn is round.
 BLUR_GATE = 0.12
 

@@ -16,17 +16,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.sensor import integration
-from pixsim.sensor.integration import (
-    Columns,
-    diffracted_rate,
-    electrons_per_joule,
-    ideal_rate,
-    integrate_axis,
-    integrate_pixels,
-    mean_signal_rate,
-    pixel_count,
-    running_integral,
-)
+from pixsim.sensor.integration import Columns, integrate_axis, integrate_pixels, mean_signal_rate, running_integral
 from pixsim.sensor.pixel import derive
 
 DIE_UM = 2713.6
@@ -94,7 +84,7 @@ def test_integrate_pixels_tiny_picture_conserves(shape):
 def test_integrate_pixels_too_many_pixels_raises(pitch_um):
     # 1e-310 µm was an OverflowError: infinity has no integer.
     with pytest.raises(PixsimError, match=r"pixel.pitch_um: got .*at most"):
-        pixel_count(DIE_UM, pitch_um)
+        integration.pixel_count(DIE_UM, pitch_um)
     with pytest.raises(PixsimError, match=r"pitch_um: got 11; allowed: at most the die, 10"):
         integrate_pixels(np.ones((10, 20)), 1.0, 11.0, 5.0)
 
@@ -139,15 +129,10 @@ def test_integrate_pixels_strips_and_columns_are_bit_identical(monkeypatch, pict
         asked.append((first, last))
         return picture[:, first:last]
 
-    width = picture.shape[1]
-    scale = np.abs(whole).max()
-    for result in (
-        integrate_pixels(picture, 1.0, pitch_um, side_um),
-        integrate_pixels(picture, 1.0, pitch_um, side_um, running_integral(picture)),
-        integrate_pixels(Columns(picture.shape, columns), 1.0, pitch_um, side_um),
-        stored,
-    ):
-        assert np.abs(result - whole).max() < 1e-13 * scale
+    width, on_request = picture.shape[1], Columns(picture.shape, columns)
+    ways = (picture,), (picture, running_integral(picture)), (on_request,)
+    for result in (*(integrate_pixels(way[0], 1.0, pitch_um, side_um, *way[1:]) for way in ways), stored):
+        assert np.abs(result - whole).max() < 1e-13 * np.abs(whole).max()
     assert set(asked) == {(first, min(first + 3, width)) for first in range(0, width, 3)}
 
 
@@ -252,7 +237,7 @@ def test_diffracted_rate_grating_contrast_is_otf(f_number):
     pitch_um = 1e3 * periods / (0.3 * 2 * sin_alpha / wavelength_mm) / n
     cosine = np.cos(2 * np.pi * periods * (np.arange(n) + 0.5) / n)  # an even number of half periods: reflected smoothly
     light = SpectralImage([550.0], 10.0, pitch_um, factors=([[1e-3]], [np.tile(1 + 0.5 * cosine, (4, 1))]))
-    rate = diffracted_rate(light, camera, derive(Pixel()))
+    rate = integration.diffracted_rate(light, camera, derive(Pixel()))
     contrast = 2 * (rate * cosine).mean() / rate.mean() / 0.5
     otf = 2 / np.pi * (np.arccos(0.3) - 0.3 * np.sqrt(1 - 0.3**2))
     assert contrast == pytest.approx(otf, rel=1e-6)  # float32 pictures
@@ -292,14 +277,13 @@ def test_mean_signal_rate_negative_factors_cancel(diffraction):
 def per_joule(options: dict, nm: float, within: tuple | None = None) -> float:
     """Electrons s⁻¹ m⁻² of 1 W m⁻² in a band of 10 nm."""
     image = SpectralImage([nm], 10.0, 1.0, data=np.ones((1, 1, 1)), within=within)
-    return float(electrons_per_joule(derive(Pixel(pitch_um=8.0, **options)), image)[0]) / 10
+    return float(integration.electrons_per_joule(derive(Pixel(pitch_um=8.0, **options)), image)[0]) / 10
 
 
 @pytest.mark.parametrize("laser_nm", [526.0, 532.0, 534.5])
 @pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
 def test_electrons_per_joule_laser_off_band_centre(technology, laser_nm):
-    physics = derive(Pixel(pitch_um=8.0, technology=technology))
-    options = {"technology": technology}
+    physics, options = derive(Pixel(pitch_um=8.0, technology=technology)), {"technology": technology}
     exact = float(physics.quantum_efficiency(laser_nm)) * laser_nm * 1e-9 / (planck * light_speed)
     assert per_joule(options, 530.0, ([[laser_nm]], [[1.0]])) == pytest.approx(exact, rel=1e-6)
     # Without being told it is taken at the band's centre: 0.2 % and more off.
@@ -324,9 +308,7 @@ def test_electrons_per_joule_infrared_cut_near_line(cut_nm, below):
     # A line at 650.0 in parts of 1 nm: a cut a nanometre beside it takes all of it or nothing.
     nodes = 645.5 + np.arange(10)
     nodes[5] = 650.0
-    shares = np.eye(10)[5]
-    options = {"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}
-    seen = per_joule(options, 650.0, ([nodes], [shares]))
+    seen = per_joule({"quantum_efficiency": 0.5, "infrared_cut_nm": cut_nm}, 650.0, ([nodes], [np.eye(10)[5]]))
     assert seen == pytest.approx(below * 0.5 * 650e-9 / (planck * light_speed), rel=1e-12)
 
 
@@ -334,7 +316,7 @@ def test_mean_signal_rate_sums_in_float64():
     nm = np.arange(405.0, 700.0, 10)
     data = np.random.default_rng(0).uniform(0.5, 1.5, (8, 8, nm.size)).astype(np.float32)
     image, physics = SpectralImage(nm, 10.0, 20.0, data=data), derive(Pixel(pitch_um=20.0))
-    weight = electrons_per_joule(physics, image) * 1e-12
-    result = ideal_rate(image, physics)
+    weight = integration.electrons_per_joule(physics, image) * 1e-12
+    result = integration.ideal_rate(image, physics)
     assert result.dtype == np.float64
     np.testing.assert_allclose(result, [[math.fsum(weight * one) for one in row] for row in data.astype(float)], rtol=1e-14)

@@ -26,8 +26,7 @@ def frame(dn: np.ndarray = CODES, bits: int = 12) -> Frame:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_write_frame_numbers_read_back(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"raw{suffix}"
-    given = frame()
-    pixsim.write_frame(path, given)
+    pixsim.write_frame(path, frame())
     result = pixsim.read_frame(path)
     np.testing.assert_array_equal(result.dn, CODES)
     assert result.dn.dtype == np.uint16
@@ -112,19 +111,12 @@ def test_raw_frame_foreign_file_has_top_code_fraction(tmp_path: Path) -> None:
     assert "saturation unknown" in repr(unknown)
 
 
-@pytest.mark.parametrize(
-    ("name", "array", "message"),
-    [
-        ("a.npz", np.array([[0.5]]), "whole numbers from 0 to"),
-        ("a.npz", np.array([[-1]]), "whole numbers from 0 to"),
-        ("a.npz", np.array([[np.nan]]), "whole numbers from 0 to"),
-        ("a.npz", np.array(["a"]), "whole numbers, "),
-        ("a.npz", np.zeros((0, 3)), "whole numbers, "),
-        ("a.npz", np.zeros((2, 3, 3)), "whole numbers, "),
-        ("a.png", np.zeros((4, 4, 3), np.uint8), "mode RGB"),
-        ("a.tiff", np.zeros((4, 4), np.uint8), "mode L"),
-    ],
-)
+INVALID = [("a.npz", np.array([[value]]), "whole numbers from 0 to") for value in (0.5, -1, np.nan)]
+INVALID += [("a.npz", array, "whole numbers, ") for array in (np.array(["a"]), np.zeros((0, 3)), np.zeros((2, 3, 3)))]
+INVALID += [("a.png", np.zeros((4, 4, 3), np.uint8), "mode RGB"), ("a.tiff", np.zeros((4, 4), np.uint8), "mode L")]
+
+
+@pytest.mark.parametrize(("name", "array", "message"), INVALID)
 def test_read_frame_invalid_values_raise(name: str, array: np.ndarray, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     np.savez(path, dn=array) if path.suffix == ".npz" else Image.fromarray(array).save(path)

@@ -147,9 +147,7 @@ def test_technology_with_numbers_changes_values(name):
             assert moved.numbers == technology.numbers | {number: end}
             assert (moved.name, moved.ranges) == (technology.name, technology.ranges)
             assert moved.sources[number].startswith(f"set by the study; the file has {technology.numbers[number]:g} (")
-            assert {key: source for key, source in moved.sources.items() if key != number} == {
-                key: source for key, source in technology.sources.items() if key != number
-            }
+            assert moved.sources | {number: technology.sources[number]} == technology.sources
 
 
 @pytest.mark.parametrize(
