@@ -15,16 +15,9 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.files import judge_picture
 from pixsim.base.parameters import Camera
+from pixsim.light import spectral
 from pixsim.light.exr import read_channels
-from pixsim.light.spectral import (
-    HIGH_NM,
-    LOW_NM,
-    LUMINOUS_EFFICACY_LM_PER_W as LM_PER_W,
-    Spectrum,
-    grid_nm,
-    photopic_efficiency,
-    tabulated,
-)
+from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, grid_nm, tabulated
 from pixsim.scene.files import judge_asset
 from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
@@ -52,7 +45,8 @@ class Lamp:
             return 0.0
         edges = grid_nm(LUMINANCE_STEP_NM)
         at = (edges[:-1] + edges[1:]) / 2
-        return float(LM_PER_W * LUMINANCE_STEP_NM * (self.spectrum.cell_means(edges) * photopic_efficiency(at)).sum())
+        luminous = self.spectrum.cell_means(edges) * spectral.photopic_efficiency(at)
+        return float(spectral.LUMINOUS_EFFICACY_LM_PER_W * LUMINANCE_STEP_NM * luminous.sum())
 
 
 def find_lamps(state: Any, variant: str) -> list[Lamp]:
@@ -361,12 +355,8 @@ def check_transforms(state: Any) -> None:
 def find_bodies(state: Any, sensor: Any) -> list[Body]:
     """Return every shape that may be in view; the members of a shape group are placed at its instances."""
     to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
-    members = {
-        child: index
-        for index, node in nodes_of(state, "Shape")
-        if node.props.plugin_name() == "shapegroup"
-        for child in children(node, state).values()
-    }
+    groups = [(index, node) for index, node in nodes_of(state, "Shape") if node.props.plugin_name() == "shapegroup"]
+    members = {child: index for index, node in groups for child in children(node, state).values()}
     bodies = []
     for index, node in nodes_of(state, "Shape"):
         plugin = node.props.plugin_name()

@@ -116,11 +116,8 @@ def render_until(
         limit = f"time limit of {max_seconds:g} s" if ended == "max_seconds" else f"limit of {runs} renders"
         stopped_early = ended == "max_seconds" and now - start < max_seconds
         when = f" after {now - start:.0f} s (the next step would exceed it)" if stopped_early else ""
-        warnings.warn(
-            f"the {limit} ended rendering{when}: render noise is {fraction:.2g} of the sensor noise, target {render_noise:g}. "
-            "Raise --max-seconds or --render-noise",
-            stacklevel=2,
-        )
+        left = f"render noise is {fraction:.2g} of the sensor noise, target {render_noise:g}"
+        warnings.warn(f"the {limit} ended rendering{when}: {left}. Raise --max-seconds or --render-noise", stacklevel=2)
     for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
         mean += odd
         mean /= 2 * weight

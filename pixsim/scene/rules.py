@@ -68,20 +68,16 @@ def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, floa
     """Return the fewest samples per film cell, at most `most`, with an RMS relative error below `tolerance`, and the error."""
     if chart.uniform:
         return min(SAMPLE_COUNTS[0], most), 0.0
-    error = np.inf
     for count in [count for count in SAMPLE_COUNTS if count < most]:
-        error = sampling_error(chart, count)
-        if error <= tolerance:
+        if (error := sampling_error(chart, count)) <= tolerance:
             return count, error
-    side = max(1, round(most**0.5))
-    return most, sampling_error(chart, side * side)
+    return most, sampling_error(chart, max(1, round(most**0.5)) ** 2)
 
 
 def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
     """Return the RMS relative error of cell means from correlated multi-jittered samples (Kensler 2013) in random cells."""
     assert chart.texels is not None
-    rng = np.random.default_rng(seed)
-    side = round(spp**0.5)
+    rng, side = np.random.default_rng(seed), round(spp**0.5)
     spans = zip(chart.texels.shape, chart.texels_per_sample, strict=True)
     corner = [rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in spans]
     grid = (np.arange(REFERENCE_SAMPLES) + 0.5) / REFERENCE_SAMPLES
@@ -250,8 +246,7 @@ def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], sha
     emitters = nodes_of(state, "Emitter")
     if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].props.plugin_name() != "area":
         return None
-    body = bodies[0]
-    node = state.nodes[body.node]
+    body, node = bodies[0], state.nodes[bodies[0].node]
     if node.props.plugin_name() != FLAT[0] or body.corners is None or body.normal is None:
         return None
     half = [float(np.ptp(body.corners[:, axis])) / 2 for axis in (1, 0)]

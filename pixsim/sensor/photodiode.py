@@ -247,10 +247,7 @@ def refined(function: Callable[[Array], Array], entries: Array, within: float) -
         first, second = (np.stack([line[0], function(line[0])]) for line in lines)
         off = np.maximum(np.abs(first - lines[0])[1], np.abs(second - lines[1])[1]) > within
         pieces += [first, second]
-        low, high = (
-            np.hstack([ends[:, off] for ends in (low, first, second)]),
-            np.hstack([ends[:, off] for ends in (first, second, high)]),
-        )
+        low, high = (np.hstack([ends[:, off] for ends in side]) for side in ((low, first, second), (first, second, high)))
     table = np.hstack(pieces)
     entries, values = table[:, np.argsort(table[0])]
     return entries, np.maximum.accumulate(values)
@@ -258,11 +255,7 @@ def refined(function: Callable[[Array], Array], entries: Array, within: float) -
 
 @lru_cache(maxsize=64)
 def level_table(diode: Diode, full_well_e: float, integration_s: float | None, bent: bool) -> LevelTable:
-    """Return the table of a well limit and a conversion, right to 1e-6 of the well.
-
-    integration_s : None for the hard clip of `swing`
-    bent : whether the conversion is the junction's V(Q)
-    """
+    """Tabulate a well limit (a time of None: the hard clip of `swing`) and a conversion (`bent`: V(Q)), to 1e-6 of the well."""
 
     def level(log_generated: Array) -> Array:
         generated_e = np.exp(log_generated)

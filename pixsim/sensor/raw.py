@@ -66,9 +66,7 @@ class RawFrame:
 
         Reset noise and offsets keep saturated pixels off the top code: 42 % of the default pixels under even light of 14 wells.
         """
-        top = self.white_level_dn
-        if top is None and self.bits is not None:
-            top = 2.0**self.bits - 1
+        top = 2.0**self.bits - 1 if self.white_level_dn is None and self.bits is not None else self.white_level_dn
         return None if top is None else float(np.mean(self.dn >= top))
 
     def __repr__(self) -> str:
@@ -240,8 +238,6 @@ def _read_image(path: Path, name: str, _: str) -> tuple[NDArray[Any], dict[str, 
 
 def _json_of(text: Any) -> dict[str, Any]:
     """Return the table of a JSON text, or an empty one if the text is anything else."""
-    try:
-        table = json.loads(str(text))
-    except ValueError:
-        return {}
-    return table if isinstance(table, dict) else {}
+    with suppress(ValueError):
+        return table if isinstance(table := json.loads(str(text)), dict) else {}
+    return {}

@@ -204,7 +204,7 @@ def test_chart_frequencies_hold_on_sensor(lens):
     ("sensors", "message"),
     [
         ([], r"got no sensor; allowed: one thinlens sensor\."),
-        ([sensor_xml(name="left"), sensor_xml(name="right")], r"'left', 'right'; allowed: one thinlens sensor\. .*--sensor"),
+        ([sensor_xml(name="left"), sensor_xml(name="right")], r"got sensors 'left', 'right'; .*thinlens sensor\. .*--sensor"),
         ([sensor_xml(FOV, "perspective")], r"got 'perspective'; allowed: thinlens.*aperture_radius = f/\(2N\)"),
         ([sensor_xml(FOV + '<float name="focus_distance" value="1"/>')], "a thinlens without aperture_radius"),
         ([sensor_xml(FOV + '<float name="aperture_radius" value="1e-3"/>')], "a thinlens without focus_distance"),
