@@ -18,7 +18,7 @@ from pixsim.studies.sensitivity import turned_words
 
 def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
     """The claims table; with cases, it lists those that change each verdict."""
-    ends = ("what would turn it |", "---|") if cases else ("", "")
+    ends = ("settings that change the verdict |", "---|") if cases else ("", "")
     lines = ["| the paper says | given | pixsim finds | agrees |" + f" {ends[0]}".rstrip(), "|---|---|---|---|" + ends[1]]
     for row in rows:
         verdict = "yes" if row["agrees"] else f"**does not agree**: {row['why']}"
