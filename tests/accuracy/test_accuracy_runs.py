@@ -24,7 +24,7 @@ import pixsim
 from pixsim.accuracy import ladders, stability, survey as surveys
 from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
-from pixsim.accuracy.report import plates_of, write_accuracy
+from pixsim.accuracy.report import accuracy_lines, plates_of, write_accuracy
 from pixsim.accuracy.result import METRICS, Accuracy
 from pixsim.accuracy.solvers import solvers
 from pixsim.accuracy.stability import compare
@@ -106,6 +106,11 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
     Page(text)
     assert "by &lt;hand&gt;" in text
     assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
+    lines = accuracy_lines(accuracy)
+    assert lines[0] == f"reference: {accuracy.reference}"
+    assert f"stability: {sum(case.passed for case in accuracy.cases)} of {len(accuracy.cases)} " in "\n".join(lines)
+    assert sum(line.startswith("skipped: ") for line in lines) == sum(bool(rung.left_out) for rung in accuracy.rungs)
+    assert lines[len(lines) - len(accuracy.notes) :] == [f"note: {note}" for note in accuracy.notes]
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     json.dumps(summary, allow_nan=False)
     assert summary["reference"] == accuracy.reference
