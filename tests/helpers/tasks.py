@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pixsim.studies import evaluations
+
 
 def nothing() -> None:
     """Shared data of tasks without shared data."""
@@ -41,3 +43,11 @@ def warn(task: int, _: object) -> int:
 
 def fail(task: int, _: object) -> int:
     return 1 // task
+
+
+def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mark: Path) -> list[evaluations.Row]:
+    """A task of a study, in the middle of which the first process that gets it is killed."""
+    if task.pitch_um == 7.0 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return evaluations.evaluate_task(task, light)

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.processes import HANG_S, signalled
-from helpers.tasks import die_always, die_once, double, fail, nothing, warn
+from helpers.tasks import die_always, die_once, die_once_at_7_um, double, fail, nothing, warn
 from helpers.tiny import tiny_toml
 
 import pixsim
@@ -156,14 +156,6 @@ def test_study_two_workers_same_bytes(keeping: bool, toml: Path, expected: bytes
         monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     pixsim.study(toml, tmp_path, jobs=2)
     assert (tmp_path / "results.csv").read_bytes() == expected
-
-
-def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mark: Path) -> list[evaluations.Row]:
-    """A task of a study, in the middle of which the first process that gets it is killed."""
-    if task.pitch_um == 7.0 and not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return evaluations.evaluate_task(task, light)
 
 
 def test_study_killed_worker_is_replaced(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
