@@ -20,7 +20,7 @@ from scipy.signal.windows import tukey
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder, write_json
-from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, read_picture
+from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, number_of, read_picture
 from pixsim.show.figures import COLOURS, new_figure
 from pixsim.show.pages import Plate
 
@@ -315,15 +315,12 @@ def read_edge_picture(path: Path) -> EdgePicture:
     numbers: dict[str, float] = {}
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
     for name, (low, high) in METADATA_RANGES.items():
-        if name in metadata:
-            try:
-                numbers[name] = float(np.asarray(metadata[name]).item())
-            except (TypeError, ValueError):
-                if is_image:  # a text of another program under the same name
-                    continue
-                numbers[name] = math.nan
-            if not low <= numbers[name] <= high:
-                raise invalid(f"metadata of '{path}'", f"{name} = {metadata[name]!r}", f"a number from {low:g} to {high:g}")
+        value = number_of(metadata, name)
+        if name not in metadata or (is_image and not math.isfinite(value)):  # a text of another program under the same name
+            continue
+        if not low <= value <= high:
+            raise invalid(f"metadata of '{path}'", f"{name} = {metadata[name]!r}", f"a number from {low:g} to {high:g}")
+        numbers[name] = value
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
     return EdgePicture(data, numbers.get("pitch_um"), numbers.get("black_level_dn"), top)

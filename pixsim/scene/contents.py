@@ -455,12 +455,12 @@ def _file_of(node: Any, folder: Path) -> Path:
 
 def check_textures(state: Any, folder: Path) -> None:
     """Raise PixsimError for NaN, infinite and negative texels, which Mitsuba would interpolate into their neighbours."""
-    steering: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
+    maps_or_weights: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
     others: set[int] = set()
     for node in state.nodes:
         for name, index in children(node, state).items():
-            (steering if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
-    maps = steering - others
+            (maps_or_weights if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
+    maps = maps_or_weights - others
     files = {index: _file_of(node, folder) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
     numbers = {path for index, path in files.items() if index in maps}

@@ -169,13 +169,17 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
         raise invalid(f"raw frame '{path}'", f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
     if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**32 and (dn == np.floor(dn)).all()):
         raise invalid(f"raw frame '{path}'", f"values from {dn.min()} to {dn.max()}", "whole numbers from 0 to 2³² - 1")
-    facts: dict[str, Any] = {}
-    for name in FACTS:
-        with suppress(KeyError, TypeError, ValueError):  # another program's item of that name may be no number
-            value = float(np.asarray(metadata[name]).item())
-            if math.isfinite(value):
-                facts[name] = round(value) if name == "bits" else value
+    numbers = {name: value for name in FACTS if math.isfinite(value := number_of(metadata, name))}
+    facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
     return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts)
+
+
+def number_of(metadata: dict[str, Any], name: str) -> float:
+    """Return an item of a file's metadata; NaN if it is absent or, as another program's item may be, no number."""
+    try:
+        return float(np.asarray(metadata[name]).item())
+    except (KeyError, TypeError, ValueError):
+        return math.nan
 
 
 def read_picture(path: Path, name: str, suffixes: tuple[str, ...]) -> tuple[NDArray[Any], dict[str, Any]]:
