@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,10 @@ from helpers.tiny import tiny_toml, toml_of
 import pixsim
 from pixsim.base.config import read_toml
 from pixsim.base.parameters import Study
-from pixsim.measure.datasheet import make_datasheet, sheet_summary
+from pixsim.cli.options import SceneOptions
+from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
+from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.pixel import sheet_disagreements
 
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
@@ -121,3 +125,104 @@ def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
     assert code == 0, err
     pixel = json.loads(out)["pixel"]
     assert (pixel["read_noise_e"], pixel["temporal_dark_noise_e"], pixel["technology"]) == (None, 9.0, "none")
+
+
+# --- Round trip of published data sheets -------------------------------------------------------------------------------
+
+SHEETS = Path(__file__).parent / "data/sheets"
+WITHIN = 0.02  # of a number, or 3 standard errors
+# The wavelength of the quantum efficiency, nm, and the quantity that the sheet calls dynamic range: saturation over threshold as
+# in EMVA 1288, or the full well over the temporal dark noise.
+PUBLISHED = {
+    "imx174": (525.0, "DR"),
+    "cmv4000": (550.0, "DR"),
+    "gsense400bsi": (400.0, "DR_ISO"),
+    "gsense4040bsi": (550.0, "DR"),
+    "hwk4123": (470.0, "DR"),
+    "imx530": (530.0, "DR"),
+    "imx455": (460.8023, "DR"),
+    "thorlabs_cs165": (550.0, "DR"),
+}
+# Steps of 10.8 e- hide a noise of 4 e-: EMVA 1288 gives an upper bound only.
+BOUNDED = ("thorlabs_cs165",)
+
+
+def test_sheets_are_the_published_ones() -> None:
+    assert {path.stem for path in SHEETS.glob("*.toml")} == set(PUBLISHED)
+    for path in SHEETS.glob("*.toml"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for number, line in enumerate(lines):
+            if " = " in line and not line.startswith("#"):
+                assert lines[number - 1].startswith("#") or "temperature_k" in line, f"{path.name}, line {number + 1}: no source"
+
+
+def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
+    """Symbol of the data sheet -> the number that was given."""
+    nm, of_range = PUBLISHED[name]
+    physics = pixsim.derive(pixel)
+    expected = {
+        "K": pixel.gain_e_per_dn and 1 / pixel.gain_e_per_dn,
+        "η": 100 * float(physics.quantum_efficiency(nm)),
+        "σ_d": pixel.temporal_dark_noise_e,
+        # Of a full well beyond the ADC's range nothing can be measured but that range.
+        "μ_e.sat": pixel.saturation_capacity_e or min(pixel.full_well_e, physics.adc_range_e),
+        "SNR_max": pixel.snr_max_db,
+        of_range: pixel.dynamic_range_db,
+        "PRNU_1288": pixel.prnu_percent,
+        "DSNU_1288": pixel.dsnu_e,
+        "μ_I.mean": pixel.dark_current.e_per_s if pixel.dark_current else pixel.dark_current_e_per_s,
+        "ϑ_d": pixel.dark_current and pixel.dark_current.doubling_k,
+    }
+    return {symbol: value for symbol, value in expected.items() if value is not None}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_datasheet_returns_published_numbers(name: str) -> None:
+    """False alarms: 0.3 % a number of 3 standard errors; most are far within 2 %. Nothing warns."""
+    settings = SceneOptions([SHEETS / f"{name}.toml"]).settings()
+    pixel = settings.pixel
+    assert (pixel.technology, pixel.assumption) == ("none", "")
+    sheet = make_datasheet(pixel, wavelength_nm=PUBLISHED[name][0])
+    found = {entry.symbol: entry for entry in entries(sheet)}
+    assert sheet.transfer.limited == (name in BOUNDED)
+    for symbol, value in expected_numbers(pixel, name).items():
+        entry = found[symbol]
+        if sheet.transfer.limited and symbol == "σ_d":
+            assert value < entry.measured < 1.1 * value, "an upper bound"
+            continue
+        assert abs(entry.measured - value) <= max(WITHIN * value, 3 * entry.standard_error), (symbol, value, entry)
+    columns, rows = settings.camera.pixels
+    die_mm = settings.camera.die_mm, settings.camera.die_height_mm
+    assert die_mm == pytest.approx((1e-3 * columns * pixel.pitch_um, 1e-3 * rows * pixel.pitch_um), rel=1e-12)
+    assert [pixels_along(1e3 * side_mm, pixel.pitch_um) for side_mm in die_mm] == [columns, rows]
+
+
+def test_datasheet_of_bounded_noise_with_more_bits_returns_it() -> None:
+    """The sheet whose noise 10 bits hide: 12 bits show it."""
+    pixel = SceneOptions([SHEETS / "thorlabs_cs165.toml"]).settings(pixel={"bits": 12}).pixel
+    sheet = make_datasheet(pixel)
+    assert not sheet.transfer.limited
+    assert sheet.transfer.dark_noise_e.value == pytest.approx(4.0, rel=WITHIN)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gain_e_per_dn": 7.82}, r"saturation_capacity_e = 32691, but .* 31\d\d\d, since the ADC ends at 32023"),
+        ({"dynamic_range_db": 78.0}, r"dynamic_range_db = 78, but .* 72\.5 .* 73\.8 .*different gain modes"),
+        ({"dynamic_range_db": 70.0}, r"dynamic_range_db = 70, but"),
+        ({"snr_max_db": 44.0}, r"snr_max_db = 44, but .* 326\d\d e- is 45\.1"),
+    ],
+)
+def test_sheet_disagreements_name_both_numbers(options: dict[str, float], message: str) -> None:
+    pixel = SceneOptions([SHEETS / "imx174.toml"]).settings(pixel=options).pixel
+    (text,) = sheet_disagreements(pixel)
+    assert re.search(message, text), text
+    with pytest.warns(UserWarning, match=message):
+        pixsim.make_sensor(pixel, pixsim.Camera(die_mm=0.1))
+
+
+def test_sheet_disagreements_of_published_sheets_are_none() -> None:
+    for path in SHEETS.glob("*.toml"):
+        found = sheet_disagreements(SceneOptions([path]).settings().pixel)
+        assert not found, (path.name, found)

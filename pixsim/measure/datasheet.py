@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Exposure, Pixel
+from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel
 from pixsim.base.progress import Stage
 from pixsim.measure import estimators
 from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, Series, Stack, root
@@ -90,7 +90,8 @@ class DataSheet:
 
     @cached_property
     def transfer(self) -> PhotonTransfer:
-        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, self.prnu.value)
+        spread = 0.0 if math.isnan(self.prnu.value) else self.prnu.value  # NaN: too small to be seen
+        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread)
 
     @property
     def signal_dn(self) -> Array:
@@ -335,6 +336,12 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     ]  # fmt: skip
 
 
+def doubling_from(physics: PixelPhysics) -> str:
+    if physics.pixel.dark_current and physics.pixel.dark_current.doubling_k:
+        return "pixel.dark_current.doubling_k"
+    return "assumed, as for silicon" if physics.technology.name == NO_TECHNOLOGY else "from the technology file"
+
+
 def dark(sheet: DataSheet) -> list[Entry]:
     """Dark current from the mean and from the variance, and its doubling temperature."""
     p, (from_mean, from_variance) = sheet.experiment.physics, sheet.dark_currents
@@ -348,17 +355,7 @@ def dark(sheet: DataSheet) -> list[Entry]:
     if warm and current:
         doubling = estimators.doubling_k(temperatures, *np.array([(current.value, current.error) for current in warm]).T)
         name, true_k = "doubling temperature of the dark current", p.dark_doubling_k
-        entries.append(
-            line(
-                EMVA,
-                name,
-                "ϑ_d",
-                "K",
-                doubling,
-                true_k,
-                "from the data sheet" if p.pixel.dark_current else "from the technology file",
-            )
-        )
+        entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, doubling_from(p)))
     return entries
 
 

@@ -20,7 +20,7 @@ from pixsim.base.parameters import Exposure, Pixel
 from pixsim.measure.estimators import Frames, Series, pair, series
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
-from pixsim.sensor.readout import MAX_BLACK, Sensor, least_black_level_dn, read_out, sample_sensor
+from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
 EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
@@ -110,15 +110,28 @@ def peak_wavelength_nm(physics: PixelPhysics) -> float:
     return float(highest[highest.size // 2])
 
 
+FINE_DN = 0.6  # spread of a dark frame from which rounding adds 1/12 DN², wherever its mean lies between two codes
+MIDWAY_DN = 0.25  # above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes
+
+
 def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysics:
-    """The pixel with a black level of at least 6 σ of its dark noise; raises PixsimError if its ADC has too few codes for it."""
+    """The pixel with a black level of at least 6 σ of its dark noise; raises PixsimError if its ADC has too few codes for it.
+
+    A device whose dark frame spreads over less than `FINE_DN` has every pixel at the same place between two codes, and its
+    measured temporal noise depends on that place (at σ = 0.46 DN by ±4 %). The level is then set where it does not.
+    """
     least = least_black_level_dn(physics, integration_s)
     if physics.pixel.black_level_dn >= least:
         return physics
     if least > MAX_BLACK * (2**physics.pixel.bits - 1):
         expected = f"enough bits for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes"
         raise invalid("pixel.bits", physics.pixel.bits, expected, "Raise pixel.bits, or reduce the dark noise.")
-    return replace(physics, pixel=physics.pixel.model_copy(update={"black_level_dn": float(least)}))
+    raised = replace(physics, pixel=physics.pixel.model_copy(update={"black_level_dn": float(least)}))
+    if dark_spread_e(raised, integration_s) * raised.dn_per_e >= FINE_DN:
+        return raised
+    mean_dn = least + raised.dark_current_e_per_s * integration_s * raised.dn_per_e
+    level_dn = round(least + (MIDWAY_DN - mean_dn) % 1.0, 2)
+    return replace(raised, pixel=physics.pixel.model_copy(update={"black_level_dn": level_dn}))
 
 
 def usual_integration_s(physics: PixelPhysics, exposure: Exposure) -> float:

@@ -603,12 +603,12 @@ def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> l
     found = []
     asked_e = pixel.saturation_capacity_e
     if asked_e is not None and abs(saturation_e / asked_e - 1) > CAPACITY_WITHIN:
-        why = f"the ADC ends at {p.adc_range_e:.5g}" if p.adc_range_e < p.full_well_e else f"temporal noise is {noise_e:.3g} e-"
-        found.append(f"saturation_capacity_e = {asked_e:g}, but the simulated pixel has {saturation_e:.5g}, since {why}.")
+        why = f"the ADC ends at {p.adc_range_e:.0f}" if p.adc_range_e < p.full_well_e else f"temporal noise is {noise_e:.3g} e-"
+        found.append(f"saturation_capacity_e = {asked_e:g}, but the simulated pixel has {saturation_e:.0f}, since {why}.")
     snr_db = 10 * math.log10(saturation_e)
     if pixel.snr_max_db is not None and abs(pixel.snr_max_db - snr_db) > DECIBEL_WITHIN:
         found.append(
-            f"snr_max_db = {pixel.snr_max_db:g}, but that of a saturation capacity of {saturation_e:.4g} e- is {snr_db:.1f}."
+            f"snr_max_db = {pixel.snr_max_db:g}, but that of a saturation capacity of {saturation_e:.0f} e- is {snr_db:.1f}."
         )
     threshold_e = math.sqrt(noise_e**2 + 1 / (12 * p.dn_per_e**2)) + 0.5
     ends_db = [20 * math.log10(saturation_e / threshold_e), 20 * math.log10(p.full_well_e / noise_e) if noise_e else math.inf]
