@@ -221,7 +221,48 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
         table["quick"] = _without(quick, overriding)
     if isinstance(sources := table.get("sources"), dict):
         table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
-    return [Layer(defaults), Layer(table, study.source), *overrides]
+    layers = [Layer(defaults), Layer(table, study.source), *overrides]
+    return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
+
+
+def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
+    """Layers of a study with the data sheets among its technologies: TOML files with a table [pixel], each a sensor of its own.
+
+    Options of the pixel replace values of each sheet, and the study's [pixel] has what a sheet leaves open. If all technologies are
+    data sheets, the pitches go from a quarter of the smallest to four times the largest, unless the study sets a range.
+
+    Raises PixsimError if a sheet is invalid.
+    """
+    study = merged(layers)
+    quick = study.get("quick")
+    listed = [
+        part["technologies"] for part in (study, quick) if isinstance(part, dict) and isinstance(part.get("technologies"), list)
+    ]
+    sheets: dict[str, Layer] = {}
+    for name in dict.fromkeys(name for names in listed for name in names if isinstance(name, str)):
+        if (
+            name.endswith(".toml")
+            and Path(name).is_file()
+            and isinstance((layer := settings_layer(Path(name))).table.get("pixel"), dict)
+        ):
+            sheets[name] = layer
+    if not sheets:
+        return layers
+    sensors, own_um = {}, []
+    for name, layer in sheets.items():
+        if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
+            warnings.warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}", stacklevel=3)
+        below = [Layer({"pixel": study.get("pixel", {})})]
+        settings: Run = checked(
+            Run, [*below, Layer({"pixel": layer.table["pixel"]}, layer.source), Layer({"pixel": pixel_options})]
+        )
+        if settings.pixel.assumption:
+            warnings.warn(f"{name}: {settings.pixel.assumption}", stacklevel=3)
+        sensors[name] = settings.pixel.model_dump()
+        own_um.append(settings.pixel.pitch_um)
+    ranges = {"min_um": min(own_um) / PITCH_RATIO, "max_um": max(own_um) * PITCH_RATIO}
+    defaults = {"pitch": ranges} if len(sheets) == len(study["technologies"]) else {}
+    return [Layer(defaults), *layers, Layer({"sensors": sensors})]
 
 
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:

@@ -659,7 +659,11 @@ class Study(Effort):
     title: str = Field("", description="title of the report")
     seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        ("0.35um",), description="packaged technologies or paths of TOML files; each gives one curve"
+        ("0.35um",),
+        description="packaged technologies, or paths of TOML files with a technology or a data sheet ([pixel]); each gives a curve",
+    )
+    sensors: dict[str, Pixel] = Field(
+        default_factory=dict, description="the data sheets among the technologies, path -> its pixel, as read from the files"
     )
     process: dict[str, dict[str, float]] = Field(
         default_factory=dict, description="changes to technologies: name -> entry of its file -> value, in the unit of the file"
@@ -724,15 +728,25 @@ class Study(Effort):
             given = [name for name, value in self.pixel if value is not None]
             if missing := [*(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []), *missing_of_data_sheet(given)]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
-            if self.pitch.min_um is None and self.pitch.values_um is None:
-                raise ValueError("a data sheet has no fill factors: give pitch.min_um, or pitch.values_um")
+        sheets = [
+            name
+            for name in self.technologies
+            if name == NO_TECHNOLOGY or (name in self.sensors and self.sensors[name].technology == NO_TECHNOLOGY)
+        ]
+        if sheets and self.pitch.min_um is None and self.pitch.values_um is None:
+            raise ValueError("a data sheet has no fill factors: give pitch.min_um, or pitch.values_um")
         return self
+
+    def options_of(self, technology: str) -> PixelOptions:
+        """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
+        return self.sensors.get(technology, self.pixel)
 
     @cached_property
     def quickened(self) -> Study:
-        """This study with its `quick` table applied; `process` keeps only technologies that remain."""
+        """This study with its `quick` table applied; `process` and `sensors` keep only technologies that remain."""
         table = merge(self.model_dump(exclude={"quick"}, mode="json"), self.quick)
-        table["process"] = {name: values for name, values in table["process"].items() if name in table["technologies"]}
+        for part in ("process", "sensors"):
+            table[part] = {name: values for name, values in table[part].items() if name in table["technologies"]}
         return Study.model_validate(table)
 
 
@@ -756,4 +770,8 @@ class Run(Effort):
 
 def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
     """Pixel of a study in a technology, by name or path, at a pitch."""
-    return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
+    sensor = study.sensors.get(technology)
+    if sensor is None:
+        return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
+    measured_um = sensor.data_sheet_pitch_um or sensor.pitch_um
+    return Pixel.model_validate(sensor.model_dump() | {"pitch_um": pitch_um, "data_sheet_pitch_um": measured_um})

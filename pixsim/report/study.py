@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pixsim.base.files import output_folder, replacing, versions, write_json
-from pixsim.base.parameters import NO_TECHNOLOGY, Study
+from pixsim.base.parameters import Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import is_csf
@@ -173,7 +173,7 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
-        processes = all(curve.technology != NO_TECHNOLOGY for curve in result.curves)
+        processes = not any(curve.data_sheet for curve in result.curves)
         if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
@@ -246,8 +246,8 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "header": result.irradiance.header,
         "settings": settings(result, light_of(result.curves)),
         "filled": FILLED,
-        "sheets": NO_TECHNOLOGY in study.technologies,
-        "technologies": [technology_rows(study, name) for name in study.technologies if name != NO_TECHNOLOGY],
+        "sheets": any(curve.data_sheet for curve in result.curves),
+        "technologies": [technology_rows(study, curve.technology) for curve in result.curves if not curve.data_sheet],
         "provenance": provenance,
     }
     return write_page(folder / "report.html", "report.html.j2", page)
@@ -256,9 +256,19 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
 def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row]]]:
     """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
     study = result.study
-    records = {"camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display}
-    sheets = all(name == NO_TECHNOLOGY for name in study.technologies)
+    records: dict[str, Record] = {
+        "camera": result.camera,
+        "pixel": study.pixel,
+        "exposure": study.exposure,
+        "display": study.display,
+    }
+    sheets = all(curve.data_sheet for curve in result.curves)
+    if all(name in study.sensors for name in study.technologies):
+        del records["pixel"]  # each sensor has its own
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
+    for curve in result.curves:
+        if sensor := study.sensors.get(curve.technology):
+            tables.append((f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {})))
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 
 

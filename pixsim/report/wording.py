@@ -81,8 +81,9 @@ def dark_note(result: dict[str, Any]) -> list[str]:
 
 def study_dark_notes(result: Any) -> list[str]:
     """Return a note for each curve whose black level clips dark noise, with the number of pixel sizes and the worst of them."""
-    pixel, notes = result.study.pixel.model_dump(), []
+    notes = []
     for curve in result.curves:
+        pixel = result.study.options_of(curve.technology).model_dump()
         table = result.dark(curve)
         clips = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
         clipped = [place for place, clip in enumerate(clips) if clips_dark(clip)]

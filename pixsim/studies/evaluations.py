@@ -161,7 +161,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         return pitches
     low, source = study.pitch.min_um, "pitch.min_um"
     if low is None:
-        process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
+        process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= study.pitch.max_um:
@@ -280,7 +280,8 @@ class Fingerprints:
     def scene(self, technology: str) -> str:
         """Return the hash of the light that all pitches of a technology share."""
         process = technology_of(self.study, technology).content
-        return content_hash([self.imaging, self.display, process, self.study.pixel.model_dump()])
+        pixel = self.study.options_of(technology).model_dump(exclude={"technology"})  # a path is no content
+        return content_hash([self.imaging, self.display, process, pixel])
 
     def pixel(self, technology: str, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
@@ -316,7 +317,8 @@ class Fingerprints:
     def frames_fit_in_cache(self) -> bool:
         """Whether all frames of the study fit in the cache without displacing most of it."""
         study, die_um = self.study, 1e3 * self.camera.die_mm
-        code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
+        bits = max(study.options_of(technology).bits for technology in study.technologies)
+        code_bytes = np.min_scalar_type(2**bits - 1).itemsize
         sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
         pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
         return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors_per_pitch)

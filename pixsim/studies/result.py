@@ -48,6 +48,7 @@ class Curve:
     statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
     fit : the fitted curve with its minimum
     label : the technology's name for readers, unique in a study
+    data_sheet : whether the sensor is described by its data sheet only, without a process
     """
 
     technology: str
@@ -57,6 +58,7 @@ class Curve:
     statistics: dict[str, Array] = field(repr=False)
     fit: FittedCurve = field(repr=False)
     label: str = ""
+    data_sheet: bool = False
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -70,7 +72,7 @@ class Curve:
     @property
     def optimum_features(self) -> float | None:
         """The optimum in units of the feature size; None for a sensor given by its data sheet, which has no process."""
-        return None if self.technology == NO_TECHNOLOGY else self.optimum.pitch_um / self.feature_size_um
+        return None if self.data_sheet else self.optimum.pitch_um / self.feature_size_um
 
     @property
     def optimum(self) -> Optimum:
@@ -242,7 +244,9 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
             values[index, int(row["repeat"])] = float(row[name])
         fill_factor[index] = float(row["fill_factor"])
     fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
-    return Curve(technology, technology_of(study, technology).feature_size_um, pitches, fill_factor, statistics, fit)
+    process = technology_of(study, technology)
+    sheet = process.name == NO_TECHNOLOGY
+    return Curve(technology, process.feature_size_um, pitches, fill_factor, statistics, fit, data_sheet=sheet)
 
 
 def interval_words(curve: Any) -> str:

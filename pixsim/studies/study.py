@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.config import checked, packaged, read_toml, resolve_file, study_layers
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder
-from pixsim.base.parameters import Camera, Layer, Study, content_hash
+from pixsim.base.parameters import Camera, Layer, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
-from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.pixel import physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
@@ -115,13 +115,17 @@ def check_pitches(study: Study) -> None:
         if name not in study.technologies:
             raise invalid("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
     for name in study.technologies:
-        content = content_hash(technology_of(study, name).content)
+        sheet = study.sensors[name].model_dump() if name in study.sensors else None
+        content = content_hash([technology_of(study, name).content, sheet])
         if content in processes:
-            raise invalid("technologies", f"{name} and {processes[content]}, which are the same process", "each process once")
+            kind = "process" if sheet is None else "data sheet"
+            raise invalid("technologies", f"{name} and {processes[content]}, which are the same {kind}", f"each {kind} once")
         processes[content] = name
     for technology in study.technologies:
-        for pitch_um in study_pitches_um(study, technology).tolist():
+        pitches_um = study_pitches_um(study, technology).tolist()
+        for pitch_um in pitches_um:
             physics_of(study, technology, pitch_um)
+        warn_of_disagreements(pixel_of(study, technology, pitches_um[-1]), technology_of(study, technology))
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
