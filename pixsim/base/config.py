@@ -147,8 +147,7 @@ def _names(title: str, path: list[str]) -> list[str]:
 
 # A data sheet states them for its pitch only.
 SCALED_WITH_AREA = ("full_well_e", "saturation_capacity_e", "gain_e_per_dn", "dark_current_e_per_s", "dark_current")
-# Fields of a pixel that a study sets itself, and the fields of the study that do so.
-SET_BY_STUDY = {"pitch_um": "pitch.min_um, pitch.max_um or pitch.values_um", "technology": "technologies"}
+SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
 
 
@@ -177,44 +176,50 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
 
 
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
-    """Layers of a study: its own table, then the sensor files, then the options, which may give a sensor too.
+    """Layers of a study: its own table, then the sensor files, then the options.
 
-    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, with pitches from a
-    quarter to four times its own unless the study sets a range. A technology becomes the only one of the study; the pitch of its
-    file is not used. Values that a file or an option replaces are removed from the study's [quick] and [sources].
+    A data sheet, in files and options together (a sensor without a technology, by the rule of `Pixel`), becomes the only sensor of
+    the study, with pitches from a quarter to four times its own unless the study sets a range. A technology becomes the only one of
+    the study; the pitch of its file is not used. Values that a file or an option replaces are removed from the study's [quick] and
+    [sources].
 
-    Raises PixsimError if a file is invalid, or if an option sets a pitch that the study does not use.
+    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
+
+    Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
     """
-    options = options or {}
+    options = dict(options or {})
     files = [settings_layer(path) for path in paths]
     warn_of_mixed_sensors(files)
+    pixel_options = options.get("pixel", {})
     sensor = [*files, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
-    settings: Run = checked(Run, sensor)  # so that errors name the fields as they are in the file
+    settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
     given = set(merged(sensor).get("pixel", {}))
     defaults: dict[str, Any] = {}
     derived: dict[str, Any] = {}
-    if settings.pixel.technology == NO_TECHNOLOGY:
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    if sheet:
         derived = {"technologies": [NO_TECHNOLOGY], "paper": False}
         ends_um = settings.pixel.pitch_um / PITCH_RATIO, settings.pixel.pitch_um * PITCH_RATIO
         defaults = {"pitch": dict(zip(("min_um", "max_um"), ends_um, strict=True))}
     elif "technology" in given:
         derived = {"technologies": [settings.pixel.technology], "paper": False}
-    elif settings.pixel.assumption and given & {*DATA_SHEET, *STANDS_FOR} and "pitch_um" in given:
+    elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
         names = ", ".join(map(str, study.table.get("technologies", Study.model_fields["technologies"].default)))
         missing = ", ".join(missing_of_data_sheet(given))
         warnings.warn(
             f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}", stacklevel=2
         )
-    if "pitch_um" in given and given & set(SCALED_WITH_AREA) and "data_sheet_pitch_um" not in given:
+    scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
+    if "pitch_um" in given and scaled:
         derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
-    if settings.camera.pixels:
+    if "pitch_um" in pixel_options and not (scaled or sheet):
+        got, expected = f"'{pixel_options['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
+        raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
+    if settings.camera.pixels:  # the die of the sheet's own pitch, whatever the pitch of the study
         derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
-    if "pitch_um" in options.get("pixel", {}) and settings.pixel.technology != NO_TECHNOLOGY and "pixel" not in derived:
-        expected = f"other fields of the pixel: a study's file gives {SET_BY_STUDY['pitch_um']}"
-        hint = "Set it in a copy of the study's file."
-        raise invalid("pixel.pitch_um", f"'{options['pixel']['pitch_um']}' for a study", expected, hint)
+    source = files[-1].source if files else ""
     overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
-    overrides += [Layer(_without_sensor_only(options)), Layer(derived, files[-1].source if files else "")]
+    overrides += [Layer(derived, source), Layer(_without_sensor_only(options))]
     overriding = merged(overrides)
     table = dict(study.table)
     if isinstance(quick := table.get("quick"), dict):
@@ -268,7 +273,7 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
     """Settings without what a study has in other fields: pitch, technology, and the pixels that make the die."""
     left = dict(table)
-    for name, removed in (("pixel", SET_BY_STUDY.keys()), ("camera", {"pixels"})):
+    for name, removed in (("pixel", SET_BY_STUDY), ("camera", ("pixels",))):
         if isinstance(values := table.get(name), dict):
             left[name] = {key: value for key, value in values.items() if key not in removed}
     return left

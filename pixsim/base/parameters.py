@@ -28,7 +28,7 @@ from pydantic import (
     model_validator,
 )
 
-from pixsim.base.errors import PixsimError
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import read_text
 
 # Documented in the reference; the other names are internal.
@@ -551,11 +551,12 @@ class CameraOptions(Record):
     transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
     def over(self, camera: Camera) -> Camera:
-        """The camera with the fields that are set here replaced. Raises ValueError for `pixels` without a die (`with_die`)."""
+        """The camera with the fields that are set here replaced.
+
+        Raises PixsimError for `pixels` without a die (`with_die`).
+        """
         if self.pixels is not None and self.die_mm is None:
-            raise ValueError(
-                f"camera.pixels = {list(self.pixels)} without a pitch; give pixel.pitch_um, or die_mm and die_height_mm"
-            )
+            raise invalid("camera.pixels", list(self.pixels), "pixels together with pixel.pitch_um, or die_mm and die_height_mm")
         return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
 
     def with_die(self, pitch_um: float | None) -> CameraOptions:

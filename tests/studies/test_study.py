@@ -254,7 +254,7 @@ def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("pixel", "message"),
     [
-        ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: .*pitch\.values_um"),
+        ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: the pitch of a data sheet.*pitch\.values_um"),
         ({"response": "scald"}, r"pixel\.response: got 'scald'; allowed: 'scaled' or 'literal'"),
         ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
     ],
