@@ -91,6 +91,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "die_mm": (width_mm, height_mm),
         "camera": camera,
         "well": float(score.frame.mean_e.max()) / physics.saturation_e,
+        "limit": "the full well" if physics.full_well_e <= physics.adc_range_e else "the range of the ADC",
         "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
         "image": shown_picture(folder / "image.png", score.image, f"{physics.pitch_um:g} µm pixels"),
         "reduced": factor_for(score.ideal),

@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -298,8 +299,11 @@ def test_run_is_reproducible_on_one_core_and_elsewhere(desk: Path, tmp_path_fact
 def test_run_config_precedence(desk: Path) -> None:
     Path("first.toml").write_text("seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32")
     Path("second.toml").write_text("[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4")
-    code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
+    with warnings.catch_warnings(action="always"):
+        code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
     assert code == 0, err
+    mixture = "[pixel] is a mixture of 2 files. first.toml: bits; second.toml: pitch_um, prnu"
+    assert mixture in err
     score = json.loads(out)
     pixel, irradiance = score["pixel"], score["irradiance"]
     assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"]) == (10, 0, 12)  # option, second file, first file

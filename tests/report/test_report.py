@@ -130,7 +130,9 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
     best = curve.optimum
     low, high = best.interval_um
     assert f"0.35um: {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in repr(made[0])
-    sheet = replace(curve, technology="none", fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0)))
+    sheet = replace(
+        curve, technology="none", data_sheet=True, fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0))
+    )
     result = replace(made[0], curves=(sheet,))
     assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
     assert sheet.as_dict()["optimum_features"] is None
