@@ -20,7 +20,7 @@ from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rows_csv
-from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
+from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map, xyz_to_lab
 
@@ -77,13 +77,14 @@ class Score:
         }
 
     def plot(self) -> Figure:
-        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map on the fixed scale."""
+        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
         figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
         axes = figure.subplots(1, 3, sharex=True, sharey=True)
         for panel, picture, title in zip(axes, (self.ideal, self.image), ("ideal", "sensor"), strict=False):
             panel.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
             panel.set_title(title)
-        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, interpolation="nearest")
+        end = scale_end(*percentiles(self.delta_e, (99,)))
+        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=end, interpolation="nearest")
         axes[2].set_title(f"S-CIELAB ΔE, mean {self.mean_delta_e:.3f}")
         figure.colorbar(delta_e_map, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
         for panel in axes:

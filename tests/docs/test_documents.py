@@ -56,7 +56,9 @@ def test_page_with_numbers_names_machine(path: Path) -> None:
         assert f"]({'docs/' if path == README else ''}{MADE_ON.name})" in text_of(path)
 
 
-TIMES = re.compile(r"\b\d+(?:\.\d+)? (?:GiB|MiB|MB|GB|minutes?|seconds)\b|\d s[,;:.]|\d s on|two cores|2 cores|\b(?:a|half a) minute\b")
+TIMES = re.compile(
+    r"\b\d+(?:\.\d+)? (?:GiB|MiB|MB|GB|minutes?|seconds)\b|\d s[,;:.]|\d s on|two cores|2 cores|\b(?:a|half a) minute\b"
+)
 
 
 @pytest.mark.parametrize("path", [page for page in PAGES if page.name != "costs.md"], ids=lambda path: path.name)
@@ -173,7 +175,9 @@ def test_difference_compares_output(expected: str, printed: str, same: bool) -> 
     assert (difference(expected, printed, exact=False) == "") == same
 
 
-@pytest.mark.parametrize(("printed", "same"), [("a 1.00\nb\nc 2.0", True), ("a 1.01\nb\nc 2.0", False), ("a 1.00\nb\nc 2.1", False)])
+@pytest.mark.parametrize(
+    ("printed", "same"), [("a 1.00\nb\nc 2.0", True), ("a 1.01\nb\nc 2.0", False), ("a 1.00\nb\nc 2.1", False)]
+)
 def test_difference_exact_compares_digits(printed: str, same: bool) -> None:
     assert (difference("a 1.00\n…\nc 2.0", printed) == "") == same
 
