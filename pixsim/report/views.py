@@ -68,8 +68,8 @@ def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequen
     draw_iso(iso, where, smooth, lines)
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.label}): the ideal image, the picture of one sensor, its ΔE map "
-        f"(colour scale 0 to {map_end(result):g}), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the "
-        "mean map."
+        f"(colour scale 0 to {map_end(result):g}), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table "
+        "holds the mean map."
     )
     return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
 

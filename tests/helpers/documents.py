@@ -7,9 +7,9 @@ Invisible comments before a block state what it is:
     <!-- elsewhere: WHERE -->        the block is run there, word for word
     <!-- picture: FILE -->           the next picture is that file, which earlier blocks create
 
-`python tests/helpers/documents.py PAGE…` runs pages and updates their output, their pictures, and docs/made_on.toml, which records the
-processor and the packages. There every digit of a page's output must come out again; elsewhere a number may differ within the interval
-that the page prints with it, or else by `NUMBER_WITHIN`.
+`python tests/helpers/documents.py PAGE…` runs pages and updates their output, their pictures, and docs/made_on.toml, which records
+the processor and the packages. There every digit of a page's output must come out again; elsewhere a number may differ within the
+interval that the page prints with it, or else by `NUMBER_WITHIN`.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ MADE_ON_HEAD = """\
 """
 # Of the imaging chain and of the pictures.
 PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "numpy", "scipy", "OpenEXR", "matplotlib", "pillow")
-# On another machine: relative tolerance of numbers with a decimal point, and the factor for a number after ±, which is itself uncertain
-# for few sensors. Integers are counts.
+# On another machine: relative tolerance of numbers with a decimal point, and the factor for a number after ±, which is itself
+# uncertain for few sensors. Integers are counts.
 NUMBER_WITHIN = 0.02
 UNCERTAINTY_WITHIN = 2.0
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
