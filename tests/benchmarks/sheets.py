@@ -2,8 +2,8 @@
 
     taskset -c 0,1 python tests/benchmarks/sheets.py [--sheet imx174]…
 
-Every sheet of tests/data/sheets is rendered on a chart and on a 3-D scene, studied with --quick and measured. Each command starts with an
-empty cache.
+Every sheet of tests/data/sheets is rendered on a chart and on a 3-D scene, studied with --quick and measured. Each command starts
+with an empty cache.
 """
 
 from __future__ import annotations
