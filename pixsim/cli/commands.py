@@ -7,7 +7,6 @@ import os
 import shutil
 import sys
 import textwrap
-from contextlib import nullcontext
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
@@ -17,7 +16,7 @@ from cyclopts import Parameter
 
 from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import MIB, output_folder
+from pixsim.base.files import MIB, check_replaceable, output_folder
 from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, definitions, given, show, stages
 
@@ -170,20 +169,22 @@ def study(
     run_options: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
     with stages(seconds) as stage:
         if "vary" in table.table:
-            from pixsim.studies.sensitivity import Sensitivity, run_sensitivity, write_sensitivity_report
+            from pixsim.studies.sensitivity import FILES, Sensitivity, run_sensitivity, write_sensitivity_report
 
             sensitivity: Sensitivity = checked(Sensitivity, layers)
             folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
+            check_replaceable(folder, FILES)
             outcome = run_sensitivity(sensitivity, folder, progress=stage, **run_options)
             stage("report")
             report = write_sensitivity_report(outcome, folder, seconds)
             summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
         else:
-            from pixsim.report.study import write_report
+            from pixsim.report.study import report_files, write_report
             from pixsim.studies.engine import Workers, workers_here
 
             plan = sweep.checked_study(layers)
             folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
+            check_replaceable(folder, report_files(plan.quickened if quick else plan))
             result = sweep.study(plan, folder, progress=stage, **run_options)
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
@@ -211,14 +212,15 @@ def accuracy(
 
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
-    from pixsim.accuracy.report import accuracy_lines, write_accuracy
+    from pixsim.accuracy.report import FILES, accuracy_lines, write_accuracy
     from pixsim.accuracy.survey import survey
 
     settings = options.settings(display=display, seed=seed)
-    with stages() as stage, output_folder(out) if out else nullcontext():  # an invalid folder fails before a minute of work
+    folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"
+    check_replaceable(folder, FILES)
+    with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        folder = out or DEFAULT_OUT / f"{result.name}-accuracy"
         report = write_accuracy(result, folder)
     show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
 
@@ -255,7 +257,7 @@ def datasheet(
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
     from pixsim.measure.datasheet import make_datasheet, sheet_summary as summary
-    from pixsim.measure.datasheet_report import datasheet_lines, sheet_name, write_datasheet
+    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name, write_datasheet
 
     files, pixel_options = list(config or []), given({"pixel": pixel}).get("pixel", {})
     if pixel_file is not None and pixel_file.endswith(".toml") and "pixel" in read_toml(Path(pixel_file)):
@@ -266,10 +268,12 @@ def datasheet(
             raise PixsimError(f"PIXEL: got '{pixel_file}' and --pixel.technology {technology}; give only one of them.")
         pixel_options["technology"] = pixel_file
     settings = SceneOptions(files, exposure=exposure).settings(pixel=pixel_options or None, seed=seed)
-    with output_folder(out) if out else nullcontext(), stages() as stage:  # an invalid folder fails before the measurement
+    folder = out or DEFAULT_OUT / sheet_name(settings.pixel)
+    check_replaceable(folder, FILES)
+    with output_folder(folder), stages() as stage:  # an invalid folder fails before the measurement
         sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
         stage("report")
-        report = write_datasheet(sheet, out or DEFAULT_OUT / sheet_name(sheet))
+        report = write_datasheet(sheet, folder)
     show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -16,7 +14,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.files import output_folder, versions, write_json
+from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import write_channels, write_exr
@@ -48,7 +46,7 @@ FILES = {
     "delta_e.png": "S-CIELAB ΔE map, with axes",
     "provenance.json": "versions and wall times",
 }
-AFTERWARDS = ("score.json", "provenance.json")
+AFTERWARDS = ("score.json", PROVENANCE)
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
@@ -121,7 +119,6 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     return Picture(grey_codes(reduced(luminance)), name)
 
 
-OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # output files that not every run writes
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
 
@@ -154,6 +151,8 @@ def run_and_write(
     if settings.tolerance_delta_e and full:
         allowed = "one of the two: a tolerance selects cheaper settings, --full uses none"
         raise invalid("--tolerance-delta-e", "with --full", allowed)
+    names = {"report.html", *FILES, *(f"raw{suffix}" for suffix in raw_suffixes)}
+    check_replaceable(out, names if irradiance_too else names - {"irradiance.exr"})
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -184,13 +183,9 @@ def run_and_write(
         lap("sense and score")
         progress("write")
         summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
-        written = write_all(folder, irradiance, score, summary, raw_suffixes, irradiance_too)
-        # Files of an earlier run that this one has not replaced.
-        for stale in (folder / name for name in OPTIONAL if name not in written):
-            if stale.is_file() and not (Path(source).exists() and stale.samefile(source)):
-                stale.unlink()
-        lap("write")
-        write_json(folder / "provenance.json", {"versions": versions(), "seconds": seconds})
+        with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
+            write_all(partial_folder, irradiance, score, summary, raw_suffixes, irradiance_too)
+            lap("write")
     return summary
 
 
@@ -272,23 +267,15 @@ def write_all(
     summary: dict[str, Any],
     raw_suffixes: Sequence[str] = (),
     irradiance_too: bool = True,
-) -> set[str]:
-    """Write all files to a temporary folder, move them to the target, and return their names."""
-    partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
-    try:
-        if irradiance_too:
-            write_exr(partial / "irradiance.exr", irradiance)
-        for suffix in dict.fromkeys((".exr", *raw_suffixes)):
-            write_frame(partial / f"raw{suffix}", score.frame)
-        write_channels(partial / "delta_e.exr", {"delta_e": score.delta_e}, {})
-        save_png(partial / "ideal.png", score.ideal)
-        save_png(partial / "image.png", score.image)
-        save_delta_e_png(partial / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um))
-        write_json(partial / "score.json", summary)
-        write_run_page(partial, score, irradiance, summary)
-        made = sorted(partial.iterdir())
-        for path in made:
-            path.replace(folder / path.name)
-        return {path.name for path in made}
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+) -> None:
+    """Write all files of a run but its provenance to a folder."""
+    if irradiance_too:
+        write_exr(folder / "irradiance.exr", irradiance)
+    for suffix in dict.fromkeys((".exr", *raw_suffixes)):
+        write_frame(folder / f"raw{suffix}", score.frame)
+    write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
+    save_png(folder / "ideal.png", score.ideal)
+    save_png(folder / "image.png", score.image)
+    save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um))
+    write_json(folder / "score.json", summary)
+    write_run_page(folder, score, irradiance, summary)

@@ -20,7 +20,7 @@ from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, Sampling, first_sampling, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, study_pitches_um
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.score import SceneCache
@@ -210,7 +210,7 @@ def study(
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage
 
-    Raises PixsimError for invalid input.
+    Raises PixsimError for invalid input, and if `out` holds a results.csv of another program.
 
     >>> import tempfile
     >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
@@ -231,6 +231,7 @@ def study(
     stage = progress or (lambda _: lambda *_: None)
     from pixsim.scene.convergence import RenderNoise
 
+    ResultsFile(Path(out) / "results.csv").check_replaceable()
     with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         settled: Settled | None = None
         if chosen.tolerance_delta_e:

@@ -167,18 +167,52 @@ def test_run_conflicting_options_raise(rendered, line, wanted, tmp_path, monkeyp
 
 
 def test_run_removes_files_of_earlier_run(rendered, tmp_path):
-    """Files of an earlier run are removed, except the irradiance that was read."""
+    """Files of an earlier run are removed, except the irradiance that was read, and the user's own."""
     folder, _ = rendered
-    light = tmp_path / "irradiance.exr"
-    light.write_bytes((folder / "irradiance.exr").read_bytes())
-    here = f"--no-irradiance {OPTIONS} --json --out {tmp_path}"
-    scored(f"run {light} {here} --raw tiff")
+    (tmp_path / "raw.npz").write_bytes(b"mine")
+    here = f"{OPTIONS} --json --out {tmp_path}"
+    scored(f"run {folder / 'irradiance.exr'} {here} --raw tiff")
     assert {"irradiance.exr", "raw.tiff", "report.html"} <= {path.name for path in tmp_path.iterdir()}
+    scored(f"run {tmp_path / 'irradiance.exr'} {here} --no-irradiance")
     assert "irradiance.exr" not in (tmp_path / "report.html").read_text(encoding="utf-8")
-    scored(f"run {folder / 'irradiance.exr'} {here}")
-    assert not {"irradiance.exr", "raw.tiff"} & {path.name for path in tmp_path.iterdir()}
+    assert "irradiance.exr" in {path.name for path in tmp_path.iterdir()}
+    assert "raw.tiff" not in {path.name for path in tmp_path.iterdir()}
+    scored(f"run {folder / 'irradiance.exr'} {here} --no-irradiance")
+    assert "irradiance.exr" not in {path.name for path in tmp_path.iterdir()}
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {name for name in ("raw.tiff", "raw.exr", "score.json") if f'href="{name}"' in page} == {"raw.exr", "score.json"}
+    assert (tmp_path / "raw.npz").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("run {exr} --raw png", "raw.png"),
+        ("run {exr}", "report.html"),
+        ("run csf -D resolution=64", "score.json"),
+        ("study pixel-size --quick", "figures/other_statistics.svg"),
+        ("study pixel-size --quick", "results.csv"),
+        ("study chen2000-sensitivity --quick", "figures/tornado.csv"),
+        ("study chen2000-sensitivity --quick", "cases/base.csv"),
+        ("accuracy csf --quick", "ladders.csv"),
+        ("datasheet 0.35um", "figures/snr.svg"),
+        ("sfr {exr}/../raw.exr", "summary.json"),
+    ],
+)
+def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_path):
+    """Before anything is rendered or measured."""
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("my own")
+    if line.startswith("sfr"):  # a chart of the run is no edge
+        edge = np.full((128, 128), 100, np.uint16) + 500 * (np.arange(128) + np.arange(128)[:, None] / 12 > 70)
+        np.save(tmp_path / "edge.npy", edge.astype(np.uint16))
+        line = f"sfr {tmp_path / 'edge.npy'}"
+    before = sorted(tmp_path.rglob("*"))
+    line = line.format(exr=rendered[0] / "irradiance.exr")
+    assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
+    assert path.read_text() == "my own"
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 # --- The page of one picture ---

@@ -19,7 +19,7 @@ from pixsim.base.arrays import stream
 from pixsim.base.config import packaged, read_toml
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge, pixel_of
-from pixsim.report.study import light_against_detail, write_report
+from pixsim.report.study import light_against_detail, report_files, write_report
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.budget import Setup
@@ -76,6 +76,7 @@ def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: t
     figures = {path.name for path in (out / "figures").iterdir()}
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg"} <= figures
     assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
+    assert {f"figures/{name}" for name in figures} <= report_files(done[0].study)
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
     best = done[0].curves[0].optimum
     message = (by_command / "stdout").read_text(encoding="utf-8")
