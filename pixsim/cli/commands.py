@@ -47,7 +47,13 @@ def run(
         list[Literal["tiff", "png", "npz"]] | None,
         Parameter(help="Also write the raw frame in this format.", consume_multiple=False),
     ] = None,
-    no_irradiance: Annotated[bool, Parameter(help="Do not write irradiance.exr, the largest file.")] = False,
+    irradiance: Annotated[
+        Literal["reduced", "full", "factors", "none"],
+        Parameter(
+            help="What irradiance.exr holds: spectral bands as means over larger samples (at most 1024 across, 60 MB), all samples "
+            "(read back bit for bit), only the factors (spectra × pictures; bands in full where an image has none), or no file."
+        ),
+    ] = "reduced",
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -66,7 +72,7 @@ def run(
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
     render_options: dict[str, Any] = {"full": full, "sensor": sensor, "variant": variant, "units": units}
-    files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance_too": not no_irradiance}
+    files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance": irradiance}
     with stages() as stage:
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
     noise = result.get("render_noise")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, Exposure, Run
 from pixsim.base.progress import Stage
-from pixsim.light.exr import write_channels, write_exr
+from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
@@ -119,6 +119,7 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     return Picture(grey_codes(reduced(luminance)), name)
 
 
+Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
 
@@ -132,13 +133,14 @@ def run_and_write(
     variant: str | None,
     units: str | None = None,
     raw_suffixes: Sequence[str] = (),
-    irradiance_too: bool = True,
+    irradiance: Irradiance = "reduced",
     progress: Stage,
 ) -> dict[str, Any]:
     """Render a scene or read a spectral picture, simulate and score a frame, write all files, and return score.json.
 
     raw_suffixes : further formats of the frame besides raw.exr
-    irradiance_too : whether irradiance.exr, the largest file, is written
+    irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
+        gives back bit for bit; 'factors', an image's factors only; 'none', no such file
 
     Raises PixsimError for invalid input; the folder is then unchanged.
     """
@@ -152,7 +154,7 @@ def run_and_write(
         allowed = "one of the two: a tolerance selects cheaper settings, --full uses none"
         raise invalid("--tolerance-delta-e", "with --full", allowed)
     names = {"report.html", *FILES, *(f"raw{suffix}" for suffix in raw_suffixes)}
-    check_replaceable(out, names if irradiance_too else names - {"irradiance.exr"})
+    check_replaceable(out, names - {"irradiance.exr"} if irradiance == "none" else names)
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -170,11 +172,11 @@ def run_and_write(
             raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
         prepared = _prepare(source, settings, full, sensor, variant, progress)
     with output_folder(out) as folder:
-        irradiance, camera, more = prepared()
+        image, camera, more = prepared()
         lap("read" if not more else "render")
         progress("sense and score")
-        irradiance.header |= white_header(irradiance, camera, settings.display)
-        chain = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
+        image.header |= white_header(image, camera, settings.display)
+        chain = make_imaging_chain(image, camera, settings.pixel, settings.exposure, settings.display, full)
         score = chain.simulate("evaluate", settings.seed)
         if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
             sensors = more["error_budget"]["settings"]["sensors"]
@@ -182,9 +184,9 @@ def run_and_write(
             more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
         lap("sense and score")
         progress("write")
-        summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
+        summary = summary_of(score, image, camera, settings.exposure, settings.display, settings.seed) | more
         with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
-            write_all(partial_folder, irradiance, score, summary, raw_suffixes, irradiance_too)
+            write_all(partial_folder, image, score, summary, raw_suffixes, irradiance)
             lap("write")
     return summary
 
@@ -262,20 +264,23 @@ def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage,
 
 def write_all(
     folder: Path,
-    irradiance: SpectralImage,
+    image: SpectralImage,
     score: Score,
     summary: dict[str, Any],
     raw_suffixes: Sequence[str] = (),
-    irradiance_too: bool = True,
+    irradiance: Irradiance = "reduced",
 ) -> None:
-    """Write all files of a run but its provenance to a folder."""
-    if irradiance_too:
-        write_exr(folder / "irradiance.exr", irradiance)
+    """Write all files of a run but its provenance to a folder; the last two arguments are those of `run_and_write`."""
+    if irradiance == "factors" and not image.factors:
+        warnings.warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full", stacklevel=2)
+    if irradiance != "none":
+        written = reduced_to_fit(image) if irradiance == "reduced" else image
+        write_exr(folder / "irradiance.exr", written, factors_only=irradiance == "factors")
     for suffix in dict.fromkeys((".exr", *raw_suffixes)):
         write_frame(folder / f"raw{suffix}", score.frame)
     write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
     save_png(folder / "ideal.png", score.ideal)
     save_png(folder / "image.png", score.image)
-    save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um))
+    save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um))
     write_json(folder / "score.json", summary)
-    write_run_page(folder, score, irradiance, summary)
+    write_run_page(folder, score, image, summary)

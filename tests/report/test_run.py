@@ -173,11 +173,11 @@ def test_run_removes_files_of_earlier_run(rendered, tmp_path):
     here = f"{OPTIONS} --json --out {tmp_path}"
     scored(f"run {folder / 'irradiance.exr'} {here} --raw tiff")
     assert {"irradiance.exr", "raw.tiff", "report.html"} <= {path.name for path in tmp_path.iterdir()}
-    scored(f"run {tmp_path / 'irradiance.exr'} {here} --no-irradiance")
+    scored(f"run {tmp_path / 'irradiance.exr'} {here} --irradiance none")
     assert "irradiance.exr" not in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "irradiance.exr" in {path.name for path in tmp_path.iterdir()}
     assert "raw.tiff" not in {path.name for path in tmp_path.iterdir()}
-    scored(f"run {folder / 'irradiance.exr'} {here} --no-irradiance")
+    scored(f"run {folder / 'irradiance.exr'} {here} --irradiance none")
     assert "irradiance.exr" not in {path.name for path in tmp_path.iterdir()}
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {name for name in ("raw.tiff", "raw.exr", "score.json") if f'href="{name}"' in page} == {"raw.exr", "score.json"}
@@ -213,6 +213,27 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
     assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
     assert path.read_text() == "my own"
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_run_irradiance_option_sets_contents(tmp_path):
+    """The result is the same, but for the frame of a file whose samples are larger."""
+    y, x = np.indices((128, 2048))
+    light = light_file(tmp_path / "wide.npz", 1.0 + (x // 3 + y) % 2, 1.0)
+    line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 8 --display.dots 512 --json --out {tmp_path / 'out'} --irradiance"
+    scores, file = {}, tmp_path / "out/irradiance.exr"
+    for content in ("reduced", "full", "factors", "none"):
+        score, err = scored(f"{line} {content}")
+        scores[content] = {name: score[name] for name in ("mean_delta_e", "mean_electrons_e", "irradiance")}
+        assert ("holds its bands in full" in err) == (content == "factors")  # a cube of another program has no factors
+        assert file.exists() == (content != "none")
+        if content != "none":
+            assert pixsim.read_exr(file).shape == ((64, 1024) if content == "reduced" else (128, 2048))
+    assert all(score == scores["full"] for score in scores.values())
+    scored(f"{line} reduced")
+    again, err = scored(f"run {file} --pixel.pitch-um 8 --display.dots 512 --json --out {tmp_path / 'again'}")
+    assert "'irradiance.exr' holds means over 2 × 2 samples of the render, 2 µm wide" in err
+    assert again["irradiance"]["reduced"] == {"samples": [128, 2048], "factor": 2.0}
+    assert again["mean_electrons_e"] == pytest.approx(scores["full"]["mean_electrons_e"], rel=1e-3)
 
 
 # --- The page of one picture ---
