@@ -21,6 +21,7 @@ from pydantic import ValidationError
 
 from pixsim.base.config import explain
 from pixsim.base.errors import PixsimError
+from pixsim.base.notes import collected_notes
 from pixsim.cli import commands as commands  # importing it registers the commands
 from pixsim.cli.options import app, set_cache_folders, verbosity
 
@@ -40,7 +41,8 @@ def main(tokens: Sequence[str] | None = None) -> None:
     set_cache_folders()
     warnings.showwarning = lambda message, *_, **__: verbosity.note(f"warning: {message}")
     try:
-        app(arguments, exit_on_error=False, print_error=False)
+        with collected_notes():  # also of the settings, before a result collects its own
+            app(arguments, exit_on_error=False, print_error=False)
     except (PixsimError, ValidationError) as error:
         end(explain(error), INVALID_INPUT)
     except CycloptsError as error:

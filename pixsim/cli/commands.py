@@ -67,7 +67,7 @@ def run(
     report.html.
     """
     from pixsim.report.run import run_and_write
-    from pixsim.report.wording import budget_lines, dark_note, score_line
+    from pixsim.report.wording import budget_lines, dark_notes, score_line
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
@@ -78,7 +78,7 @@ def run(
     noise = result.get("render_noise")
     of_noise = f"; render noise {noise['fraction']:.2g} of the sensor's noise" if noise else ""
     line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
-    show(result, json, "\n".join([line, *dark_note(result), *budget_lines(result)]))
+    show(result, json, "\n".join([line, *(f"note: {note}" for note in dark_notes(result)), *budget_lines(result)]))
 
 
 @app.command
@@ -159,7 +159,7 @@ def study(
     Writes results.csv, summary.json, figures (with a contact sheet), provenance.json and report.html. The same command
     continues an interrupted study.
     """
-    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, target_notes
+    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
@@ -195,7 +195,9 @@ def study(
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             summary = result.as_dict()
-            lines = [*map(optimum_line, result.curves), *target_notes(result), *study_dark_notes(result), *budget_lines(summary)]
+            warned = set(result.warned)  # they are on stderr
+            lines = [*map(optimum_line, result.curves), *(f"note: {note}" for note in result.notes if note not in warned)]
+            lines += budget_lines(summary)
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
@@ -22,7 +23,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_note, score_line
+from pixsim.report.wording import budget_lines, dark_notes, score_line
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
@@ -97,7 +98,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "scale_bar": scale(),
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
-        "notes": dark_note(summary),
+        "notes": summary["notes"],
         "blur": blur_words(irradiance, camera, physics, display),
         "budget": budget_lines(summary),
         "light": light,
@@ -142,6 +143,8 @@ def run_and_write(
     irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
         gives back bit for bit; 'factors', an image's factors only; 'none', no such file
 
+    `notes` of the result are the warnings meanwhile, and a black level that clips dark noise.
+
     Raises PixsimError for invalid input; the folder is then unchanged.
     """
     from pixsim.sensor.pixel import derive
@@ -162,32 +165,37 @@ def run_and_write(
         nonlocal clock
         seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
 
-    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-        if settings.scene or sensor or variant or settings.tolerance_delta_e:
-            options = "-D, --sensor, --variant, --tolerance-delta-e"
-            raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
-        prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]] = partial(_read, source, settings, units)
-    else:
-        if units:
-            raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
-        prepared = _prepare(source, settings, full, sensor, variant, progress)
-    with output_folder(out) as folder:
-        image, camera, more = prepared()
-        lap("read" if not more else "render")
-        progress("sense and score")
-        image.header |= white_header(image, camera, settings.display)
-        chain = make_imaging_chain(image, camera, settings.pixel, settings.exposure, settings.display, full)
-        score = chain.simulate("evaluate", settings.seed)
-        if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
-            sensors = more["error_budget"]["settings"]["sensors"]
-            others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
-            more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
-        lap("sense and score")
-        progress("write")
-        summary = summary_of(score, image, camera, settings.exposure, settings.display, settings.seed) | more
-        with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
-            write_all(partial_folder, image, score, summary, raw_suffixes, irradiance)
-            lap("write")
+    prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]
+    with collected_notes() as notes:
+        if Path(source).suffix.lower() in PICTURE_SUFFIXES:
+            if settings.scene or sensor or variant or settings.tolerance_delta_e:
+                options = "-D, --sensor, --variant, --tolerance-delta-e"
+                raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
+            prepared = partial(_read, source, settings, units)
+        else:
+            if units:
+                raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
+            prepared = _prepare(source, settings, full, sensor, variant, progress)
+        with output_folder(out) as folder:
+            image, camera, more = prepared()
+            lap("read" if not more else "render")
+            progress("sense and score")
+            image.header |= white_header(image, camera, settings.display)
+            chain = make_imaging_chain(image, camera, settings.pixel, settings.exposure, settings.display, full)
+            score = chain.simulate("evaluate", settings.seed)
+            if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
+                sensors = more["error_budget"]["settings"]["sensors"]
+                others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
+                more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
+            lap("sense and score")
+            progress("write")
+            summary = summary_of(score, image, camera, settings.exposure, settings.display, settings.seed) | more
+            if irradiance == "factors" and not image.factors:
+                warnings.warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full", stacklevel=2)
+            summary["notes"] = [*notes, *summary["notes"]]
+            with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
+                write_all(partial_folder, image, score, summary, raw_suffixes, irradiance)
+                lap("write")
     return summary
 
 
@@ -200,7 +208,7 @@ def summary_of(
     """
     physics, time_s = score.physics, score.frame.integration_s
     white_e = white_rate(irradiance, camera, physics, display) * physics.photodiode_area_um2 * time_s
-    return {
+    summary = {
         **score.statistics(),
         "pixels": list(score.frame.dn.shape),
         "scored_dots": list(score.delta_e.shape),
@@ -214,6 +222,7 @@ def summary_of(
         "display": display.model_dump(),
         "seed": seed,
     }
+    return summary | {"notes": dark_notes(summary)}
 
 
 def _prepare(
@@ -271,8 +280,6 @@ def write_all(
     irradiance: Irradiance = "reduced",
 ) -> None:
     """Write all files of a run but its provenance to a folder; the last two arguments are those of `run_and_write`."""
-    if irradiance == "factors" and not image.factors:
-        warnings.warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full", stacklevel=2)
     if irradiance != "none":
         written = reduced_to_fit(image) if irradiance == "reduced" else image
         write_exr(folder / "irradiance.exr", written, factors_only=irradiance == "factors")

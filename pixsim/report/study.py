@@ -17,7 +17,6 @@ from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import is_csf
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
-from pixsim.report.wording import study_dark_notes, target_notes
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -252,7 +251,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "views": views,
         "scale_bar": scale(),
         "findings": rows,
-        "notes": [note.removeprefix("note: ") for note in (*target_notes(result), *study_dark_notes(result))],
+        "notes": result.notes,
         "response_note": response_note(study) if study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,

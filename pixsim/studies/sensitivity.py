@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,6 +14,7 @@ from pydantic import Field
 
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder, publishing, versions, write_json
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_hash, merge
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
@@ -125,12 +126,13 @@ class Case:
 
 @dataclass(frozen=True)
 class SensitivityResult:
-    """The base case and all others, in file order."""
+    """The base case and all others, in file order; `notes` are warnings while they were computed."""
 
     sensitivity: Sensitivity
     base: StudyResult
     base_case: Case
     cases: tuple[Case, ...]
+    notes: tuple[str, ...] = ()
 
     def turning(self, statement: str) -> list[Case]:
         """Return the cases whose verdict on a statement differs from the base's."""
@@ -162,6 +164,7 @@ class SensitivityResult:
             "base": self.base.as_dict(),
             "claims": claims,
             "cases": [case.as_dict() for case in self.cases],
+            "notes": list(self.notes),
         }
 
 
@@ -238,7 +241,7 @@ def run_sensitivity(
         result = sweep_pitches(study, *light, folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
         return StudyResult(study, result.curves, *light)  # without prepared scenes, since many results stay in memory
 
-    with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
+    with collected_notes() as notes, workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         (folder / "cases").mkdir(exist_ok=True)
         # A process does not change the light: with the base's render, an unchanged technology has the base's rows.
         results = [run(study, name, render(study)) for name, study in zip(names, studies, strict=False)]
@@ -246,7 +249,7 @@ def run_sensitivity(
         rows: list[tuple[Finding, ...]] = [()] * len(results)
         if base.paper:
             rows = claims(results, workers, stage("claims"))
-    return assemble(sensitivity, results, rows, moves)
+    return replace(assemble(sensitivity, results, rows, moves), notes=tuple(sorted(notes)))
 
 
 def claims(results: list[StudyResult], workers: Workers, progress: Progress) -> list[tuple[Finding, ...]]:
@@ -375,6 +378,7 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
     page = {
         "interval": interval_words,
         "sensitivity": result.sensitivity,
+        "sensitivity_notes": result.notes,
         "claims": [
             (row, len(turning), turned_words([(case.variation, case.label) for case in turning]))
             for row, turning in ((row, result.turning(row.statement)) for row in result.base_case.rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import re
 import warnings
@@ -213,6 +214,20 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
     assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
     assert path.read_text() == "my own"
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_run_notes_reach_score_page_and_json(tmp_path):
+    line = f"run csf --variant scalar_spectral -D resolution=64 {OPTIONS} --max-seconds 1e-3 --render-noise 1e-5"
+    score, err = scored(f"{line} --json --out {tmp_path / 'out'}")
+    noisy, dark = score["notes"]
+    fraction = score["render_noise"]["fraction"]
+    assert noisy.startswith("the time limit of 0.001 s (--max-seconds) leaves no time for the next step of the render")
+    assert f"render noise is {fraction:.2g} of the sensor noise, target 1e-05" in noisy
+    assert dark.startswith("the black level of 0 DN clips dark noise")
+    assert err.count(noisy) == 1
+    assert json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
+    page = html.unescape(text_of(tmp_path / "out"))
+    assert all(note in page for note in score["notes"])
 
 
 def test_run_irradiance_option_sets_contents(tmp_path):
