@@ -54,8 +54,8 @@ def main(tokens: Sequence[str] | None = None) -> None:
         end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
     except MemoryError:
         end("the system is out of memory; use a coarser film (-D resolution=512), larger pixels or fewer --jobs", UNEXPECTED)
-    except KeyboardInterrupt:
-        end("interrupted; finished results are saved, and the same command continues from there", INTERRUPTED)
+    except KeyboardInterrupt as interruption:  # a command that keeps something says so in its text
+        end("; ".join(["interrupted", *map(str, interruption.args)]), INTERRUPTED)
     except Exception as error:
         end(f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows where it occurred.", UNEXPECTED)
     sys.exit(OK)

@@ -7,6 +7,8 @@ import os
 import shutil
 import sys
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
@@ -180,9 +182,10 @@ def study(
             sensitivity: Sensitivity = checked(Sensitivity, layers)
             folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
             check_replaceable(folder, FILES)
-            outcome = run_sensitivity(sensitivity, folder, progress=stage, **run_options)
-            stage("report")
-            report = write_sensitivity_report(outcome, folder, seconds)
+            with interruption_says_what_is_kept(folder):
+                outcome = run_sensitivity(sensitivity, folder, progress=stage, **run_options)
+                stage("report")
+                report = write_sensitivity_report(outcome, folder, seconds)
             summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
         else:
             from pixsim.report.study import report_files, write_report
@@ -191,14 +194,28 @@ def study(
             plan = sweep.checked_study(layers)
             folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
             check_replaceable(folder, report_files(plan.quickened if quick else plan))
-            result = sweep.study(plan, folder, progress=stage, **run_options)
-            stage("report")
-            report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
+            with interruption_says_what_is_kept(folder):
+                result = sweep.study(plan, folder, progress=stage, **run_options)
+                stage("report")
+                report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             summary = result.as_dict()
             warned = set(result.warned)  # they are on stderr
             lines = [*map(optimum_line, result.curves), *(f"note: {note}" for note in result.notes if note not in warned)]
             lines += budget_lines(summary)
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
+
+
+@contextmanager
+def interruption_says_what_is_kept(folder: Path) -> Iterator[None]:
+    """Add to a KeyboardInterrupt how many evaluations of a study lie in its folder, if there are any."""
+    from pixsim.studies.evaluations import ResultsFile
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = sum(len(ResultsFile(path).read()) for path in [folder / "results.csv", *folder.glob("cases/*.csv")])
+        words = f"{kept} finished evaluations are kept in '{folder}', and the same command continues from them"
+        raise KeyboardInterrupt(*([words] if kept else [])) from None
 
 
 @app.command

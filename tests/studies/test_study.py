@@ -414,7 +414,8 @@ def test_study_interrupt_keeps_finished_rows(done: tuple[StudyResult, Path], tmp
     ended = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
     assert (ended.returncode, ended.stdout) == (130, ""), ended.stderr
     assert "Traceback" not in ended.stderr
-    assert ended.stderr.splitlines()[-1].startswith("pixsim: interrupted")
+    kept = f"3 finished evaluations are kept in '{out}', and the same command continues from them"
+    assert ended.stderr.splitlines()[-1] == f"pixsim: interrupted; {kept}"
     assert [path.name for path in out.rglob("*")] == ["results.csv"]
     assert len(rows(out)) == 3, "a pitch is written when all of its sensors are done"
     pixsim.study(toml, out, jobs=1)
