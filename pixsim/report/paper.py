@@ -26,6 +26,10 @@ from pixsim.studies.claims import (
 )
 from pixsim.studies.result import StudyResult
 
+PAPER_PLATES = (
+    "figure_2a_dr_snr", "figure_2b_mtf", "figure_4_scene", "figure_5_pictures_8um", "figure_6_iso_delta_e",
+    "delta_e_by_frequency_and_contrast",
+)  # fmt: skip
 FIGURE_5_PITCH_UM = 8.0
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 

@@ -17,7 +17,7 @@ from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
+from pixsim.sensor.readout import MAX_BLACK, Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rows_csv
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
@@ -389,3 +389,34 @@ def clipped_at_zero(mean_dn: Array, sigma_dn: Array) -> tuple[Array, Array]:
     codes = np.arange(math.ceil(8 * COARSE_DN))[:, None]  # the terms beyond 8 σ are below 1e-15
     excess[fine] = ndtr((-0.5 - codes - mean_dn[fine]) / sigma[fine]).sum(axis=0)
     return ndtr((0.5 - mean_dn) / sigma), excess
+
+
+HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN
+TAIL_SIGMAS = 0.01  # shift in units of the dark spread that a black level of 1.9 σ causes
+
+
+def clips_dark(dark: dict[str, float]) -> bool:
+    """Return whether a `dark_clip` is visible: larger than rounding errors and than the tail of the noise."""
+    clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
+    return clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
+
+
+def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> str:
+    """Return a `dark_clip` in words, with the black level that avoids it.
+
+    pixel : its settings
+    where : further words after the black level
+    """
+    black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
+    fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
+    hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else "avoiding this takes more bits (pixel.bits)"
+    return (
+        f"the black level of {black:g} DN clips dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
+        f"are at 0 DN, which raises the dark mean by {rounded(dark['too_bright_e'])} e- "
+        f"(ΔE {rounded(dark['lightness'])} on uniform black, less on grey); {hint}"
+    )
+
+
+def rounded(value: float) -> str:
+    """Return a value to two digits, without an exponent."""
+    return f"{float(f'{value:.2g}'):.15g}"
