@@ -16,7 +16,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 from pixsim.sensor.readout import MAX_BLACK, Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rows_csv
@@ -287,11 +287,15 @@ def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposu
 def make_imaging_chain(
     irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display, full: bool = False
 ) -> ImagingChain:
-    """Return the imaging chain up to the noise. Warns if the render used another camera, or the display clips the scene."""
+    """Return the imaging chain up to the noise.
+
+    Warns if the render used another camera, the display clips the scene, or numbers of a data sheet contradict one another.
+    """
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
         warnings.warn("the irradiance was rendered with another camera than the one given", stacklevel=3)
     physics = derive(pixel)
+    warn_of_disagreements(pixel)
     return chain_at_pitch(prepare_scene(irradiance, camera, physics, display, full), physics, exposure)
 
 
