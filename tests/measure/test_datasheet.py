@@ -16,14 +16,14 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_moments, make_datasheet, variance_peak_e
-from pixsim.measure.datasheet_report import datasheet_plates, sheet_name, spectrogram, write_datasheet
+from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, sheet_name, spectrogram, write_datasheet
 from pixsim.measure.estimators import Estimate, Series, Stack
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_dn2, least_black_level_dn, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
-FILES = {"datasheet.csv", "summary.json", "report.html", "figures"}
+FILES = {"datasheet.csv", "summary.json", "report.html", "provenance.json", "figures"}
 
 
 @pytest.fixture(scope="module")
@@ -288,7 +288,8 @@ def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, mon
     assert "DSNU_1288" in out
     assert {path.name for path in folders[0].iterdir()} == FILES
     names = [path.relative_to(folders[0]) for path in folders[0].rglob("*") if path.is_file()]
-    assert len(names) == 3 + 2 * 8
+    assert {name.as_posix() for name in names} == {*PLANNED, "provenance.json"}
+    assert len(names) == 4 + 2 * 8
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name
 
@@ -305,7 +306,7 @@ def test_datasheet_command_bad_folder_fails_before_measurement(tmp_path: Path, m
 def test_datasheet_report_fits_browser_and_print(sheet: DataSheet, tmp_path: Path) -> None:
     page = write_datasheet(sheet, tmp_path / "out")
     assert_fits(page, tmp_path)
-    texts = ["Data sheet", sheet_name(sheet).split("-")[1], "μ_p.sat", "Data (CSV)"]
+    texts = ["Data sheet", sheet_name(sheet.experiment.physics.pixel).split("-")[1], "μ_p.sat", "Data (CSV)"]
     assert_prints(page, tmp_path, range(4, 9), texts, ["Measured and true", "Figures", "How it was made"])
 
 
