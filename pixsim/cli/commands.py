@@ -141,6 +141,7 @@ def study(
     *,
     config: common.Config = None,
     define: common.Define = None,
+    linear: common.Linear = False,
     pixel: common.PixelTable = None,
     quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
@@ -166,9 +167,9 @@ def study(
 
     table = sweep.read_study(study)
     options = given({**vars(effort), "pixel": pixel})
-    if parameters := definitions(define):
+    if parameters := definitions(define, linear):
         options["scene"] = {"parameters": parameters}
-    if "vary" in table.table and (config or define or pixel):
+    if "vary" in table.table and (config or define or linear or pixel):
         hint = "Copy the study that it varies, set them there, and name the copy as its base."
         raise invalid("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", hint)
     layers = study_layers(table, config or [], options)
@@ -357,24 +358,45 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
 
 @app.command
 def chart(
-    kind: Annotated[str, Parameter(help="csf, flat, siemens_star or slanted_edge.")],
+    kind: Annotated[str, Parameter(help="csf, flat, siemens_star, slanted_edge; or a picture: PNG, JPEG, TIFF, HDR, EXR.")],
     *,
     output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR; row 0 is the top.")],
     width: Annotated[int | None, Parameter(help="Width in texels.")] = None,
     height: Annotated[int | None, Parameter(help="Height in texels.")] = None,
     die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+    linear: Annotated[bool, Parameter(help="The picture is linear in light, not sRGB.")] = False,
+    aspect: Annotated[
+        float | None, Parameter(help="Width over height of the die for a picture; a grey border fills the rest [default: 1].")
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Make a chart texture for -D chart=FILE.
+    """Make a chart texture for -D chart=FILE, also from a picture.
 
     Example: pixsim chart siemens_star -o star.exr
-    """
-    from pixsim.scene import charts
 
-    texels = charts.make_chart(kind, width, height, die_mm)
+    Example: pixsim chart picture.png -o picture.exr
+
+    A picture becomes its luminance, linear in light: 0.2126 R + 0.7152 G + 0.0722 B of decoded sRGB. -D chart=picture.png does
+    the same.
+    """
+    from pixsim.scene import charts, own_chart
+
+    share = 0.0
+    if Path(kind).suffix.lower() in own_chart.SUFFIXES:
+        if not (width is height is die_mm is None):
+            got = f"with the picture '{kind}'"
+            raise invalid("--width, --height, --die-mm", got, "the charts of pixsim; pictures keep their size")
+        if aspect is not None and not 1e-3 <= aspect <= 1e3:
+            raise invalid("--aspect", f"{aspect:g}", "0.001 to 1000")
+        texels, share = own_chart.with_border(own_chart.read_luminance(kind, linear), 1.0 if aspect is None else aspect)
+    elif linear or aspect is not None:
+        raise invalid("--linear, --aspect", f"with the chart {kind}", "a picture")
+    else:
+        texels = charts.make_chart(kind, width, height, die_mm)
     charts.write_chart(output, texels)
-    result = {"file": str(output), "kind": kind, "width": texels.shape[1], "height": texels.shape[0]}
-    show(result, json, f"{result['width']} × {result['height']} texels in {output}")
+    result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
+    border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""
+    show(result, json, f"{result['width']} × {result['height']} texels in {output}{border}")
 
 
 @app.command

@@ -85,6 +85,7 @@ Config = Annotated[list[Path] | None, Parameter(help="TOML file with tables [cam
 Define = Annotated[
     list[str] | None, Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)
 ]
+Linear = Annotated[bool, Parameter(help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear).")]
 Tolerance = Annotated[str | None, Parameter(help=described("tolerance_e"))]
 Full = Annotated[bool, Parameter(help="Render without simplifications.")]
 SensorId = Annotated[str | None, Parameter(help="Id of the sensor, if the scene has several.")]
@@ -125,6 +126,7 @@ class SceneOptions:
 
     config: Config = None
     define: Define = None
+    linear: Linear = False
     camera: CameraTable = None
     pixel: PixelTable = None
     exposure: ExposureTable = None
@@ -133,7 +135,7 @@ class SceneOptions:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
         values = {**vars(self), **others}
         files = [settings_layer(path) for path in values.pop("config") or []]
-        options = given({"scene": definitions(values.pop("define")), **values})
+        options = given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
         settings: Run = checked(Run, [*files, Layer(options)])  # invalid names and values first, then missing ones
         if is_data_sheet(files, options):
             settings = checked(Run, [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files, Layer(options)])
@@ -158,9 +160,9 @@ def given(options: dict[str, Any]) -> dict[str, Any]:
     return {name: given(vars(value)) if is_dataclass(value) else value for name, value in options.items() if value is not None}
 
 
-def definitions(pairs: list[str] | None) -> dict[str, str] | None:
-    """A table from name=value pairs; None if there are none."""
-    table = {}
+def definitions(pairs: list[str] | None, linear: bool = False) -> dict[str, str] | None:
+    """A table of scene parameters from name=value pairs and --linear; None if there are none."""
+    table = {"chart_linear": "1"} if linear else {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not (name and equals):

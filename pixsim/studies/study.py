@@ -57,6 +57,8 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
     for group, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
         if isinstance(values := table.get(group), dict) and key in values:
             values[key] = resolve_file(path, values[key])
+    if isinstance(scene := table.get("scene"), dict) and isinstance(given := scene.get("parameters"), dict) and "chart" in given:
+        given["chart"] = resolve_file(path, given["chart"])
 
 
 def load_study(
