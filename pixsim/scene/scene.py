@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.files import missing
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
 from pixsim.scene import variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, texture_files
@@ -140,8 +141,9 @@ def load_scene(
         hint = f"To use a parameter file: pixsim run csf --config {path}"
         raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
     if not os.path.lexists(path) or path.is_dir():
-        known = packaged_scenes()
-        raise invalid("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
+        known, is_path = packaged_scenes(), path.parent != Path() and not path.is_dir()
+        got = missing(path) if is_path else f"'{scene}'"
+        raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     given = {name: str(value) for name, value in parameters.items()}

@@ -377,7 +377,7 @@ def test_read_npz_numeric_types_are_converted(tmp_path):
     [{"data": np.ones((4, 5))}, {"data": np.ones((4, 5, 3), complex)}, {"data": np.full((4, 5, 3), "a")}, {"wavelength_nm": 500.0}],
 )
 def test_read_npz_wrong_arrays_raise(tmp_path, arrays):
-    refused(npz(tmp_path / "a.npz", **arrays), "real numbers: data (H, W, B) and wavelength_nm (B,)")
+    refused(npz(tmp_path / "a.npz", **arrays), "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)")
 
 
 def test_read_npz_wrong_names_raise(tmp_path):
