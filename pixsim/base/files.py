@@ -38,7 +38,7 @@ DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "
 def missing(path: Path) -> str:
     """The name of a file that is not there, for a message, with the outermost of its folders that does not exist."""
     folder = next((str(folder) for folder in reversed(path.parents) if not os.path.lexists(folder)), None)
-    return f"'{path}', which does not exist" if folder is None else f"'{path}': folder '{folder}' does not exist"
+    return f"'{path}', which does not exist" if folder is None else f"'{path}' (folder '{folder}' does not exist)"
 
 
 @contextmanager
@@ -48,7 +48,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises PixsimError if its folder does not exist.
     """
     if not os.path.lexists(path.parent):
-        raise invalid("output file", missing(path), "a name in a folder that exists", f"Make it first: mkdir -p '{path.parent}'")
+        raise invalid("output file", missing(path), "a path that can be written", f"Make it first: mkdir -p '{path.parent}'")
     partial = path.with_name(f".{path.name}.part")
     try:
         yield partial
