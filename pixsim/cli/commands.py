@@ -115,7 +115,12 @@ def plan(
     render_options: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
     made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **render_options)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
-    show(made.as_dict(), json, "" if json else plan_table(made, width))
+    assumed = chosen.pixel.assumption
+    show(
+        made.as_dict() | {"assumption": assumed},
+        json,
+        "" if json else "\n".join([plan_table(made, width), *([assumed] if assumed else [])]),
+    )
 
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
@@ -261,7 +266,9 @@ def accuracy(
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
         report = write_accuracy(result, folder)
-    show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
+    assumed = settings.pixel.assumption
+    lines = [*accuracy_lines(result), *([assumed] if assumed else []), f"report: {report}"]
+    show(result.as_dict() | {"assumption": assumed}, json, "\n".join(lines))
 
 
 @app.command

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get
 from cyclopts import App, Parameter
 
 from pixsim.base import progress
-from pixsim.base.config import checked, is_data_sheet, packaged, settings_layer
+from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import cache_folder
-from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, CameraOptions, Display, Exposure, Layer, Pixel, Record, Run
+from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, Camera, CameraOptions, Display, Exposure, Layer, Pixel, Record, Run
 from pixsim.base.progress import Stage
 from pixsim.base.version import VERSION
 
@@ -109,8 +110,9 @@ def field_option(record: type[Record], name: str, **more: Any) -> Parameter:
     """How the help and the completion show an option that is text, and that a field of a record validates."""
     info = record.model_fields[name]
     default: Any = None if info.is_required() else info.default
-    if default is None and "absent" not in (info.description or ""):
-        default = "that of the scene" if record is CameraOptions else OF_A_TECHNOLOGY if name in FROM_TECHNOLOGY else "none"
+    if default is None and not info.is_required() and "absent" not in (info.description or ""):
+        of_scene = record is CameraOptions and name in Camera.model_fields
+        default = "that of the scene" if of_scene else OF_A_TECHNOLOGY if name in FROM_TECHNOLOGY else "none"
     shown = f" [default: {default:g}]" if isinstance(default, float) else f" [default: {default}]" if default is not None else ""
     choices = choices_of(info.annotation)
     how = {"help": f"{info.description or ''}{shown}".strip(), "metavar": value_name(info.annotation), "show_default": False}
@@ -177,16 +179,24 @@ Variant = Annotated[
 ]
 
 
-def option_table(record: type[Record], name: str) -> Any:
-    """The fields of a record as dotted options, as text that the record validates; None if no option is given."""
-    fields = []
-    for key in record.model_fields:
+def option_table(record: type[Record], name: str, inside: str = "") -> Any:
+    """The fields of a record as dotted options, as text that the record validates; None if no option is given.
+
+    name : of the options; of a record in a field of another one, that of the field
+    inside : name of the options of that other record
+    """
+    fields: list[tuple[str, Any, Any]] = []
+    for key, info in record.model_fields.items():
+        records = [kind for kind in get_args(info.annotation) if inspect.isclass(kind) and issubclass(kind, Record)]
+        if records:
+            fields.append((key, option_table(records[0], key.replace("_", "-"), name), field(default=None)))
+            continue
         more = {"completer": complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
         how = field_option(record, key, allow_leading_hyphen=True, **more)
         fields.append((key, Annotated[str | None, how], field(default=None)))
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
     table.__module__ = __name__  # otherwise cyclopts treats the class as a builtin
-    return Annotated[table | None, Parameter(name=name, group=f"--{name}.…", show_default=False)]
+    return Annotated[table | None, Parameter(name=name, group=f"--{inside or name}.…", show_default=False)]
 
 
 if TYPE_CHECKING:
@@ -218,9 +228,8 @@ class SceneOptions:
         values = {**vars(self), **others}
         files = [settings_layer(path) for path in values.pop("config") or []]
         options = given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
-        settings: Run = checked(Run, [*files, Layer(options)])  # invalid names and values first, then missing ones
-        if is_data_sheet(files, options):
-            settings = checked(Run, [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files, Layer(options)])
+        warn_of_mixed_sensors(files)
+        settings: Run = checked(Run, [*files, Layer(options)])
         return settings
 
 

@@ -28,7 +28,17 @@ from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
-from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced, save_delta_e_png, save_png, scale, worst_window
+from pixsim.show.pictures import (
+    Picture,
+    factor_for,
+    grey_codes,
+    reduced,
+    save_delta_e_png,
+    save_png,
+    scale,
+    scale_end,
+    worst_window,
+)
 from pixsim.viewer.display import white_header, white_rate, white_spectrum
 from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
 
@@ -89,13 +99,13 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "label": label_of(physics.technology.name),
         "die_mm": (width_mm, height_mm),
         "camera": camera,
-        "well": float(score.frame.mean_e.max()) / physics.full_well_e,
+        "well": float(score.frame.mean_e.max()) / physics.saturation_e,
         "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
         "image": shown_picture(folder / "image.png", score.image, f"{physics.pitch_um:g} µm pixels"),
         "reduced": factor_for(score.ideal),
-        "crops": crops(score, window, "the sensor's picture"),
+        "crops": crops(score, window, "the sensor's picture", scale_end(statistics["p99_delta_e"])),
         "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
-        "scale_bar": scale(),
+        "scale_bar": scale(scale_end(statistics["p99_delta_e"])),
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
         "notes": summary["notes"],
@@ -214,6 +224,7 @@ def summary_of(
         "scored_dots": list(score.delta_e.shape),
         "border_um": list(score.border_um),
         "pixel": physics.pixel.model_dump(),
+        "assumption": physics.pixel.assumption,
         "white_spectrum": "D65: the lamps share no spectrum" if white_spectrum(irradiance) is None else "the lamps' own",
         "irradiance": irradiance.header,
         "dark": dark_clip(physics, time_s, white_e),
@@ -288,6 +299,7 @@ def write_all(
     write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
     save_png(folder / "ideal.png", score.ideal)
     save_png(folder / "image.png", score.image)
-    save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um))
+    end = scale_end(score.statistics()["p99_delta_e"])
+    save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um), end)
     write_json(folder / "score.json", summary)
     write_run_page(folder, score, image, summary)

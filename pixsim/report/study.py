@@ -16,7 +16,7 @@ from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import is_csf
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
-from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
+from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -249,7 +249,7 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "blurs": [(curve, blur_of(curve)) for curve in result.curves],
         "plates": shown,
         "views": views,
-        "scale_bar": scale(),
+        "scale_bar": scale(map_end(result)),
         "findings": rows,
         "notes": result.notes,
         "response_note": response_note(study) if study.paper else "",

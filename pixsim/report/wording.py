@@ -49,7 +49,8 @@ def score_line(result: dict[str, Any]) -> str:
     longest = " (the maximum)" if exposure["integration_s"] is None and time_s >= exposure["max_integration_s"] else ""
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
-    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}"
+    assumed = f"; {result['assumption']}" if result["assumption"] else ""
+    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{assumed}"
 
 
 def dark_notes(result: dict[str, Any]) -> list[str]:

@@ -83,7 +83,7 @@ class Scene:
         more = {name: repr(value) for name, value in lens.items() if name in self.names}
         if self.own_chart:
             # Where the chart follows the height of the die, the picture's border does so too.
-            height_mm = getattr(camera, "height_mm", camera.die_mm) if CHART_HALF_HEIGHT in self.names else camera.die_mm
+            height_mm = camera.height_mm if CHART_HALF_HEIGHT in self.names else camera.die_mm
             more[CHART] = str(self.own_chart.texture(camera.die_mm / height_mm, warn=True))
         return self.parse(**more)
 

@@ -16,11 +16,11 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 from pixsim.sensor.readout import MAX_BLACK, Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rows_csv
-from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
+from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map, xyz_to_lab
 
@@ -77,13 +77,14 @@ class Score:
         }
 
     def plot(self) -> Figure:
-        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map on the fixed scale."""
+        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
         figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
         axes = figure.subplots(1, 3, sharex=True, sharey=True)
         for panel, picture, title in zip(axes, (self.ideal, self.image), ("ideal", "sensor"), strict=False):
             panel.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
             panel.set_title(title)
-        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, interpolation="nearest")
+        end = scale_end(*percentiles(self.delta_e, (99,)))
+        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=end, interpolation="nearest")
         axes[2].set_title(f"S-CIELAB ΔE, mean {self.mean_delta_e:.3f}")
         figure.colorbar(delta_e_map, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
         for panel in axes:
@@ -286,11 +287,15 @@ def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposu
 def make_imaging_chain(
     irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display, full: bool = False
 ) -> ImagingChain:
-    """Return the imaging chain up to the noise. Warns if the render used another camera, or the display clips the scene."""
+    """Return the imaging chain up to the noise.
+
+    Warns if the render used another camera, the display clips the scene, or numbers of a data sheet contradict one another.
+    """
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
         warnings.warn("the irradiance was rendered with another camera than the one given", stacklevel=3)
     physics = derive(pixel)
+    warn_of_disagreements(pixel)
     return chain_at_pitch(prepare_scene(irradiance, camera, physics, display, full), physics, exposure)
 
 

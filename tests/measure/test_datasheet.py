@@ -15,7 +15,7 @@ from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet, estimators
-from pixsim.measure.datasheet import DataSheet, Entry, clipped_moments, entries, expected_moments, make_datasheet, variance_peak_e
+from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_moments, make_datasheet, variance_peak_e
 from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, sheet_name, spectrogram, write_datasheet
 from pixsim.measure.estimators import Estimate, Series, Stack
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
@@ -150,14 +150,6 @@ def test_exposure_at_snr_matches_closed_form(wanted: float) -> None:
     assert result.value * 7 == pytest.approx(estimators.signal_at_snr_e(wanted, 500, 0.01), rel=1e-5)
     assert math.isnan(estimators.exposure_at_snr(signal, signal, noise, 99.99, 0.01).value)
     assert math.isnan(estimators.signal_at_snr_e(100.0, 500, 0.01))
-
-
-def test_clipped_moments_at_the_mean_closed_form() -> None:
-    """Clipped at the mean: first moment -σ/√(2π), second moment σ²/2."""
-    first, second = clipped_moments(np.zeros(1), 3.0, 0.0)
-    assert first[0] == pytest.approx(-3 / math.sqrt(2 * math.pi))
-    assert second[0] == pytest.approx(4.5)
-    assert clipped_moments(np.array([2.0]), 0.0, 1.0) == (1.0, 1.0)
 
 
 def test_expected_moments_below_full_well_closed_form() -> None:

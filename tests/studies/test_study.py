@@ -275,15 +275,14 @@ def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
     (tmp_path / "sensor.toml").write_text(text, encoding="utf-8")
     study = load_study("pixel-size", tmp_path / "sensor.toml", pixel={"read_noise_e": 2.0})
     assert (study.technologies, study.pixel.read_noise_e, study.pixel.data_sheet_pitch_um) == (("none",), 2.0, 4.0)
-    with pytest.raises(pixsim.PixsimError, match="read_noise_e"):
-        load_study("pixel-size", tmp_path / "sensor.toml")
+    with pytest.warns(UserWarning, match="not read_noise_e, which come from the study's technology 4t-bsi"):
+        assert load_study("pixel-size", tmp_path / "sensor.toml").technologies == ("4t-bsi",)
 
 
 @pytest.mark.parametrize(
     ("pixel", "message"),
     [
         ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: .*pitch\.values_um"),
-        ({"technology": "0.25um"}, r"pixel\.technology: got '0\.25um' for a study; allowed: .* technologies"),
         ({"response": "scald"}, r"pixel\.response: got 'scald'; allowed: 'scaled' or 'literal'"),
         ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
     ],
