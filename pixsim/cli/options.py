@@ -85,7 +85,7 @@ NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 def value_name(annotation: Any) -> str:
     """Name of the values of a field in the help: FLOAT, INT, TEXT, or the choices, as mosis|paper.
 
-    A table of pairs is given as a FILE.
+    A table of pairs is given as a FILE, a pair of numbers as INTxINT.
     """
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
@@ -95,7 +95,7 @@ def value_name(annotation: Any) -> str:
     if origin in (Union, UnionType):
         return "|".join(dict.fromkeys(value_name(kind) for kind in inner if kind is not type(None)))
     if origin is tuple:
-        return "FILE" if inner[-1] is Ellipsis else " ".join(map(value_name, inner))
+        return "FILE" if inner[-1] is Ellipsis else "x".join(map(value_name, inner))
     return NAMES.get(annotation, "TEXT")
 
 

@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import pytest
 from helpers.commands import assert_refused, command
@@ -35,11 +35,15 @@ def test_run_help_shows_type_choices_and_default_of_every_field(monkeypatch: pyt
     options += [(f"--{name.replace('_', '-')}", Run.model_fields[name]) for name in (*Effort.model_fields, "seed")]
     lines = [line for line in text.splitlines() if line.startswith("│")]
     for option, info in options:
+        if any(isinstance(kind, type) and issubclass(kind, Record) for kind in get_args(info.annotation)):
+            assert any(line.startswith(f"│ {option}.") for line in lines), "a table of options of its own"
+            continue
         (line,) = (line for line in lines if re.match(rf"│\*? *{re.escape(option)} ", line))
         kind = line.split(option, 1)[1].split()[0]
         assert kind == ("NAME|FILE" if option == "--pixel.technology" else value_name(info.annotation)), option
         assert not re.match(r"STR|CHOICE", kind), option
-        assert "[default: " in line or "absent" in line, option
+        described = " ".join(part.strip("│ ") for part in text[text.index(line) :].split("│ --")[:2])
+        assert "[default: " in described or "absent" in described, option
         for choice in choices_of(info.annotation):
             assert choice in kind.split("|")
 
@@ -59,7 +63,7 @@ def test_help_names_no_value_str(name: str, monkeypatch: pytest.MonkeyPatch) -> 
         (Annotated[float, "above 0"] | None, "FLOAT"),
         (Literal["a", "b"] | None, "a|b"),
         (Annotated[float, 1] | tuple[tuple[float, float], ...], "FLOAT|FILE"),
-        (tuple[int, int] | None, "INT INT"),
+        (tuple[int, int] | None, "INTxINT"),
         (str, "TEXT"),
     ],
 )
