@@ -319,7 +319,7 @@ def _checked(values: Array, channels: int) -> Array:
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
     """Return the provenance of an irradiance; equal inputs give equal files."""
     decisions = [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions]
-    header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": dict(scene.parameters)}
+    header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": scene.shown_parameters}
     header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": scene.choice.variant, "plan": decisions}
     header |= {"bound_e": plan.bound_e if plan.bounded else None, "diffraction": plan.diffraction, "pixsim": VERSION}
     spectra = [light.lamp.spectrum for light in plan.lights]

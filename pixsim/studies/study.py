@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.config import checked, packaged, read_toml, resolve_file, study_layers
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.files import output_folder
+from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Camera, Layer, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress, Stage
@@ -37,7 +37,8 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
     known = packaged("data/studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
-        raise invalid("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
+        got = f"'{name}'" if path.parent == Path() else missing(path)
+        raise invalid("study", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
     table = read_toml(path)
     if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
         hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
@@ -57,6 +58,8 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
     for group, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
         if isinstance(values := table.get(group), dict) and key in values:
             values[key] = resolve_file(path, values[key])
+    if isinstance(scene := table.get("scene"), dict) and isinstance(given := scene.get("parameters"), dict) and "chart" in given:
+        given["chart"] = resolve_file(path, given["chart"])
 
 
 def load_study(

@@ -149,7 +149,7 @@ INVALID = {
     "doctor --limit-s 0": ["--limit-s: got 0; allowed: a number above 0"],
     "template lens": ["kind: got 'lens'; allowed: sensor or study"],
     "template sensor -o key.toml": ["key.toml", "exists already"],
-    "template sensor -o gone/a.toml": ["gone/a.toml", "cannot be written"],
+    "template sensor -o gone/a.toml": ["gone/a.toml", "can be written"],
     "template sensor -o a.txt": ["a.txt", ".toml"],
     "chart sphere -o x.exr": ["sphere", "csf, flat"],
     "chart flat -o gone/x.exr": ["gone/x.exr", "can be written"],
