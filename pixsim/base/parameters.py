@@ -316,6 +316,7 @@ class Camera(Record):
     focal_length_mm: FocalLength = Field(3.86, description="focal length")
     f_number: FNumber = Field(4.0, description="nominal f-number: focal length over the diameter of the entrance pupil")
     die_mm: DieWidth = Field(2.7136, description="width of the die")
+    die_height_mm: DieWidth | None = Field(None, description="height of the die (absent: as wide as high, die_mm)")
     object_distance_m: Distance = Field(1.0, description="distance from the lens to the plane in focus")
     transmittance: Fraction = Field(1.0, description="transmittance of the lens")
 
@@ -368,9 +369,19 @@ class Camera(Record):
         return 1e-3 * self.focal_length_mm / (2 * self.f_number)
 
     @property
+    def height_mm(self) -> float:
+        """Height of the die: `die_height_mm`, or the width if that is None."""
+        return self.die_mm if self.die_height_mm is None else self.die_height_mm
+
+    @property
     def chart_half_width_m(self) -> float:
         """Half the width of a chart that fills the die, in the plane in focus."""
         return self.die_mm / 2 * self.object_distance_m / self.image_distance_mm
+
+    @property
+    def chart_half_height_m(self) -> float:
+        """Half the height of a chart that fills the die, in the plane in focus."""
+        return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
 
     @classmethod
     def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
@@ -388,6 +399,7 @@ class CameraOptions(Record):
     focal_length_mm: FocalLength | None = Field(None, description=Camera.model_fields["focal_length_mm"].description)
     f_number: FNumber | None = Field(None, description=Camera.model_fields["f_number"].description)
     die_mm: DieWidth | None = Field(None, description=Camera.model_fields["die_mm"].description)
+    die_height_mm: DieWidth | None = Field(None, description=Camera.model_fields["die_height_mm"].description)
     object_distance_m: Distance | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
     transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
@@ -431,7 +443,7 @@ class Display(Record):
 
 
 class Effort(Record):
-    """Error tolerances and the time limit of a result."""
+    """Error tolerances, the film and the time limit of a result."""
 
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
         1e-3, description="largest relative error of the mean electrons from simplifications of the render"
@@ -442,6 +454,9 @@ class Effort(Record):
     )
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
+    )
+    resolution: Annotated[int, Field(ge=1, le=16384)] | None = Field(
+        None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
     )
     max_seconds: Seconds = Field(
         120.0, description="longest render time; a render that reaches it stops with a warning that states its noise"

@@ -143,10 +143,11 @@ class SceneOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Effort:
-    """Options of run and study: error tolerances and time limit, as text that the record validates."""
+    """Options of run and study: error tolerances, film and time limit, as text that the record validates."""
 
     tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None
     render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None
+    resolution: Annotated[str | None, Parameter(help=described("resolution"))] = None
     max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None
 
 

@@ -25,6 +25,7 @@ LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
+FILM_ROUNDING = 1e-6  # of a sample: the ratio of the die's sides is rounded
 INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
@@ -39,6 +40,7 @@ class Scene:
     sensor_id : id of the sensor; None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
+    resolution : film samples across the die, in place of the film's width in the XML
     """
 
     path: Path
@@ -47,6 +49,7 @@ class Scene:
     sensor_id: str | None
     choice: variants.Choice
     white_cd_per_m2: float | None = None
+    resolution: int | None = None
 
     def parse(self, **more: object) -> Any:
         """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
@@ -56,7 +59,8 @@ class Scene:
         """Return the camera of the file, overridden by the options.
 
         A Mitsuba scene does not state the die. If its lens is given by numbers, a die option scales the focal length; if the
-        lens is given by parameters, the focal length stays and the field of view changes.
+        lens is given by parameters, the focal length stays and the field of view changes. The die has the shape of the film,
+        unless an option gives its height.
 
         Raises PixsimError if the lens is invalid.
         """
@@ -66,13 +70,33 @@ class Scene:
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
         height, width = film_size(state, sensor)
-        return options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+        camera = options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+        if options.die_height_mm is None and height != width and height > 0:
+            camera = camera.model_copy(update={"die_height_mm": camera.die_mm * height / width})
+        return camera
 
     def for_camera(self, camera: Camera) -> Any:
         """Return the parser state with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
-        lens["chart_half_width"] = camera.chart_half_width_m
+        lens |= chart_parameters(camera)
         return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
+
+    def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
+        """Return (height, width) of the film in samples; the renderer checks their range.
+
+        The width is `resolution`, or else that in the XML. The height follows the die's shape, rounded up; without a
+        `die_height_mm` it follows the shape of the film in the XML.
+        """
+        height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
+        if self.resolution is None and camera.die_height_mm is None:
+            return height, width
+        ratio = height / max(width, 1) if camera.die_height_mm is None else camera.height_mm / camera.die_mm
+        across = width if self.resolution is None else self.resolution
+        return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
+
+    def with_resolution(self, resolution: int) -> Scene:
+        """Return the scene on a film of that many samples across."""
+        return replace(self, resolution=resolution)
 
     def with_parameters(self, **more: object) -> Scene:
         """Return the scene with other values of some parameters, `more`."""
@@ -86,6 +110,19 @@ class Scene:
     def __repr__(self) -> str:
         given = "".join(f", {k}={v}" for k, v in self.parameters.items())
         return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
+
+
+def chart_parameters(camera: Camera) -> dict[str, float]:
+    """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in the plane in focus."""
+    width, height = camera.chart_half_width_m, camera.chart_half_height_m
+    shorter = min(width, height)
+    return {
+        "chart_half_width": width,
+        "chart_half_height": height,
+        "chart_half_side": max(width, height),
+        "chart_ratio_x": width / shorter,
+        "chart_ratio_y": height / shorter,
+    }
 
 
 def packaged_scenes() -> dict[str, Path]:

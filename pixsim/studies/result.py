@@ -29,6 +29,7 @@ from pixsim.studies.evaluations import (
     scores_of,
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
+from pixsim.studies.oversampling import FilmError
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.score import SceneCache, Score, dark_clip
 
@@ -120,6 +121,7 @@ class StudyResult:
     curves : one for each technology
     irradiance : on the sensor plane, from which all frames are simulated
     camera : with which it was rendered
+    film : error of the film of its irradiance
     budget : error budget of the first curve, if a tolerance of ΔE was requested
     """
 
@@ -127,6 +129,7 @@ class StudyResult:
     curves: tuple[Curve, ...]
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
+    film: FilmError | None = None
     budget: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
@@ -146,8 +149,10 @@ class StudyResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
-        budget = {"error_budget": self.budget} if self.budget else {}
-        return budget | {
+        more: dict[str, Any] = {"error_budget": self.budget} if self.budget else {}
+        if self.film:
+            more["film"] = self.film.as_dict()
+        return more | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "irradiance": self.irradiance.header,
             "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
