@@ -154,7 +154,7 @@ def study(
     Writes results.csv, summary.json, figures (with a contact sheet), provenance.json and report.html. The same command
     continues an interrupted study.
     """
-    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, target_notes
+    from pixsim.report.wording import budget_lines, film_words, optimum_line, sensitivity_lines, study_dark_notes, target_notes
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
@@ -188,7 +188,9 @@ def study(
             stage("report")
             report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
             summary = result.as_dict()
-            lines = [*map(optimum_line, result.curves), *target_notes(result), *study_dark_notes(result), *budget_lines(summary)]
+            lines = [*map(optimum_line, result.curves)]
+            lines += [film_words(summary["film"])] if "film" in summary else []
+            lines += [*target_notes(result), *study_dark_notes(result), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 

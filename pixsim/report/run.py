@@ -24,7 +24,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_note, score_line
+from pixsim.report.wording import budget_lines, dark_note, film_words, score_line
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
@@ -101,6 +101,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
         "notes": dark_note(summary),
         "blur": blur_words(irradiance, camera, physics, display),
+        "film": film_words(summary["film"]) if "film" in summary else "",
         "budget": budget_lines(summary),
         "light": light,
         "settings": [

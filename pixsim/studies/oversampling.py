@@ -64,6 +64,31 @@ class FilmError:
     def largest_delta_e(self) -> float:
         return max(self.delta_e, key=lambda error: math.inf if math.isnan(error) else error)
 
+    def error_at(self, pitch_um: Array) -> Array:
+        """Return the error at other pitches, interpolated between those measured; infinite where it is unknown."""
+        known = np.where(np.isnan(self.delta_e), np.inf, self.delta_e)
+        if not np.isfinite(known).all():
+            return np.full(np.shape(pitch_um), np.inf)
+        return np.interp(np.log(pitch_um), np.log(self.pitch_um), known)
+
+    def alike_um(self, pitch_um: Array, mean_delta_e: Array) -> tuple[float, float] | None:
+        """Return the smallest and largest of the pitches of a study that this film cannot tell from the best; None if it can.
+
+        A film with a tolerated error can. Another one cannot if the gain is within the error, or if the best pixels are smaller
+        than its samples.
+
+        pitch_um, mean_delta_e : (pitches,) of the study
+        """
+        if self.met:
+            return None
+        best = int(np.argmin(mean_delta_e))
+        error = self.error_at(pitch_um)
+        alike = mean_delta_e - mean_delta_e[best] <= np.maximum(error, error[best])
+        if pitch_um[best] < self.sample_um:
+            alike |= pitch_um < self.sample_um
+        found = pitch_um[alike]
+        return (float(found.min()), float(found.max())) if found.size > 1 else None
+
     def as_dict(self) -> dict[str, Any]:
         """Return the error as in score.json and summary.json; `delta_e` is None if unknown."""
         known = [None if math.isnan(error) else float(f"{error:.3g}") for error in self.delta_e]

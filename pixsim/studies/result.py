@@ -49,6 +49,7 @@ class Curve:
     statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
     fit : the fitted curve with its minimum
     label : the technology's name for readers, unique in a study
+    alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
     """
 
     technology: str
@@ -58,6 +59,7 @@ class Curve:
     statistics: dict[str, Array] = field(repr=False)
     fit: FittedCurve = field(repr=False)
     label: str = ""
+    alike_um: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -105,6 +107,7 @@ class Curve:
             "optimum": self.optimum.as_dict(),
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
+            "alike_um": self.alike_um,
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
@@ -134,7 +137,10 @@ class StudyResult:
 
     def __post_init__(self) -> None:
         labels = labels_of([curve.technology for curve in self.curves])
-        labelled = tuple(replace(curve, label=label) for curve, label in zip(self.curves, labels, strict=True))
+        labelled = tuple(
+            replace(curve, label=label, alike_um=self.film.alike_um(curve.pitch_um, curve.mean()) if self.film else None)
+            for curve, label in zip(self.curves, labels, strict=True)
+        )
         object.__setattr__(self, "curves", labelled)
 
     @cached_property
@@ -216,6 +222,7 @@ class StudyResult:
         for curve in self.curves:
             best, ends = curve.optimum, f"{curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
             size = f"{best.pitch_um:.2f}" if best.inside else f"none between {ends}"
+            size = alike_words(curve) if curve.alike_um else size
             within = within_words(best.within_1_percent_um, curve)
             rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
@@ -229,6 +236,7 @@ class StudyResult:
             if not best.inside:
                 ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
                 text = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
+            text = alike_words(curve) if curve.alike_um else text
             words.append(f"{curve.label}: {text}")
         return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
 
@@ -248,6 +256,12 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
         fill_factor[index] = float(row["fill_factor"])
     fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
     return Curve(technology, technology_of(study, technology).feature_size_um, pitches, fill_factor, statistics, fit)
+
+
+def alike_words(curve: Any) -> str:
+    """Return why no optimum is named: the pitches that the film cannot tell apart."""
+    low_um, high_um = curve.alike_um
+    return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
 
 
 def interval_words(curve: Any) -> str:
