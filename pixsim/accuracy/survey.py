@@ -98,9 +98,11 @@ def survey(
     start = time.perf_counter()
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
     camera = scene.camera(settings.camera)
+    if settings.resolution:
+        scene = scene.with_resolution(settings.resolution)
     plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e)
     if plan.resolution:
-        scene = scene.with_parameters(resolution=plan.resolution)
+        scene = scene.with_resolution(plan.resolution)
     stages = {"parse": time.perf_counter() - start}
     setup = Setup.of(settings, camera)
     image, seconds = first_picture(scene, camera, plan, setup.display)
@@ -163,7 +165,7 @@ def middle_of(subject: Subject, parts: int) -> Subject:
     # The chart keeps its size, so that a part of the die shows a part of it.
     free = scene.names - scene.parameters.keys()
     chart_size = {name: value for name, value in chart_parameters(given).items() if name in free}
-    scene = scene.with_parameters(resolution=subject.image.shape[1] // parts, **chart_size)
+    scene = scene.with_parameters(**chart_size).with_resolution(subject.image.shape[1] // parts)
     height_mm = None if given.die_height_mm is None else given.die_height_mm / parts
     camera = given.model_copy(update={"die_mm": given.die_mm / parts, "die_height_mm": height_mm})
     display = setup.display.model_copy(update={"dots": max(MIN_DOTS, setup.display.dots // parts)})

@@ -96,8 +96,11 @@ def plan(
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
-    render_options: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
-    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **render_options)
+    camera = loaded.camera(chosen.camera)
+    if chosen.resolution:
+        loaded = loaded.with_resolution(chosen.resolution)
+    render_options: dict[str, Any] = {"exposure": chosen.exposure, "display": chosen.display}
+    made = make_plan(loaded, camera, chosen.pixel, tolerance_e=chosen.tolerance_e, full=full, **render_options)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
     show(made.as_dict(), json, "" if json else plan_table(made, width))
 

@@ -19,7 +19,8 @@ MAX_ACROSS = 4096
 MAX_BYTES = 2 << 30
 BYTES_PER_CELL, BYTES_PER_VALUE = 48, 24  # float64 light, its transforms and integrals; each pulse in two halves and the result
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
-BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error, so a film of a multiple of it is used whole
+BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
+FILM_ROUNDING = 1e-6  # of a cell: the ratio of the die's sides is rounded
 WIDENED = 1 / 8  # by which a film may be wider than needed, to end where the die ends
 
 
@@ -60,17 +61,17 @@ def largest_film(height_over_width: float, planes: int) -> int:
 
 
 def fitting_width(height_over_width: float, width: float, most: int) -> int:
-    """Return the width, at least `width` if `most` allows it, whose cells end closest beyond the lower edge of the die.
+    """Return the width, at least `width` if `most` allows it, whose whole cells end closest beyond the lower edge of the die.
 
-    Width and height are multiples of `BLOCK`. On a square die that is the next such width.
+    On a square die that is the next multiple of `BLOCK`.
     """
-    first = math.ceil(min(width, most) / BLOCK)
     if height_over_width == 1:
-        return min(first * BLOCK, max(most, 1))
-    last = min(math.ceil(first * (1 + WIDENED)), most // BLOCK)
-    first = min(first, math.ceil(last / (1 + WIDENED)))
+        return min(math.ceil(width / BLOCK) * BLOCK, most)
+    last = min(math.ceil(width * (1 + WIDENED)), most)
+    first = min(math.ceil(width), math.ceil(last / (1 + WIDENED)))
 
-    def beyond(blocks: int) -> float:
-        return math.ceil(blocks * height_over_width - 1e-6) - blocks * height_over_width
+    def beyond(across: int) -> float:
+        height = across * height_over_width
+        return math.ceil(height - FILM_ROUNDING) - height
 
-    return BLOCK * min(range(first, last + 1), key=beyond, default=first)
+    return min(range(first, last + 1), key=beyond)

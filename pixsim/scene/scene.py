@@ -19,13 +19,13 @@ from pixsim.base.parameters import Camera, CameraOptions, content_hash
 from pixsim.scene import variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, texture_files
 from pixsim.scene.files import judge_scene, judge_tree
+from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.mitsuba import children, nodes_of, parse, plain
 
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
-FILM_ROUNDING = 1e-6  # of a sample: the ratio of the die's sides is rounded
 INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
@@ -78,8 +78,13 @@ class Scene:
     def for_camera(self, camera: Camera) -> Any:
         """Return the parser state with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
-        lens |= chart_parameters(camera)
-        return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
+        named = {name: repr(value) for name, value in lens.items() if name in self.names}
+        shown = camera
+        if camera.die_height_mm is not None:  # whole cells of the film may end a little beyond the die
+            height, width = self.film_shape(camera, self.parse(**named))
+            shown = camera.model_copy(update={"die_height_mm": camera.die_mm * height / max(width, 1)})
+        named |= {name: repr(value) for name, value in chart_parameters(shown).items() if name in self.names}
+        return self.parse(**named)
 
     def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
         """Return (height, width) of the film in samples; the renderer checks their range.
