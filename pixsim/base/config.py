@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import tomllib
+import warnings
 from collections.abc import Iterable, Sequence
 from functools import reduce
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import read_text
-from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, Layer, Record, Run, merge
+from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, STANDS_FOR, Layer, Record, Run, Study, merge, missing_of_data_sheet
 
 MAX_BYTES = 1 << 20
 MAX_DIGITS = 250  # in any base: larger numbers exceed a float, and Python does not convert them to text
@@ -135,11 +137,16 @@ def _names(title: str, path: list[str]) -> list[str]:
     record: Any = next((kind for kind in kinds if kind.__name__ == title), None)
     for part in path:
         field = record.model_fields.get(part) if record else None
-        record = field.annotation if field else None
+        record = (
+            next((kind for kind in (get_args(field.annotation) or (field.annotation,)) if inspect.isclass(kind)), None)
+            if field
+            else None
+        )
     return list(record.model_fields) if isinstance(record, type) and issubclass(record, BaseModel) else []
 
 
-SCALED_WITH_AREA = ("full_well_e", "dark_current_e_per_s")  # a data sheet states them for its pitch only
+# A data sheet states them for its pitch only.
+SCALED_WITH_AREA = ("full_well_e", "saturation_capacity_e", "gain_e_per_dn", "dark_current_e_per_s", "dark_current")
 # Fields of a pixel that a study sets itself, and the fields of the study that do so.
 SET_BY_STUDY = {"pitch_um": "pitch.min_um, pitch.max_um or pitch.values_um", "technology": "technologies"}
 PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
@@ -155,53 +162,59 @@ def settings_layer(path: Path) -> Layer:
     return Layer(table, str(path))
 
 
-def is_data_sheet(files: list[Layer], options: dict[str, Any]) -> bool:
-    """Whether a [pixel] table gives measured values and no technology, so that nothing is derived.
-
-    Raises PixsimError if such a table is incomplete.
-    """
-    pixels = [table for layer in files if isinstance(table := layer.table.get("pixel"), dict)]
-    given = {name for table in [*pixels, options.get("pixel", {})] for name in table}
-    if "technology" in given or not any(name in table for table in pixels for name in DATA_SHEET):
-        return False
-    source = ", ".join(layer.source for layer in files if "pixel" in layer.table)
-    if missing := [name for name in ("pitch_um", *DATA_SHEET) if name not in given]:
-        got = f"a sensor without a technology, and without {', '.join(missing)}"
-        hint = 'Add them, or the technology that they are derived from, as technology = "4t-bsi".'
-        raise invalid(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", hint)
-    return True
+def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
+    """Warn if several files set the table [pixel], with the fields that come from each: one sensor got values of another."""
+    sensors = [layer for layer in files if isinstance(layer.table.get("pixel"), dict)]
+    if len(sensors) < 2:
+        return
+    left = set(merged(sensors)["pixel"])
+    parts: list[str] = []
+    for layer in reversed(sensors):
+        own = [name for name in layer.table["pixel"] if name in left]
+        left -= set(own)
+        parts.insert(0, f"{layer.source}: {', '.join(own) or 'nothing'}")
+    warnings.warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}", stacklevel=3)
 
 
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
-    """Layers of a study: its own table, then the sensor files, then the options.
+    """Layers of a study: its own table, then the sensor files, then the options, which may give a sensor too.
 
-    A data sheet becomes the only sensor of the study, with pitches from a quarter to four times its own unless the study sets
-    a range. A technology becomes the only one of the study; the pitch of its file is not used. Values that a file or an option
-    replaces are removed from the study's [quick] and [sources].
+    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, with pitches from a
+    quarter to four times its own unless the study sets a range. A technology becomes the only one of the study; the pitch of its
+    file is not used. Values that a file or an option replaces are removed from the study's [quick] and [sources].
 
-    Raises PixsimError if a file is invalid, or if an option sets the pitch or the technology.
+    Raises PixsimError if a file is invalid, or if an option sets a pitch that the study does not use.
     """
-    pixel_options = (options or {}).get("pixel", {})
-    for name in SET_BY_STUDY.keys() & pixel_options.keys():
-        expected = f"other fields of the pixel: a study's file gives {SET_BY_STUDY[name]}"
-        raise invalid(f"pixel.{name}", f"'{pixel_options[name]}' for a study", expected, "Set it in a copy of the study's file.")
+    options = options or {}
     files = [settings_layer(path) for path in paths]
+    warn_of_mixed_sensors(files)
+    sensor = [*files, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
+    settings: Run = checked(Run, sensor)  # so that errors name the fields as they are in the file
+    given = set(merged(sensor).get("pixel", {}))
     defaults: dict[str, Any] = {}
-    overrides: list[Layer] = []
-    if files:
-        settings: Run = checked(Run, files)  # so that errors name the fields as they are in the file
-        given = {name for layer in files for name in layer.table.get("pixel", {})}
-        derived: dict[str, Any] = {}
-        if is_data_sheet(files, options or {}):
-            derived = {"technologies": [NO_TECHNOLOGY], "paper": False}
-            ends_um = settings.pixel.pitch_um / PITCH_RATIO, settings.pixel.pitch_um * PITCH_RATIO
-            defaults = {"pitch": dict(zip(("min_um", "max_um"), ends_um, strict=True))}
-        elif "technology" in given:
-            derived = {"technologies": [settings.pixel.technology], "paper": False}
-        if "pitch_um" in given and given & set(SCALED_WITH_AREA) and "data_sheet_pitch_um" not in given:
-            derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
-        overrides = [*(Layer(_as_study_table(layer.table), layer.source) for layer in files), Layer(derived, files[-1].source)]
-    overrides.append(Layer(options or {}))
+    derived: dict[str, Any] = {}
+    if settings.pixel.technology == NO_TECHNOLOGY:
+        derived = {"technologies": [NO_TECHNOLOGY], "paper": False}
+        ends_um = settings.pixel.pitch_um / PITCH_RATIO, settings.pixel.pitch_um * PITCH_RATIO
+        defaults = {"pitch": dict(zip(("min_um", "max_um"), ends_um, strict=True))}
+    elif "technology" in given:
+        derived = {"technologies": [settings.pixel.technology], "paper": False}
+    elif settings.pixel.assumption and given & {*DATA_SHEET, *STANDS_FOR} and "pitch_um" in given:
+        names = ", ".join(map(str, study.table.get("technologies", Study.model_fields["technologies"].default)))
+        missing = ", ".join(missing_of_data_sheet(given))
+        warnings.warn(
+            f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}", stacklevel=2
+        )
+    if "pitch_um" in given and given & set(SCALED_WITH_AREA) and "data_sheet_pitch_um" not in given:
+        derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
+    if settings.camera.pixels:
+        derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
+    if "pitch_um" in options.get("pixel", {}) and settings.pixel.technology != NO_TECHNOLOGY and "pixel" not in derived:
+        expected = f"other fields of the pixel: a study's file gives {SET_BY_STUDY['pitch_um']}"
+        hint = "Set it in a copy of the study's file."
+        raise invalid("pixel.pitch_um", f"'{options['pixel']['pitch_um']}' for a study", expected, hint)
+    overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
+    overrides += [Layer(_without_sensor_only(options)), Layer(derived, files[-1].source if files else "")]
     overriding = merged(overrides)
     table = dict(study.table)
     if isinstance(quick := table.get("quick"), dict):
@@ -211,11 +224,18 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     return [Layer(defaults), Layer(table, study.source), *overrides]
 
 
+def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
+    """Settings without what a study has in other fields: pitch, technology, and the pixels that make the die."""
+    left = dict(table)
+    for name, removed in (("pixel", SET_BY_STUDY.keys()), ("camera", {"pixels"})):
+        if isinstance(values := table.get(name), dict):
+            left[name] = {key: value for key, value in values.items() if key not in removed}
+    return left
+
+
 def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
-    """Convert a sensor's table to a study's: without pitch and technology, and with [scene] as scene.parameters."""
-    pixel, scene = table.get("pixel"), table.get("scene")
-    if isinstance(pixel, dict):
-        table = table | {"pixel": {name: value for name, value in pixel.items() if name not in SET_BY_STUDY}}
+    """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as scene.parameters."""
+    scene, table = table.get("scene"), _without_sensor_only(table)
     return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
 
 

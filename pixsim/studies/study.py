@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.config import checked, packaged, read_toml, resolve_file, study_layers
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
@@ -20,7 +22,7 @@ from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, Sampling, first_sampling, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
 from pixsim.studies.oversampling import FilmError, limit_of_time, measure_film, render_on_film
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import white_cd_per_m2
@@ -243,7 +245,7 @@ def study(
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage
 
-    Raises PixsimError for invalid input.
+    Raises PixsimError for invalid input, and if `out` holds a results.csv of another program.
 
     >>> import tempfile
     >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
@@ -256,16 +258,18 @@ def study(
     if isinstance(plan, Study) and (config or parameters or pixel):
         hint = "Set these values in the Study instead."
         raise invalid("config, parameters, pixel", "with a Study", "the name or the file of a study", hint)
-    chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
-    if quick and not chosen.quick:
-        warnings.warn(f"the study {chosen.name} has no [quick] table: running it in full", stacklevel=2)
-    chosen = chosen.quickened if quick else chosen
-    check_pitches(chosen)
-    stage = progress or (lambda _: lambda *_: None)
     from pixsim.scene.convergence import RenderNoise
 
-    with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
-        settled: Settled | None = None
+    stage = progress or (lambda _: lambda *_: None)
+    settled: Settled | None = None
+    with collected_notes() as notes, ExitStack() as stack:
+        chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
+        if quick and not chosen.quick:
+            warnings.warn(f"the study {chosen.name} has no [quick] table: running it in full", stacklevel=2)
+        chosen = chosen.quickened if quick else chosen
+        check_pitches(chosen)
+        ResultsFile(Path(out) / "results.csv").check_replaceable()
+        workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
         if chosen.tolerance_delta_e:
             stage("calibrate")
             from pixsim.studies.budget import settled_study
@@ -274,8 +278,12 @@ def study(
         irradiance, camera, film = render_for(chosen, variant, stage("render"))
         chosen = chosen.model_copy(update={"resolution": irradiance.shape[1]})
         result = sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))
-    result = replace(result, film=film)
-    if settled is None:
-        return result
-    noise = RenderNoise(**irradiance.header["render_noise"])
-    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], int(result.curves[0].sensors.min())))
+        for technology in chosen.technologies:
+            light_of(chosen, result.scenes, technology)  # whose warnings a resumed study, with all rows, would miss
+    changes: dict[str, Any] = {"warned": tuple(notes), "film": film}
+    if settled is not None:
+        noise = RenderNoise(**irradiance.header["render_noise"])
+        changes["budget"] = settled.budget(noise, irradiance.header["bound_e"], int(result.curves[0].sensors.min()))
+    final = replace(result, **changes)
+    final.__dict__["scenes"] = result.scenes  # expensive to prepare again
+    return final

@@ -142,8 +142,7 @@ def test_camera_obeys_thin_lens_equation(camera):
     assert camera.working_f_number == pytest.approx(v_mm / (2e3 * camera.aperture_radius_m), rel=1e-12)
     assert np.tan(np.radians(camera.fov_deg / 2)) == pytest.approx(camera.die_mm / 2 / v_mm, rel=1e-12)
     back = Camera.from_lens_geometry(camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m, camera.die_mm)
-    given = camera.model_dump(exclude_none=True)
-    assert back.model_dump(exclude_none=True) == pytest.approx(given, rel=1e-9)
+    assert back.model_dump(exclude_none=True) == pytest.approx(camera.model_dump(exclude_none=True), rel=1e-9)
     # The chart that fills the die is the die over the magnification.
     assert 2e3 * camera.chart_half_width_m * camera.magnification == pytest.approx(camera.die_mm, rel=1e-12)
 
