@@ -31,8 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import TypeAdapter
-from scipy.special import ndtr
-from scipy.stats import t as student_t
+from scipy.special import ndtr, stdtrit
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
@@ -282,7 +281,7 @@ LEFT = 0.05  # of the change between the coarser films
 MISSED, ENOUGH_PER_DETAIL = 0.05, 1.95  # of mean ΔE for each sample that a detail lacks
 UNSEEN, ENOUGH_PER_DOT = 0.4, 0.99  # of mean ΔE, over the samples per dot
 NORMAL_95 = 1.96
-STUDENT_95 = float(student_t.ppf(0.975, SENSORS - 1))  # for a scatter estimated from so few sensors: 2.8
+STUDENT_95 = float(stdtrit(SENSORS - 1, 0.975))  # for a scatter estimated from so few sensors: 2.8
 MAX_DOTS = 4096
 MIN_CELLS = 4
 OF_DISPLAY = ("display raster", "display interpolation")
