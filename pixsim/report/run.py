@@ -245,7 +245,7 @@ def _prepare(
     from pixsim.scene.plan import Plan, make_plan
     from pixsim.scene.scene import Scene, load_scene
     from pixsim.sensor.pixel import derive
-    from pixsim.studies.oversampling import FilmError, limit_of_time, measure_film, render_on_film
+    from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
 
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
     camera = scene.camera(settings.camera)
@@ -281,7 +281,7 @@ def _prepare(
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
         given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": tolerance_delta_e}
-        return measure_film(image, camera, [derive(settings.pixel)], settings.exposure, settings.display, **given)
+        return cached_film_error(image, camera, [derive(settings.pixel)], settings.exposure, settings.display, **given)
 
     def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
         made = render_on_film(

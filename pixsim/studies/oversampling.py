@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
+from pixsim.base import cache
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, Display, Effort, Exposure
+from pixsim.base.parameters import Camera, Display, Effort, Exposure, content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
@@ -209,6 +211,27 @@ def _mean_delta_e(
 def limit_of_time(effort: Effort) -> float | None:
     """Return the time limit of renders that may lower the film: none by default, so that the film does not depend on the time."""
     return None if effort.max_seconds == Effort.model_fields["max_seconds"].default else effort.max_seconds
+
+
+def cached_film_error(
+    image: SpectralImage,
+    camera: Camera,
+    pixels: Sequence[PixelPhysics],
+    exposure: Exposure,
+    display: Display,
+    *,
+    chart: Chart | None = None,
+    tolerance_delta_e: float | None = None,
+) -> FilmError:
+    """Return `measure_film` of a render, measured or from the cache: its header states everything that it depends on."""
+    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in pixels]
+    settings = camera.model_dump(), exposure.model_dump(), display.model_dump(), tolerance_delta_e
+    key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
+
+    def measure() -> FilmError:
+        return measure_film(image, camera, pixels, exposure, display, chart=chart, tolerance_delta_e=tolerance_delta_e)
+
+    return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
 
 
 Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]

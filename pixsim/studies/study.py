@@ -23,7 +23,7 @@ from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
-from pixsim.studies.oversampling import FilmError, limit_of_time, measure_film, render_on_film
+from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.score import SceneCache
@@ -172,7 +172,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
         given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": study.tolerance_delta_e}
-        return measure_film(image, camera, tried, study.exposure, study.display, **given)
+        return cached_film_error(image, camera, tried, study.exposure, study.display, **given)
 
     plan = plan_of(scene)
     resolution, _ = decide_oversampling(scene, plan, camera, finest, study.display, full=False)
