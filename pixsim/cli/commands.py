@@ -112,8 +112,11 @@ def plan(
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
-    render_options: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
-    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **render_options)
+    camera = loaded.camera(chosen.camera)
+    if chosen.resolution:
+        loaded = loaded.with_resolution(chosen.resolution)
+    render_options: dict[str, Any] = {"exposure": chosen.exposure, "display": chosen.display}
+    made = make_plan(loaded, camera, chosen.pixel, tolerance_e=chosen.tolerance_e, full=full, **render_options)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
     assumed = chosen.pixel.assumption
     show(
@@ -180,7 +183,7 @@ def study(
     Writes results.csv, summary.json, figures (with a contact sheet), provenance.json and report.html. The same command
     continues an interrupted study.
     """
-    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines
+    from pixsim.report.wording import budget_lines, film_words, optimum_line, sensitivity_lines
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
@@ -220,6 +223,7 @@ def study(
             summary = result.as_dict()
             warned = set(result.warned)  # they are on stderr
             lines = [*map(optimum_line, result.curves), *(f"note: {note}" for note in result.notes if note not in warned)]
+            lines += [film_words(summary["film"])] if "film" in summary else []
             lines += budget_lines(summary)
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 

@@ -236,10 +236,11 @@ class SceneOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Effort:
-    """Options of run and study: error tolerances and time limit, as text that the record validates."""
+    """Options of run and study: error tolerances, film and time limit, as text that the record validates."""
 
     tolerance_delta_e: Annotated[str | None, field_option(Run, "tolerance_delta_e")] = None
     render_noise: Annotated[str | None, field_option(Run, "render_noise")] = None
+    resolution: Annotated[str | None, field_option(Run, "resolution")] = None
     max_seconds: Annotated[str | None, field_option(Run, "max_seconds")] = None
 
 

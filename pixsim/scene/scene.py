@@ -20,6 +20,7 @@ from pixsim.base.parameters import Camera, CameraOptions, content_hash
 from pixsim.scene import variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, texture_files
 from pixsim.scene.files import judge_scene, judge_tree
+from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.mitsuba import children, nodes_of, parse, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
 
@@ -43,6 +44,7 @@ class Scene:
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
     own_chart : a picture that takes the place of the parameter `chart`, which names it
+    resolution : film samples across the die, in place of the film's width in the XML
     """
 
     path: Path
@@ -52,6 +54,7 @@ class Scene:
     choice: variants.Choice
     white_cd_per_m2: float | None = None
     own_chart: OwnChart | None = None
+    resolution: int | None = None
 
     def parse(self, **more: object) -> Any:
         """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
@@ -64,7 +67,8 @@ class Scene:
         """Return the camera of the file, overridden by the options.
 
         A Mitsuba scene does not state the die. If its lens is given by numbers, a die option scales the focal length; if the
-        lens is given by parameters, the focal length stays and the field of view changes.
+        lens is given by parameters, the focal length stays and the field of view changes. The die has the shape of the film,
+        unless an option gives its height.
 
         Raises PixsimError if the lens is invalid.
         """
@@ -74,18 +78,42 @@ class Scene:
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
         height, width = film_size(state, sensor)
-        return options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+        camera = options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+        if options.die_height_mm is None and height != width and height > 0:
+            camera = camera.model_copy(update={"die_height_mm": camera.die_mm * height / width})
+        return camera
 
     def for_camera(self, camera: Camera) -> Any:
         """Return the parser state with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
-        lens["chart_half_width"] = camera.chart_half_width_m
-        more = {name: repr(value) for name, value in lens.items() if name in self.names}
+        named = {name: repr(value) for name, value in lens.items() if name in self.names}
+        shown = camera
+        if camera.die_height_mm is not None:  # whole cells of the film may end a little beyond the die
+            height, width = self.film_shape(camera, self.parse(**named))
+            shown = camera.model_copy(update={"die_height_mm": camera.die_mm * height / max(width, 1)})
+        named |= {name: repr(value) for name, value in chart_parameters(shown).items() if name in self.names}
         if self.own_chart:
             # Where the chart follows the height of the die, the picture's border does so too.
-            height_mm = camera.height_mm if CHART_HALF_HEIGHT in self.names else camera.die_mm
-            more[CHART] = str(self.own_chart.texture(camera.die_mm / height_mm, warn=True))
-        return self.parse(**more)
+            height_mm = shown.height_mm if CHART_HALF_HEIGHT in self.names else shown.die_mm
+            named[CHART] = str(self.own_chart.texture(shown.die_mm / height_mm, warn=True))
+        return self.parse(**named)
+
+    def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
+        """Return (height, width) of the film in samples; the renderer checks their range.
+
+        The width is `resolution`, or else that in the XML. The height follows the die's shape, rounded up; without a
+        `die_height_mm` it follows the shape of the film in the XML.
+        """
+        height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
+        if self.resolution is None and camera.die_height_mm is None:
+            return height, width
+        ratio = height / max(width, 1) if camera.die_height_mm is None else camera.height_mm / camera.die_mm
+        across = width if self.resolution is None else self.resolution
+        return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
+
+    def with_resolution(self, resolution: int) -> Scene:
+        """Return the scene on a film of that many samples across."""
+        return replace(self, resolution=resolution)
 
     def with_parameters(self, **more: object) -> Scene:
         """Return the scene with other values of some parameters, `more`."""
@@ -106,6 +134,19 @@ class Scene:
     def __repr__(self) -> str:
         given = "".join(f", {k}={v}" for k, v in self.parameters.items())
         return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
+
+
+def chart_parameters(camera: Camera) -> dict[str, float]:
+    """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in the plane in focus."""
+    width, height = camera.chart_half_width_m, camera.chart_half_height_m
+    shorter = min(width, height)
+    return {
+        "chart_half_width": width,
+        "chart_half_height": height,
+        "chart_half_side": max(width, height),
+        "chart_ratio_x": width / shorter,
+        "chart_ratio_y": height / shorter,
+    }
 
 
 def packaged_scenes() -> dict[str, Path]:
