@@ -316,5 +316,5 @@ def test_study_pixels_below_samples_are_alike():
 
 
 def test_study_result_states_film(result):
-    assert result.study.resolution == result.irradiance.shape[1] == 96
-    assert result.as_dict()["film"]["resolution"] == 96
+    assert result.study.resolution == result.irradiance.shape[1] == 384
+    assert result.as_dict()["film"]["resolution"] == 384
