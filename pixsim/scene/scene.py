@@ -103,6 +103,8 @@ class Scene:
 
         The width is `resolution`, or else that in the XML. The height follows the die's shape, rounded up; without a
         `die_height_mm` it follows the shape of the film in the XML.
+
+        state : of Mitsuba's parser, as from `parse`
         """
         height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
         if self.resolution is None and camera.die_height_mm is None:
@@ -112,7 +114,7 @@ class Scene:
         return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
 
     def with_resolution(self, resolution: int) -> Scene:
-        """Return the scene on a film of that many samples across."""
+        """Return the scene on a film of `resolution` samples across."""
         return replace(self, resolution=resolution)
 
     def with_parameters(self, **more: object) -> Scene:

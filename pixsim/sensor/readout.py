@@ -95,7 +95,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | 
     """Make a sensor that fills the camera's die, with its fixed pattern drawn from the seed.
 
     seed : 0 or more; equal seeds give equal sensors
-    aspect : width over height of the film; None means the shape of the camera's die
+    aspect : ratio of the film's width to its height; None means the shape of the camera's die
 
     Raises PixsimError if the pitch is too small for the technology, larger than the die, or gives too many pixels.
 
