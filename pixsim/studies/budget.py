@@ -457,7 +457,7 @@ def film_error(near: float, far: float, mean_delta_e: float = 0.0, sampling: Fil
     if sampling.per_detail < ENOUGH_PER_DETAIL:
         last += MISSED * (SAMPLES_PER_DETAIL - sampling.per_detail) * mean_delta_e
     if sampling.per_dot < ENOUGH_PER_DOT:
-        last = max(last, UNSEEN / sampling.per_dot * mean_delta_e)
+        last += UNSEEN / sampling.per_dot * mean_delta_e
     return last
 
 

@@ -76,15 +76,15 @@ class FilmError:
     def alike_um(self, pitch_um: Array, mean_delta_e: Array) -> tuple[float, float] | None:
         """Return the smallest and largest of the pitches of a study that this film cannot tell from the best; None if it can.
 
-        A film with a tolerated error can. Another one cannot if the gain is within the error, or if the best pixels are smaller
-        than its samples.
+        A film whose error is tolerated at the best pitch can. Another one cannot if the gain is within the error, or if the best
+        pixels are smaller than its samples.
 
         pitch_um, mean_delta_e : (pitches,) of the study
         """
-        if self.met:
-            return None
         best = int(np.argmin(mean_delta_e))
         error = self.error_at(pitch_um)
+        if error[best] <= np.interp(np.log(pitch_um[best]), np.log(self.pitch_um), self.tolerated_delta_e):
+            return None
         alike = mean_delta_e - mean_delta_e[best] <= np.maximum(error, error[best])
         if pitch_um[best] < self.sample_um:
             alike |= pitch_um < self.sample_um

@@ -171,7 +171,7 @@ def test_film_error_limits():
     assert film_error(0.0, 0.1) == pytest.approx(0.005)  # a last step that is small by chance
     few = FilmSampling(per_detail=1.0, per_dot=1.0)
     assert film_error(0.0, 0.0, 2.0, few) == pytest.approx(0.05 * 2.0)
-    assert film_error(0.0, 0.0, 2.0, FilmSampling(0.25, 0.5)) == pytest.approx(0.8 * 2.0)
+    assert film_error(0.0, 0.0, 2.0, FilmSampling(0.25, 0.5)) == pytest.approx((0.05 * 1.75 + 0.8) * 2.0)
     assert film_error(0.0, 0.0, 2.0, FINE) == 0
 
 
