@@ -158,6 +158,9 @@ def settings_layer(path: Path) -> Layer:
     if isinstance(pixel, dict):
         resolved = {name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel}
         table = {**table, "pixel": pixel | resolved}
+    scene = table.get("scene")
+    if isinstance(scene, dict) and "chart" in scene:
+        table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
     return Layer(table, str(path))
 
 

@@ -510,6 +510,11 @@ class Camera(Record):
         """Half the width of a chart that fills the die, in the plane in focus."""
         return self.die_mm / 2 * self.object_distance_m / self.image_distance_mm
 
+    @property
+    def chart_half_height_m(self) -> float:
+        """Half the height of a chart that fills the die, in the plane in focus."""
+        return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
+
     @classmethod
     def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
         """Camera of a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
@@ -614,7 +619,7 @@ class Display(Record):
 
 
 class Effort(Record):
-    """Error tolerances and the time limit of a result."""
+    """Error tolerances, the film and the time limit of a result."""
 
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
         1e-3, description="largest relative error of the mean electrons from simplifications of the render"
@@ -625,6 +630,9 @@ class Effort(Record):
     )
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
+    )
+    resolution: Annotated[int, Field(ge=1, le=16384)] | None = Field(
+        None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
     )
     max_seconds: Seconds = Field(
         120.0, description="longest render time; a render that reaches it stops with a warning that states its noise"

@@ -23,7 +23,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_notes, score_line
+from pixsim.report.wording import budget_lines, dark_notes, film_words, score_line
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
@@ -111,6 +111,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
         "notes": summary["notes"],
         "blur": blur_words(irradiance, camera, physics, display),
+        "film": film_words(summary["film"]) if "film" in summary else "",
         "budget": budget_lines(summary),
         "light": light,
         "settings": [
@@ -179,8 +180,8 @@ def run_and_write(
     prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]
     with collected_notes() as notes:
         if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-            if settings.scene or sensor or variant or settings.tolerance_delta_e:
-                options = "-D, --sensor, --variant, --tolerance-delta-e"
+            if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution:
+                options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution"
                 raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
             prepared = partial(_read, source, settings, units)
         else:
@@ -241,35 +242,64 @@ def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
 ) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
     """Check everything that can be checked before a render, and return the function that renders."""
-    from pixsim.scene.convergence import render_until
-    from pixsim.scene.plan import make_plan
-    from pixsim.scene.scene import load_scene
+    from pixsim.scene.convergence import RenderNoise, render_until
+    from pixsim.scene.plan import Plan, make_plan
+    from pixsim.scene.scene import Scene, load_scene
+    from pixsim.sensor.pixel import derive
+    from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
 
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
     camera = scene.camera(settings.camera)
-    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    for length_mm in (camera.die_mm, camera.height_mm):
+        pixels_along(1e3 * length_mm, settings.pixel.pitch_um)
+    if settings.resolution:
+        scene = scene.with_resolution(settings.resolution)
     settled: Settled | None = None
+    free = False
     if settings.tolerance_delta_e:
         from pixsim.studies.budget import Setup, settle
 
         progress("calibrate")
+        free = scene.resolution is None
         settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
         chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
         scene, settings = settled.scene, settings.model_copy(update=chosen)
-    plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e, full=full)
+    tolerance_delta_e = settings.tolerance_delta_e
+
+    def plan_of(scene: Scene) -> Plan:
+        display = None if settled else settings.display
+        options: dict[str, Any] = {"display": display, "tolerance_e": settings.tolerance_e, "full": full}
+        return make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
+
+    plan = plan_of(scene)
     for note in plan.warnings:
         warnings.warn(note, stacklevel=2)
-    if plan.resolution:
-        scene = scene.with_parameters(resolution=plan.resolution)
 
-    def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
+    def render_with(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
         limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
         fixed = scene, camera, plan, [settings.pixel], settings.exposure, settings.seed
-        image, noise = render_until(*fixed, progress=progress("render"), keep=True, **limits)
-        more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict()}
+        return render_until(*fixed, progress=progress("render"), keep=True, **limits)
+
+    def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": tolerance_delta_e}
+        return cached_film_error(image, camera, [derive(settings.pixel)], settings.exposure, settings.display, **given)
+
+    def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
+        made = render_on_film(
+            scene,
+            camera,
+            plan,
+            render=render_with,
+            plan_of=plan_of,
+            measure=measure,
+            fixed="" if scene.resolution is None else "chosen for the tolerance" if free else "set by --resolution",
+            max_seconds=limit_of_time(settings),
+        )
+        more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
         if settled:
-            more["error_budget"] = settled.budget(noise, plan.bound_e if plan.bounded else None, settled.choice.sensors)
-        return image, camera, more
+            bound_e = made.plan.bound_e if made.plan.bounded else None
+            more["error_budget"] = settled.budget(made.noise, bound_e, settled.choice.sensors)
+        return made.image, camera, more
 
     return render
 

@@ -17,6 +17,7 @@ from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import is_csf
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
+from pixsim.report.wording import film_words
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -28,6 +29,7 @@ from pixsim.studies.evaluations import DELTA_E_STATISTICS
 from pixsim.studies.result import (
     Curve,
     StudyResult,
+    alike_words,
     curve_table,
     delta_e_against_pitch,
     interval_columns,
@@ -245,6 +247,8 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "study": study,
         "interval": interval_words,
         "within": within_words,
+        "alike": alike_words,
+        "film": film_words(result.film.as_dict()) if result.film else "",
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
         "blurs": [(curve, blur_of(curve)) for curve in result.curves],
         "plates": shown,

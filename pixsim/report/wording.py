@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pixsim.studies.result import interval_words, within_words
+from pixsim.studies.result import alike_words, interval_words, within_words
 from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
@@ -23,7 +23,9 @@ def sensitivity_lines(outcome: Any) -> list[str]:
 
 
 def optimum_line(curve: Any) -> str:
-    """Return the optimum of a curve with its interval and the sizes within 1 % of its error."""
+    """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart."""
+    if curve.alike_um:
+        return f"{curve.label}: {alike_words(curve)}; least mean ΔE {curve.mean().min():.3f}"
     best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"
     text = f"optimal pixel size {best.pitch_um:.2f} µm {interval}"
     if not best.inside:
@@ -49,8 +51,17 @@ def score_line(result: dict[str, Any]) -> str:
     longest = " (the maximum)" if exposure["integration_s"] is None and time_s >= exposure["max_integration_s"] else ""
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
+    film = f"; {film_words(result['film'])}" if "film" in result else ""
     assumed = f"; {result['assumption']}" if result["assumption"] else ""
-    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{assumed}"
+    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{film}{assumed}"
+
+
+def film_words(film: dict[str, Any]) -> str:
+    """Return the film of a result, the largest error of mean ΔE that it may cause, and why it is not finer if that is too large."""
+    error = "unknown" if film["delta_e"] is None else f"at most {film['delta_e']:.1g} ΔE"
+    height, width = film["shape"]
+    too_large = "" if film["met"] else f", more than the {min(film['tolerated_delta_e']):.2g} tolerated: {film['limit']}"
+    return f"film of {width} × {height} samples, its error {error}{too_large}"
 
 
 def dark_notes(result: dict[str, Any]) -> list[str]:

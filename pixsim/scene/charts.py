@@ -6,14 +6,19 @@ A chart fills the die. Its frequencies are those on the sensor, so it depends on
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
+from pixsim.base.parameters import content_hash
 from pixsim.light.exr import write_channels
 
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
@@ -142,3 +147,31 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
     if Path(path).suffix.lower() != ".exr":
         raise invalid("chart file", f"'{path}'", "a name that ends in .exr")
     write_channels(path, {"Y": texels}, {})
+
+
+@lru_cache
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    """The folder of textures, until the process ends, where the cache cannot be written."""
+    return tempfile.TemporaryDirectory(prefix="pixsim-charts-")
+
+
+def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Path:
+    """Return the file of a texture that pixsim makes, in the cache; it is written if it is missing.
+
+    content : everything that the texels depend on, as JSON; the name of the file is its hash
+    make : returns the texels, (H, W) relative luminance
+
+    Raises PixsimError if it cannot be written.
+    """
+    name = f"{content_hash([content, cache.version_fingerprint()])}.exr"
+    path = cache.folder() / "charts" / name
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    if not (path.is_file() or os.access(path.parent, os.W_OK)):
+        path = Path(_temporary_folder().name) / name
+    if path.is_file():
+        with suppress(OSError):  # a read-only cache works too
+            os.utime(path)
+    else:
+        write_chart(path, make())
+    return path

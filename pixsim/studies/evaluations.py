@@ -327,12 +327,13 @@ class Fingerprints:
     @cached_property
     def frames_fit_in_cache(self) -> bool:
         """Whether all frames of the study fit in the cache without displacing most of it."""
-        study, die_um = self.study, 1e3 * self.camera.die_mm
+        study, die_um = self.study, (1e3 * self.camera.height_mm, 1e3 * self.camera.die_mm)
         bits = max(study.options_of(technology).bits for technology in study.technologies)
         code_bytes = np.min_scalar_type(2**bits - 1).itemsize
         sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
         pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
-        return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors_per_pitch)
+        pixels = sum(math.prod(pixels_along(length_um, pitch_um) for length_um in die_um) for pitch_um in pitches)
+        return cache.has_room(pixels * code_bytes * sensors_per_pitch)
 
 
 def first_sampling(study: Study) -> Sampling:

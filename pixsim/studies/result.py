@@ -31,6 +31,7 @@ from pixsim.studies.evaluations import (
     scores_of,
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
+from pixsim.studies.oversampling import FilmError
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
 
@@ -51,6 +52,7 @@ class Curve:
     fit : the fitted curve with its minimum
     label : the technology's name for readers, unique in a study
     data_sheet : whether the sensor is described by its data sheet only, without a process
+    alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
     """
 
     technology: str
@@ -61,6 +63,7 @@ class Curve:
     fit: FittedCurve = field(repr=False)
     label: str = ""
     data_sheet: bool = False
+    alike_um: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -108,6 +111,7 @@ class Curve:
             "optimum": self.optimum.as_dict(),
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
+            "alike_um": self.alike_um,
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
@@ -124,6 +128,7 @@ class StudyResult:
     curves : one for each technology
     irradiance : on the sensor plane, from which all frames are simulated
     camera : with which it was rendered
+    film : error of the film of its irradiance
     budget : error budget of the first curve, if a tolerance of ΔE was requested
     warned : warnings while it was computed
     """
@@ -132,12 +137,16 @@ class StudyResult:
     curves: tuple[Curve, ...]
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
+    film: FilmError | None = None
     budget: dict[str, Any] | None = None
     warned: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         labels = labels_of([curve.technology for curve in self.curves])
-        labelled = tuple(replace(curve, label=label) for curve, label in zip(self.curves, labels, strict=True))
+        labelled = tuple(
+            replace(curve, label=label, alike_um=self.film.alike_um(curve.pitch_um, curve.mean()) if self.film else None)
+            for curve, label in zip(self.curves, labels, strict=True)
+        )
         object.__setattr__(self, "curves", labelled)
 
     @cached_property
@@ -157,8 +166,10 @@ class StudyResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
-        budget = {"error_budget": self.budget} if self.budget else {}
-        return budget | {
+        more: dict[str, Any] = {"error_budget": self.budget} if self.budget else {}
+        if self.film:
+            more["film"] = self.film.as_dict()
+        return more | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "irradiance": self.irradiance.header,
             "notes": self.notes,
@@ -223,6 +234,7 @@ class StudyResult:
         for curve in self.curves:
             best, ends = curve.optimum, f"{curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
             size = f"{best.pitch_um:.2f}" if best.inside else f"none between {ends}"
+            size = alike_words(curve) if curve.alike_um else size
             within = within_words(best.within_1_percent_um, curve)
             rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
@@ -236,6 +248,7 @@ class StudyResult:
             if not best.inside:
                 ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
                 text = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
+            text = alike_words(curve) if curve.alike_um else text
             words.append(f"{curve.label}: {text}")
         return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
 
@@ -257,6 +270,12 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
     process = technology_of(study, technology)
     sheet = process.name == NO_TECHNOLOGY
     return Curve(technology, process.feature_size_um, pitches, fill_factor, statistics, fit, data_sheet=sheet)
+
+
+def alike_words(curve: Any) -> str:
+    """Return why no optimum is named: the pitches that the film cannot tell apart."""
+    low_um, high_um = curve.alike_um
+    return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
 
 
 def interval_words(curve: Any) -> str:
