@@ -18,11 +18,8 @@ from scipy.special import ndtr
 from pixsim.base.arrays import Array
 
 SHOT_NODES = 65
-GAIN_NODES, OFFSET_NODES, MAX_NODES = (
-    37,
-    19,
-    2001,
-)  # at least, and at most; between, they are as dense as the temporal noise is wide
+GAIN_NODES, OFFSET_NODES = 37, 19  # at least; more if they would be wider apart than the temporal noise
+MAX_NODES = 1000  # of gain times offset
 MAX_NODE = 5.0  # σ
 PEAK_RANGE, PEAK_POINTS = (0.3, 1.0), 15  # of the brightest light, and light levels that bracket the peak
 PEAK_WITHIN = 1e-5  # of the brightest light
@@ -39,10 +36,15 @@ def normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
     return sigma * nodes, weights / weights.sum()
 
 
-def node_count(least: int, spread_e: float, temporal_e: float) -> int:
-    """Nodes of a spread between pixels; wider apart than the temporal noise, they would be seen one by one at the clip."""
-    needed = 2 * MAX_NODE * spread_e / temporal_e if temporal_e else 0.0
-    return max(least, math.ceil(min(needed, MAX_NODES)))
+def node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
+    """Nodes of the spreads of gain and offset, given in units of the temporal noise; `MAX_NODES` in all.
+
+    Nodes wider apart than the temporal noise would be seen one by one at the clip.
+    """
+    needed = [min(2 * MAX_NODE * sigmas, MAX_NODES) for sigmas in (gain_sigmas, offset_sigmas)]
+    gains, offsets = max(needed[0], GAIN_NODES), max(needed[1], OFFSET_NODES) if offset_sigmas else 1
+    share = min(1.0, math.sqrt(MAX_NODES / (gains * offsets)))
+    return max(round(share * gains), GAIN_NODES), max(round(share * offsets), OFFSET_NODES) if offset_sigmas else 1
 
 
 def clipped_moments(mean: Array, sigma: float, top: float) -> tuple[Array, Array]:
@@ -76,8 +78,9 @@ def level_moments(
     gain_spread : PRNU. offset_spread_e : of pixels and columns
     """
     temporal_e = math.sqrt(mean_e + dark_e + noise_e**2)
-    gain, gain_weight = normal_nodes(node_count(GAIN_NODES, gain_spread * mean_e, temporal_e), gain_spread)
-    offset, offset_weight = normal_nodes(node_count(OFFSET_NODES, offset_spread_e, temporal_e), offset_spread_e)
+    gains, offsets = node_counts(gain_spread * mean_e / temporal_e, offset_spread_e / temporal_e) if temporal_e else (1, 1)
+    gain, gain_weight = normal_nodes(gains, gain_spread)
+    offset, offset_weight = normal_nodes(offsets, offset_spread_e)
     shot, shot_weight = normal_nodes(SHOT_NODES, 1.0)
     charge = np.maximum(1 + gain, 0.0)[:, None] * mean_e + dark_e
     generated = np.maximum(charge + np.sqrt(charge) * shot, 0.0)
