@@ -140,9 +140,9 @@ def _names(title: str, path: list[str]) -> list[str]:
 
 
 SCALED_WITH_AREA = ("full_well_e", "dark_current_e_per_s")  # a data sheet states them for its pitch only
-# Fields of a pixel that a study sets itself, and the fields of the study that do so.
-SET_BY_STUDY = {"pitch_um": "pitch.min_um, pitch.max_um or pitch.values_um", "technology": "technologies"}
-PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
+SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
+# Fields of a range of pitches, and those of an earlier layer that they replace.
+REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
 
 
 def settings_layer(path: Path) -> Layer:
@@ -175,40 +175,52 @@ def is_data_sheet(files: list[Layer], options: dict[str, Any]) -> bool:
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
     """Layers of a study: its own table, then the sensor files, then the options.
 
-    A data sheet becomes the only sensor of the study, with pitches from a quarter to four times its own unless the study sets
-    a range. A technology becomes the only one of the study; the pitch of its file is not used. Values that a file or an option
-    replaces are removed from the study's [quick] and [sources].
+    A data sheet, in files and options together, becomes the only sensor of the study, whose sizes go from a quarter to four
+    times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is not used.
+    Values that a file or an option replaces are removed from the study's [quick] and [sources].
 
-    Raises PixsimError if a file is invalid, or if an option sets the pitch or the technology.
+    options : tables of the study; `pixel` may also have pitch_um and technology, as a sensor file has
+
+    Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
     """
-    pixel_options = (options or {}).get("pixel", {})
-    for name in SET_BY_STUDY.keys() & pixel_options.keys():
-        expected = f"other fields of the pixel: a study's file gives {SET_BY_STUDY[name]}"
-        raise invalid(f"pixel.{name}", f"'{pixel_options[name]}' for a study", expected, "Set it in a copy of the study's file.")
+    options = dict(options or {})
     files = [settings_layer(path) for path in paths]
-    defaults: dict[str, Any] = {}
-    overrides: list[Layer] = []
-    if files:
-        settings: Run = checked(Run, files)  # so that errors name the fields as they are in the file
-        given = {name for layer in files for name in layer.table.get("pixel", {})}
-        derived: dict[str, Any] = {}
-        if is_data_sheet(files, options or {}):
-            derived = {"technologies": [NO_TECHNOLOGY], "paper": False}
-            ends_um = settings.pixel.pitch_um / PITCH_RATIO, settings.pixel.pitch_um * PITCH_RATIO
-            defaults = {"pitch": dict(zip(("min_um", "max_um"), ends_um, strict=True))}
+    pixel_options = options.get("pixel", {})
+    given = {name for table in (*(layer.table for layer in files), options) for name in table.get("pixel", {})}
+    derived: dict[str, Any] = {}
+    if files or given & set(SET_BY_STUDY):
+        settings: Run = checked(Run, [*files, Layer({"pixel": pixel_options})])  # so that errors name the fields as they were given
+        if is_data_sheet(files, options):
+            own = {"own_um": settings.pixel.pitch_um}
+            derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": own}
         elif "technology" in given:
             derived = {"technologies": [settings.pixel.technology], "paper": False}
-        if "pitch_um" in given and given & set(SCALED_WITH_AREA) and "data_sheet_pitch_um" not in given:
+        scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
+        if "pitch_um" in given and scaled:
             derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
-        overrides = [*(Layer(_as_study_table(layer.table), layer.source) for layer in files), Layer(derived, files[-1].source)]
-    overrides.append(Layer(options or {}))
+        if "pitch_um" in pixel_options and not (scaled or "pitch" in derived):
+            expected = "the pitch of a data sheet: pitch.min_um, pitch.max_um or pitch.values_um set the sizes of a study"
+            raise invalid("pixel.pitch_um", f"'{pixel_options['pitch_um']}' for a study", expected, "Set --pitch.min-um or --pitch.max-um.")
+    if pixel_options:
+        options["pixel"] = {name: value for name, value in pixel_options.items() if name not in SET_BY_STUDY}
+    source = files[-1].source if files else ""
+    overrides = [*(Layer(_as_study_table(layer.table), layer.source) for layer in files), Layer(derived, source), Layer(options)]
     overriding = merged(overrides)
-    table = dict(study.table)
+    table = _with_range(study.table, overriding)
     if isinstance(quick := table.get("quick"), dict):
-        table["quick"] = _without(quick, overriding)
+        table["quick"] = _without(_with_range(quick, overriding), overriding)
     if isinstance(sources := table.get("sources"), dict):
         table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
-    return [Layer(defaults), Layer(table, study.source), *overrides]
+    return [Layer(table, study.source), *overrides]
+
+
+def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the fields of [pitch] that an overriding range makes void, such as a list of pitches."""
+    pitch, given = table.get("pitch"), overriding.get("pitch", {})
+    if not (isinstance(pitch, dict) and isinstance(given, dict)):
+        return dict(table)
+    void = {name for name, others in REPLACED_RANGE.items() if name not in given and any(other in given for other in others)}
+    return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
 
 
 def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:

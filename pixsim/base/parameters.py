@@ -28,7 +28,7 @@ from pydantic import (
     model_validator,
 )
 
-from pixsim.base.errors import PixsimError
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import read_text
 
 # Documented in the reference; the other names are internal.
@@ -372,6 +372,17 @@ class Camera(Record):
         """Half the width of a chart that fills the die, in the plane in focus."""
         return self.die_mm / 2 * self.object_distance_m / self.image_distance_mm
 
+    def window(self, width_mm: float | None) -> Camera:
+        """The same lens on a central part of the die, of `width_mm`; the camera itself for None.
+
+        Raises PixsimError if the window is wider than the die.
+        """
+        if width_mm is None:
+            return self
+        if width_mm > self.die_mm:
+            raise invalid("window_mm", f"{width_mm:g}", f"at most the width of the die, {self.die_mm:g}")
+        return self.model_copy(update={"die_mm": width_mm})
+
     @classmethod
     def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
         """Camera of a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
@@ -431,7 +442,7 @@ class Display(Record):
 
 
 class Effort(Record):
-    """Error tolerances and the time limit of a result."""
+    """What a result may cost: error tolerances, the time limit, and the part of the die."""
 
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
         1e-3, description="largest relative error of the mean electrons from simplifications of the render"
@@ -446,6 +457,17 @@ class Effort(Record):
     max_seconds: Seconds = Field(
         120.0, description="longest render time; a render that reaches it stops with a warning that states its noise"
     )
+    window_mm: DieWidth | None = Field(
+        None, description="width of a central part of the die: the same lens and pixels on a smaller die (absent: the whole die)"
+    )
+
+
+def _as_list(value: Any) -> Any:
+    """Split the text of an option, as 1.4,2.0,2.8."""
+    return value.replace(",", " ").split() if isinstance(value, str) else value
+
+
+PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
 
 
 class PitchRange(Record):
@@ -455,7 +477,12 @@ class PitchRange(Record):
     min_um: Pitch | None = Field(None, description="smallest pixel size, in place of min_fill_factor")
     max_um: Pitch = Field(15.0, description="largest pixel size")
     count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="number of pixel sizes")
-    values_um: tuple[Pitch, ...] | None = Field(None, description="list of pixel sizes, in place of min, max and count")
+    values_um: Annotated[tuple[Pitch, ...], BeforeValidator(_as_list)] | None = Field(None, description="list of pixel sizes, in place of min, max and count")
+    own_um: Pitch | None = Field(
+        None,
+        description="pixel size of the sensor itself, from whose data sheet an open range, the display's dots and the chart follow "
+        "(absent: data_sheet_pitch_um)",
+    )
 
     @property
     def largest_um(self) -> float:
@@ -512,7 +539,8 @@ class Study(Effort):
 
     @model_validator(mode="after")
     def _paper_needs_its_scene(self) -> Self:
-        if self.paper and (self.scene.file != "csf" or "chart" in self.scene.parameters or "0.35um" not in self.technologies):
+        others = self.scene.parameters.keys() & {"chart", "max_lp_per_mm"}
+        if self.paper and (self.scene.file != "csf" or others or "0.35um" not in self.technologies):
             raise ValueError("paper = true compares with Chen et al. (2000): it needs scene.file = 'csf' and technology '0.35um'")
         return self
 
@@ -524,15 +552,30 @@ class Study(Effort):
                 raise ValueError(f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone, or leave it out")
             if missing := [name for name in ("data_sheet_pitch_um", *DATA_SHEET) if getattr(self.pixel, name) is None]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
-            if self.pitch.min_um is None and self.pitch.values_um is None:
-                raise ValueError("a data sheet has no fill factors: give pitch.min_um, or pitch.values_um")
         return self
+
+    @property
+    def own_um(self) -> float | None:
+        """Pitch of the sensor whose data sheet the study has; None for a study of technologies."""
+        return (self.pitch.own_um or self.pixel.data_sheet_pitch_um) if NO_TECHNOLOGY in self.technologies else None
+
+    @property
+    def open_range_um(self) -> tuple[float | None, float]:
+        """Ends of the range of pitches, where they are not set: of a data sheet from a quarter to four times its pitch.
+
+        None for the lower end of a technology, which follows from `min_fill_factor`.
+        """
+        low, high = self.pitch.min_um, self.pitch.max_um
+        if self.own_um is None:
+            return low, high
+        return low or self.own_um / PITCH_RATIO, high if "max_um" in self.pitch.model_fields_set else self.own_um * PITCH_RATIO
 
     @cached_property
     def quickened(self) -> Study:
         """This study with its `quick` table applied; `process` keeps only technologies that remain."""
-        table = merge(self.model_dump(exclude={"quick"}, mode="json"), self.quick)
-        table["process"] = {name: values for name, values in table["process"].items() if name in table["technologies"]}
+        table = merge(self.model_dump(exclude={"quick"}, exclude_unset=True, mode="json"), self.quick)
+        technologies = table.get("technologies", self.technologies)
+        table["process"] = {name: values for name, values in table.get("process", {}).items() if name in technologies}
         return Study.model_validate(table)
 
 

@@ -58,8 +58,8 @@ def run(
 
     Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
-    Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json and
-    report.html.
+    Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json,
+    settings.toml and report.html. `pixsim run SCENE --config settings.toml` repeats it.
     """
     from pixsim.report.run import run_and_write
     from pixsim.report.wording import budget_lines, dark_note, score_line
@@ -132,9 +132,12 @@ def study(
         str, Parameter(help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.")
     ],
     *,
-    config: common.Config = None,
-    define: common.Define = None,
-    pixel: common.PixelTable = None,
+    scene: Annotated[str | None, Parameter(help=f"{SCENE_HELP} [default: that of the study]")] = None,
+    options: SceneOptions = common.NO_OPTIONS,
+    display: common.DisplayTable = None,
+    pitch: common.PitchTable = None,
+    seed: common.Seed = None,
+    tolerance_e: common.Tolerance = None,
     quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Annotated[
@@ -151,20 +154,21 @@ def study(
 
     Example: pixsim study chen2000 --pixel.response scaled --out scaled
 
-    Writes results.csv, summary.json, figures (with a contact sheet), provenance.json and report.html. The same command
-    continues an interrupted study.
+    Example: pixsim study pixel-size --config my_sensor.toml --scene still_life --pitch.min-um 2 --quick
+
+    Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
+    command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
     from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, target_notes
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
-    options = given({**vars(effort), "pixel": pixel})
-    if parameters := definitions(define):
-        options["scene"] = {"parameters": parameters}
-    if "vary" in table.table and (config or define or pixel):
+    tables = options.study_tables(scene, display=display, pitch=pitch, seed=seed, tolerance_e=tolerance_e, **vars(effort))
+    if "vary" in table.table and (tables or options.config):
         hint = "Copy the study that it varies, set them there, and name the copy as its base."
-        raise invalid("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", hint)
-    layers = study_layers(table, config or [], options)
+        got = f"{', '.join(tables) or '--config'}, with {study}, which varies another study"
+        raise invalid("options of settings", got, "studies of pixel sizes", hint)
+    layers = study_layers(table, options.config or [], tables)
     seconds: dict[str, float] = {}
     suffix = "-quick" if quick else ""
     run_options: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}

@@ -14,7 +14,7 @@ from pixsim.base.files import output_folder, replacing, versions, write_json
 from pixsim.base.parameters import NO_TECHNOLOGY, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import map_plates, scene_plates
-from pixsim.report.pictures import is_csf
+from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
 from pixsim.report.wording import study_dark_notes, target_notes
@@ -55,7 +55,7 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
         f"Other statistics of ΔE for the same pictures ({curve.label}), each divided by its minimum. The legend gives the "
         "best of the pixel sizes tried."
     )
-    if is_csf(result.irradiance):
+    if csf_range_lp_per_mm(result.irradiance):
         caption += (
             " The maximum belongs to single dots in the darkest bars, where S-CIELAB, which blurs colour more widely than "
             "luminance, is most sensitive."

@@ -16,12 +16,13 @@ from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
-from pixsim.scene import variant as variants
+from pixsim.scene import charts, variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, texture_files
 from pixsim.scene.files import judge_scene, judge_tree
 from pixsim.scene.mitsuba import children, nodes_of, parse, plain
 
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
+CHART, CHART_HALF_WIDTH = "chart", "chart_half_width"
 LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
@@ -39,6 +40,7 @@ class Scene:
     sensor_id : id of the sensor; None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
+    shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
     """
 
     path: Path
@@ -47,10 +49,13 @@ class Scene:
     sensor_id: str | None
     choice: variants.Choice
     white_cd_per_m2: float | None = None
+    shows_csf: bool = False
 
     def parse(self, **more: object) -> Any:
         """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
-        return parse(self.path, self.choice.variant, {**{k: str(v) for k, v in more.items()}, **self.parameters})
+        given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
+        given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
+        return parse(self.path, self.choice.variant, given)
 
     def camera(self, options: CameraOptions | None = None) -> Camera:
         """Return the camera of the file, overridden by the options.
@@ -71,8 +76,14 @@ class Scene:
     def for_camera(self, camera: Camera) -> Any:
         """Return the parser state with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
-        lens["chart_half_width"] = camera.chart_half_width_m
-        return self.parse(**{name: repr(value) for name, value in lens.items() if name in self.names})
+        lens[CHART_HALF_WIDTH] = camera.chart_half_width_m
+        more = {name: repr(value) for name, value in lens.items() if name in self.names}
+        if charts.MAX_LP_PER_MM in self.parameters:
+            width_mm = camera.die_mm
+            if CHART_HALF_WIDTH in self.parameters:
+                width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
+            more[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
+        return self.parse(**more)
 
     def with_parameters(self, **more: object) -> Scene:
         """Return the scene with other values of some parameters, `more`."""
@@ -107,7 +118,7 @@ def load_scene(
     variant : Mitsuba variant; None takes the fastest that works on this machine
     sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
-        in a scene with a parameter `emitter_scale`
+        in a scene with a parameter `emitter_scale`, `max_lp_per_mm` the highest frequency on the sensor of the CSF chart
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
     one, the sensor is not a thin lens, or LLVM is too old.
@@ -123,10 +134,13 @@ def load_scene(
         known = packaged_scenes()
         raise invalid("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
+    highest = parameters.pop(charts.MAX_LP_PER_MM, None)
     given = {name: str(value) for name, value in parameters.items()}
     text = judge_scene(path, given)
     names = frozenset(text.names)
     settable = {name for name, needed in ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE)) if needed in names | text.defaults.keys()}
+    shows_csf = CHART in names and CHART not in given and Path(text.defaults.get(CHART, "")).name == "csf.exr"
+    settable |= {charts.MAX_LP_PER_MM} if shows_csf else set()
     allowed = names | settable
     if wrong := [name for name in given if name not in allowed]:
         similar = difflib.get_close_matches(wrong[0], allowed, 1)
@@ -136,9 +150,13 @@ def load_scene(
     if white is not None and file_white is None:
         got = f"'{white}', but '{path.name}' has no such <default>"
         raise invalid(WHITE, got, "a scene with this <default>", "Set display.white_cd_per_m2.")
+    if highest is not None and not shows_csf:
+        got = f"'{highest}', but the chart of '{path.name}' is another{' (-D chart)' if CHART in given else ''}"
+        raise invalid(charts.MAX_LP_PER_MM, got, "the scene csf with its own chart")
     display_white = file_white if white is None else white
     choice = variants.choose(variant)
-    loaded = Scene(path.resolve(), given, names, sensor, choice, None if display_white is None else _positive(WHITE, display_white))
+    shown_white = None if display_white is None else _positive(WHITE, display_white)
+    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf)
     state = loaded.parse()
     judge_tree([list(children(node, state).values()) for node in state.nodes])
     sensor_of_scene = sensor_node(state, sensor)[1]
@@ -150,6 +168,8 @@ def load_scene(
     check_textures(state, loaded.path.parent)
     if luminance is not None:
         loaded = _with_luminance(loaded, luminance)
+    if highest is not None:
+        loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: repr(_positive(charts.MAX_LP_PER_MM, highest))})
     return loaded
 
 

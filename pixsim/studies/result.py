@@ -121,6 +121,7 @@ class StudyResult:
     irradiance : on the sensor plane, from which all frames are simulated
     camera : with which it was rendered
     budget : error budget of the first curve, if a tolerance of ΔE was requested
+    view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.View`)
     """
 
     study: Study
@@ -128,6 +129,7 @@ class StudyResult:
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
     budget: dict[str, Any] | None = None
+    view: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         labels = labels_of([curve.technology for curve in self.curves])

@@ -23,7 +23,7 @@ from pixsim.show.pages import Column, Plate, write_figures, write_page
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
-from pixsim.studies.study import check_pitches, load_study, render_for, scene_for, sweep_pitches
+from pixsim.studies.study import check_pitches, check_technologies, load_study, prepare, render_for, sweep_pitches
 
 
 class Setting(Record):
@@ -62,9 +62,10 @@ class Sensitivity(Record):
         """Return the base study with this record's technologies, sensors and pitches; all cases share its random streams."""
         given = {"repeats": self.repeats, "pitch": self.pitch.model_dump() if self.pitch else None}
         changes = {"technologies": self.technologies} | {name: value for name, value in given.items() if value is not None}
-        table = load_study(self.base).model_dump(mode="json", exclude={"quick"})
-        changes["process"] = {name: numbers for name, numbers in table["process"].items() if name in self.technologies}
-        return Study.model_validate(table | changes | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
+        base = load_study(self.base)
+        changes["process"] = {name: numbers for name, numbers in base.process.items() if name in self.technologies}
+        changes["paper"] = base.paper and REFERENCE_TECHNOLOGY in self.technologies
+        return Study.model_validate(base.model_dump(mode="json", exclude={"quick"}, exclude_unset=True) | changes)
 
 
 @dataclass(frozen=True)
@@ -164,9 +165,12 @@ class SensitivityResult:
         }
 
 
-def cases_of(sensitivity: Sensitivity) -> Iterator[tuple[str, str, Study]]:
-    """Yield (variation, label, study) for every setting."""
-    base = sensitivity.base_study().model_dump(mode="json")
+def cases_of(sensitivity: Sensitivity, base_study: Study | None = None) -> Iterator[tuple[str, str, Study]]:
+    """Yield (variation, label, study) for every setting.
+
+    base_study : with the display and chart that all cases share; None means that of the sensitivity analysis
+    """
+    base = (base_study or sensitivity.base_study()).model_dump(mode="json", exclude_unset=True)
     for variation in sensitivity.vary:
         for setting in variation.settings:
             yield variation.name, setting.label, Study.model_validate(merge(base, setting.set))
@@ -209,14 +213,12 @@ def run_sensitivity(
     if quick:
         table = merge(sensitivity.model_dump(mode="json", exclude={"quick"}), sensitivity.quick)
         sensitivity = Sensitivity.model_validate(table)
-    base, moves = sensitivity.base_study(), moves_of(sensitivity)
+    base, moves = prepare(sensitivity.base_study(), variant).study, moves_of(sensitivity)
     moved = [move.study(base) for move in moves]
-    cases = list(cases_of(sensitivity))
-    studies = [base, *(study for _, _, study in cases)]
-    for study in (*studies, *moved):
+    cases = [(name, label, prepare(study, variant).study) for name, label, study in cases_of(sensitivity, base)]
+    for study in moved:
+        check_technologies(study)
         check_pitches(study)
-    for study in studies:
-        scene_for(study, variant)
     stage = progress or (lambda _: lambda *_: None)
     renders: dict[str, tuple[SpectralImage, Camera]] = {}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +15,14 @@ from pixsim.base.files import output_folder
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, Sampling, first_sampling, study_pitches_um
+from pixsim.studies.preparation import View, choose_view, die_um, fitted_range
 from pixsim.studies.result import Curve, StudyResult, curve_of
-from pixsim.viewer.display import white_cd_per_m2
+from pixsim.viewer.display import dot_edges_um, white_cd_per_m2
 from pixsim.viewer.score import SceneCache
 
 if TYPE_CHECKING:
@@ -62,16 +62,23 @@ def load_study(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
+    scene: str | os.PathLike[str] | None = None,
+    **settings: Any,
 ) -> Study:
     """Return a packaged study by name, or one from a TOML file. Raises PixsimError listing all of its errors.
 
     config : one or more TOML files with a sensor, its camera, exposure and display, as for `pixsim run`; later files take
         precedence. The well and dark current of a data sheet scale with the photodiode's area.
     parameters : of the scene; they override those of the study
-    pixel : fields of the pixels, each in its unit, which override those of the study and the files; not pitch or technology
+    pixel : fields of the pixels, each in its unit, which override those of the study and the files; a data sheet may stand here
+        instead of in a file, with its pitch_um
+    scene : XML file or name of a packaged scene
+    settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um": 2.0}, window_mm=1.0
     """
     paths = [config] if isinstance(config, str | os.PathLike) else config
-    options: dict[str, Any] = {"scene": {"parameters": dict(parameters)}} if parameters else {}
+    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
+    options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
     return checked_study(study_layers(read_study(name), [Path(path) for path in paths], options))
 
@@ -108,8 +115,8 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sam
     return chosen
 
 
-def check_pitches(study: Study) -> None:
-    """Raise PixsimError for an impossible pitch, technology or limit, before anything is computed."""
+def check_technologies(study: Study) -> None:
+    """Raise PixsimError for an unknown technology, one that a study has twice, or numbers of one that it does not have."""
     processes: dict[str, str] = {}
     for name in study.process:
         if name not in study.technologies:
@@ -119,6 +126,10 @@ def check_pitches(study: Study) -> None:
         if content in processes:
             raise invalid("technologies", f"{name} and {processes[content]}, which are the same process", "each process once")
         processes[content] = name
+
+
+def check_pitches(study: Study) -> None:
+    """Raise PixsimError for an impossible pitch or limit, before anything is computed."""
     for technology in study.technologies:
         for pitch_um in study_pitches_um(study, technology).tolist():
             physics_of(study, technology, pitch_um)
@@ -129,15 +140,47 @@ def check_pitches(study: Study) -> None:
 
 
 def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
-    """Return the study's scene and camera. Raises PixsimError for invalid input, before any render."""
+    """Return the study's scene and the camera of its window. Raises PixsimError for invalid input."""
     from pixsim.scene.scene import load_scene
 
     parameters: dict[str, Any] = dict(study.scene.parameters)
     scene = load_scene(study.scene.file, variant=variant, **parameters)
-    camera = scene.camera(study.camera)
-    largest_um = max(study_pitches_um(study, technology).max() for technology in study.technologies)
-    pixels_along(1e3 * camera.die_mm, float(largest_um))
-    return scene, camera
+    return scene, scene.camera(study.camera).window(study.window_mm)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A study with everything that it left open, found and checked before anything is rendered.
+
+    study : with its pixel sizes, display and chart
+    scene, camera : of the study; the camera is that of the window
+    view : display and chart that pixsim chose for the sensor of a data sheet
+    """
+
+    study: Study
+    scene: Scene
+    camera: Camera
+    view: View
+
+
+def prepare(study: Study, variant: str | None = None) -> Prepared:
+    """Choose what a study leaves open, and check everything that can be checked before a render.
+
+    Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
+    """
+    check_technologies(study)
+    scene, camera = scene_for(study, variant)
+    study, view = fitted_range(study, camera), View()
+    if study.own_um is not None:
+        view = choose_view(study.own_um, camera, study.display, scene)
+        of_scene = study.scene.model_copy(update={"parameters": view.parameters(study.scene.parameters)})
+        study = study.model_copy(update={"display": view.display(study.display), "scene": of_scene})
+        scene = view.scene(scene)
+    check_pitches(study)
+    for technology in study.technologies:
+        largest_um = float(study_pitches_um(study, technology).max())
+        dot_edges_um(die_um(camera), largest_um, study.display, study.pitch.largest_um)
+    return Prepared(study, scene, camera, view)
 
 
 def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
@@ -164,6 +207,7 @@ def sweep_pitches(
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
+    view: View | None = None,
 ) -> StudyResult:
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
     white_cd_per_m2(irradiance, study.display)  # raises for an unknown white before any file is made
@@ -178,7 +222,7 @@ def sweep_pitches(
                 break
             sampling = more
         evaluations.finish(rows)
-    result = StudyResult(study, curves, irradiance, camera)
+    result = StudyResult(study, curves, irradiance, camera, view=(view or View()).as_dict())
     result.__dict__["scenes"] = scenes  # expensive to prepare again
     return result
 
@@ -190,11 +234,13 @@ def study(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
+    scene: str | os.PathLike[str] | None = None,
     quick: bool = False,
     jobs: int | None = None,
     scheduler: Any = None,
     variant: str | None = None,
     progress: Stage | None = None,
+    **settings: Any,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
 
@@ -202,15 +248,19 @@ def study(
     out : folder, created if missing
     config : one or more TOML files with a sensor, its camera, exposure and display for a named study; later ones take precedence
     parameters : of the scene, each in its unit; they override those of a named study
-    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they override a named study's
+    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they override a named study's. A
+        data sheet may stand here instead of in a file, with its pitch_um
+    scene : XML file or name of a packaged scene, which overrides a named study's
     quick : use the values of the study's `quick` table
     jobs : processes; None means one per core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes;
         on the same kind of processor their results are bitwise equal
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage
+    settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
+        pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0
 
-    Raises PixsimError for invalid input.
+    Raises PixsimError for invalid input, before anything is rendered.
 
     >>> import tempfile
     >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
@@ -220,14 +270,16 @@ def study(
     >>> result.curves[0].delta_e.shape, bool(result.curves[0].delta_e.mean(axis=1).argmin() == 0)  # (pitches, sensors)
     ((5, 2), True)
     """
-    if isinstance(plan, Study) and (config or parameters or pixel):
+    given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene} | settings
+    if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
-        raise invalid("config, parameters, pixel", "with a Study", "the name or the file of a study", hint)
-    chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
+        raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
+    chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
     if quick and not chosen.quick:
         warnings.warn(f"the study {chosen.name} has no [quick] table: running it in full", stacklevel=2)
     chosen = chosen.quickened if quick else chosen
-    check_pitches(chosen)
+    prepared = prepare(chosen, variant)
+    chosen = prepared.study
     stage = progress or (lambda _: lambda *_: None)
     from pixsim.scene.convergence import RenderNoise
 
@@ -237,9 +289,10 @@ def study(
             stage("calibrate")
             from pixsim.studies.budget import settled_study
 
-            chosen, settled = settled_study(chosen, *scene_for(chosen, variant))
+            chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
         irradiance, camera = render_for(chosen, variant, stage("render"))
-        result = sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))
+        results = folder / "results.csv"
+        result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)
     if settled is None:
         return result
     noise = RenderNoise(**irradiance.header["render_noise"])

@@ -1,0 +1,164 @@
+"""What a command decides before its first render: display and chart for a data sheet's sensor, pixel sizes, and their cost.
+
+A sensor given by its data sheet has no display or chart that belongs to it, as the process of Chen et al. (2000) has. Where
+nobody sets them, its display has a dot for each column of pixels, up to 2048, and the CSF chart ends at the highest frequency
+that the sensor, the lens and the display can show. Both are chosen once a command, so that all its scores are comparable.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pixsim.base.errors import invalid
+from pixsim.base.machine import memory
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, PitchRange, Study
+from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
+from pixsim.scene.plan import GREEN_NM, Plan
+from pixsim.scene.scene import Scene
+from pixsim.sensor.integration import MAX_PIXELS, pixels_along
+from pixsim.studies.engine import workers_here
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.viewer.display import dot_edges_um
+
+ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
+MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
+
+
+@dataclass(frozen=True)
+class View:
+    """Display and chart that pixsim chose for a data sheet's sensor; None for what was set, or does not apply.
+
+    dots : across the die
+    max_lp_per_mm : highest frequency of the CSF chart on the sensor
+    limited_by : what limits that frequency
+    """
+
+    dots: int | None = None
+    max_lp_per_mm: float | None = None
+    limited_by: str | None = None
+
+    def display(self, display: Display) -> Display:
+        """Return the display with the chosen dots."""
+        return display if self.dots is None else display.model_copy(update={"dots": self.dots})
+
+    def parameters(self, given: Mapping[str, float | int | str]) -> dict[str, float | int | str]:
+        """Return the parameters of the scene with the chosen chart."""
+        return {**given} if self.max_lp_per_mm is None else {**given, MAX_LP_PER_MM: self.max_lp_per_mm}
+
+    def scene(self, scene: Scene) -> Scene:
+        """Return the scene with the chosen chart."""
+        return scene if self.max_lp_per_mm is None else scene.with_parameters(**{MAX_LP_PER_MM: repr(self.max_lp_per_mm)})
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what was chosen, as in score.json and summary.json."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene | None) -> View:
+    """Return display and chart for a data sheet's sensor of a pitch, where nobody set them.
+
+    The dots are the columns of pixels on the die, 8 to 2048. The chart ends at the least of the Nyquist frequencies of sensor and
+    display and the cut-off of the lens in green light.
+
+    camera : of the window that is simulated
+    scene : None for a picture of another program
+
+    Raises PixsimError if not one pixel fits on the die.
+    """
+    fixed = display.raster == "fixed_size"
+    columns = pixels_along(1e3 * camera.die_mm, pitch_um)
+    dots = min(max(columns, ALLOWED_DOTS[0]), ALLOWED_DOTS[1])
+    free = fixed and "dots" not in display.model_fields_set
+    if scene is None or not scene.shows_csf or MAX_LP_PER_MM in scene.parameters:
+        return View(dots if free else None)
+    limits = {
+        "the sensor's Nyquist frequency": 1e3 / (2 * pitch_um),
+        "the lens's cut-off": float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)),
+    }
+    if fixed:
+        limits["the display's Nyquist frequency"] = (dots if free else display.dots) / (2 * camera.die_mm)
+    limited_by = min(limits, key=lambda name: limits[name])
+    lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / camera.die_mm
+    return View(dots if free else None, max(limits[limited_by], 2**MIN_OCTAVES * lowest), limited_by)
+
+
+MIN_ACROSS = 16  # pixels across the die, of the largest pitch by default
+BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
+MAX_FRAME_BYTES = 2.0 * (1 << 30)
+PITCH_DIGITS = 4
+
+
+def most_pixels(camera: Camera, own_um: float | None) -> float:
+    """Return the number of pixels that a study chooses by itself at most: 2 GiB while a frame is simulated, or the sheet's own."""
+    own = 0.0 if own_um is None else math.prod(pixels_along(length_um, own_um) for length_um in die_um(camera))
+    return min(max(MAX_FRAME_BYTES / BYTES_PER_PIXEL, own), MAX_PIXELS)
+
+
+def die_um(camera: Camera) -> tuple[float, float]:
+    """Return height and width of the die."""
+    return 1e3 * camera.die_mm, 1e3 * camera.die_mm
+
+
+def fitted_range(study: Study, camera: Camera) -> Study:
+    """Return the study with the range of its pixel sizes: that of the data sheet, and within what a frame may hold.
+
+    A range that is left open begins at a quarter of the data sheet's pitch, or where the fill factor is `min_fill_factor`, and
+    ends at four times the pitch. It is shortened, with a warning, where there would be too many pixels or too few.
+
+    Raises PixsimError if a pixel size that was set makes too many pixels.
+    """
+    pitch, own_um = study.pitch, study.own_um
+    height_um, width_um = die_um(camera)
+    if pitch.values_um is not None:
+        check_smallest(min(pitch.values_um), camera, "pitch.values_um")
+        return study
+    low, high = study.open_range_um
+    if own_um is not None and "max_um" not in pitch.model_fields_set:
+        wished, high = high, min(high, max(min(height_um, width_um) / MIN_ACROSS, own_um))
+        if high < wished:
+            ends = f"{high:.4g} µm in place of {wished:.4g} µm"
+            warnings.warn(f"the largest pixel size is {ends}: a larger one leaves fewer than {MIN_ACROSS} on the die", stacklevel=3)
+    if pitch.min_um is not None:
+        check_smallest(pitch.min_um, camera, "pitch.min_um")
+    else:
+        lows = [low] if low is not None else [float(study_pitches_um(study, name).min()) for name in study.technologies]
+        low = low if low is None else rounded_up(low)
+        most = most_pixels(camera, own_um)
+        least_um = rounded_up(math.sqrt(height_um * width_um / most))
+        if min(lows) < least_um - 10**-PITCH_DIGITS:
+            if len(lows) > 1:
+                which = study.technologies[lows.index(min(lows))]
+                got = f"{min(lows):.4g} µm of {which}: {height_um * width_um / min(lows) ** 2:.3g} pixels"
+                raise invalid("pitch.min_fill_factor", got, f"at most {most:.3g} pixels", f"Set --pitch.min-um {least_um:g}, or --window.")
+            low, large = least_um, most > MAX_FRAME_BYTES / BYTES_PER_PIXEL
+            limit = "as many as the data sheet's sensor has" if large else f"{MAX_FRAME_BYTES / (1 << 30):g} GiB for a frame"
+            warnings.warn(
+                f"the smallest pixel size is {low:.4g} µm in place of {min(lows):.4g} µm, with {most / 1e6:.3g} million pixels on "
+                f"the die, {limit}; smaller ones: --pitch.min-um, or a part of the die by --window",
+                stacklevel=3,
+            )
+    if own_um is None and low == pitch.min_um:
+        return study
+    chosen = {name: value for name, value in (("min_um", low), ("max_um", high)) if value is not None}
+    return study.model_copy(update={"pitch": PitchRange.model_validate(pitch.model_dump(exclude_unset=True) | chosen)})
+
+
+def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
+    """Raise PixsimError if pixels of a size that was set are too many for the die."""
+    height_um, width_um = die_um(camera)
+    count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
+    if count > MAX_PIXELS:
+        least = rounded_up(math.sqrt(height_um * width_um / MAX_PIXELS))
+        widest = f"{math.floor(1e2 * pitch_um * math.sqrt(MAX_PIXELS) / 1e3) / 1e2:g}"
+        hint = f"Or take a part of the die: --window {widest}."
+        raise invalid(name, f"{pitch_um:g}, which makes {count:.3g} pixels", f"at least {least:g} on this die", hint)
+
+
+def rounded_up(pitch_um: float) -> float:
+    """Return a pitch rounded up to the digits of a study's pitches."""
+    return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
