@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from importlib import resources
 from pathlib import Path
@@ -199,19 +199,30 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
         if "pitch_um" in given and scaled:
             derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
         if "pitch_um" in pixel_options and not (scaled or "pitch" in derived):
-            expected = "the pitch of a data sheet: pitch.min_um, pitch.max_um or pitch.values_um set the sizes of a study"
-            raise invalid("pixel.pitch_um", f"'{pixel_options['pitch_um']}' for a study", expected, "Set --pitch.min-um or --pitch.max-um.")
+            got, expected = f"'{pixel_options['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
+            raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
     if pixel_options:
         options["pixel"] = {name: value for name, value in pixel_options.items() if name not in SET_BY_STUDY}
     source = files[-1].source if files else ""
     overrides = [*(Layer(_as_study_table(layer.table), layer.source) for layer in files), Layer(derived, source), Layer(options)]
     overriding = merged(overrides)
     table = _with_range(study.table, overriding)
+    if overriding.get("scene", {}).get("file") is not None:  # the parameters of the study are those of its own scene
+        table = _without_parameters(table)
+        table |= {"quick": _without_parameters(table["quick"])} if "quick" in table else {}
     if isinstance(quick := table.get("quick"), dict):
         table["quick"] = _without(_with_range(quick, overriding), overriding)
     if isinstance(sources := table.get("sources"), dict):
         table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
     return [Layer(table, study.source), *overrides]
+
+
+def _without_parameters(table: Any) -> Any:
+    """A study's table without the parameters of its scene."""
+    scene = table.get("scene") if isinstance(table, dict) else None
+    if not isinstance(scene, dict):
+        return table
+    return table | {"scene": {name: value for name, value in scene.items() if name != "parameters"}}
 
 
 def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
@@ -236,3 +247,52 @@ def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
     inner = {name for name, value in table.items() if isinstance(value, dict) and isinstance(removed.get(name), dict)}
     left = {name: value for name, value in table.items() if name in inner or name not in removed}
     return left | {name: _without(table[name], removed[name]) for name in inner}
+
+
+SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
+
+
+def settings_text(record: Record, command: str, **changes: Any) -> str:
+    """TOML file of all settings of a result, from which a command makes the same numbers again, bit for bit.
+
+    command : that makes them, in the file's folder
+    changes : tables and fields in place of the record's
+
+    Values stand in it, not files; a technology or a scene with a file of its own is named by its whole path.
+    """
+    import tomli_w  # takes 10 ms
+
+    table = record.model_dump(mode="json", exclude_none=True, exclude={"quick"}) | changes
+    if isinstance(pixel := table.get("pixel"), dict) and "technology" in pixel:
+        table["pixel"] = pixel | {"technology": whole_path(pixel["technology"])}
+    if "technologies" in table:
+        table["technologies"] = [whole_path(name) for name in table["technologies"]]
+    if "process" in table:
+        table["process"] = {whole_path(name): numbers for name, numbers in table["process"].items()}
+    used = {name: value for name, value in table.items() if value not in (None, {}, "")}
+    return f"# The settings of this folder. The same numbers again, bit for bit:\n# {command}\n\n{tomli_w.dumps(used)}"
+
+
+def whole_path(name: str) -> str:
+    """The whole path of an existing file; any other name as it is."""
+    return str(Path(name).resolve()) if Path(name).is_file() else name
+
+
+def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of a scene for a settings file: numbers as such, and files of the working directory by their whole paths.
+
+    folder : of the scene, in which its own files lie
+    """
+    return {name: _scene_value(folder, value) for name, value in parameters.items()}
+
+
+def _scene_value(folder: Path, value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    for kind in (int, float):
+        try:
+            if str(kind(value)) == value:
+                return kind(value)
+        except ValueError:
+            pass  # not a number of this kind
+    return value if not value or (folder / value).exists() else whole_path(value)

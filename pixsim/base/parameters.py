@@ -477,7 +477,9 @@ class PitchRange(Record):
     min_um: Pitch | None = Field(None, description="smallest pixel size, in place of min_fill_factor")
     max_um: Pitch = Field(15.0, description="largest pixel size")
     count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="number of pixel sizes")
-    values_um: Annotated[tuple[Pitch, ...], BeforeValidator(_as_list)] | None = Field(None, description="list of pixel sizes, in place of min, max and count")
+    values_um: Annotated[tuple[Pitch, ...], BeforeValidator(_as_list)] | None = Field(
+        None, description="list of pixel sizes, in place of min, max and count"
+    )
     own_um: Pitch | None = Field(
         None,
         description="pixel size of the sensor itself, from whose data sheet an open range, the display's dots and the chart follow "

@@ -19,7 +19,7 @@ from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import MIB, output_folder
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, definitions, given, show, stages
+from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, given, show, stages
 
 if TYPE_CHECKING:
     from pixsim.cli.doctor import Finding
@@ -49,6 +49,7 @@ def run(
         Parameter(help="Also write the raw frame in this format.", consume_multiple=False),
     ] = None,
     no_irradiance: Annotated[bool, Parameter(help="Do not write irradiance.exr, the largest file.")] = False,
+    dry_run: common.DryRun = False,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -67,6 +68,12 @@ def run(
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
     render_options: dict[str, Any] = {"full": full, "sensor": sensor, "variant": variant, "units": units}
+    if dry_run:
+        from pixsim.report.outline import outline_lines, run_outline
+
+        outline = run_outline(scene, chosen, **render_options)
+        show(outline, json, "\n".join(outline_lines(outline, folder)))
+        return
     files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance_too": not no_irradiance}
     with stages() as stage:
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
@@ -145,6 +152,7 @@ def study(
     ] = None,
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
+    dry_run: common.DryRun = False,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -159,7 +167,7 @@ def study(
     Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
     command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
-    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, target_notes
+    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, study_view_line, target_notes
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
@@ -171,28 +179,48 @@ def study(
     layers = study_layers(table, options.config or [], tables)
     seconds: dict[str, float] = {}
     suffix = "-quick" if quick else ""
-    run_options: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
+    run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
+    if "vary" not in table.table:
+        from pixsim.report.outline import long_lines, outline_lines, study_outline
+
+        plan = sweep.checked_study(layers)
+        folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
+        prepared = sweep.prepare(plan, variant, quick)
+        outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
+        if dry_run:
+            show(outline, json, "\n".join(outline_lines(outline, folder)))
+            return
+        for line in long_lines(outline):
+            common.verbosity.note(line)
+    elif dry_run:
+        raise invalid("--dry-run", f"with {study}, which varies another study", "studies of pixel sizes")
     with stages(seconds) as stage:
         if "vary" in table.table:
             from pixsim.studies.sensitivity import Sensitivity, run_sensitivity, write_sensitivity_report
 
             sensitivity: Sensitivity = checked(Sensitivity, layers)
             folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
-            outcome = run_sensitivity(sensitivity, folder, progress=stage, **run_options)
+            outcome = run_sensitivity(sensitivity, folder, progress=stage, quick=quick, variant=variant, **run_options)
             stage("report")
             report = write_sensitivity_report(outcome, folder, seconds)
             summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
         else:
             from pixsim.report.study import write_report
             from pixsim.studies.engine import Workers, workers_here
+            from pixsim.studies.preparation import fitting_jobs
 
-            plan = sweep.checked_study(layers)
-            folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-            result = sweep.study(plan, folder, progress=stage, **run_options)
+            result = sweep.run_prepared(prepared, folder, progress=stage, **run_options)
             stage("report")
-            report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
+            drawing = workers_here(jobs or fitting_jobs(result.study, result.camera)) if scheduler is None else Workers()
+            report = write_report(result, folder, seconds, drawing)
             summary = result.as_dict()
-            lines = [*map(optimum_line, result.curves), *target_notes(result), *study_dark_notes(result), *budget_lines(summary)]
+            lines = [
+                *map(optimum_line, result.curves),
+                *study_view_line(result),
+                *target_notes(result),
+                *study_dark_notes(result),
+                *budget_lines(summary),
+            ]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import tempfile
 import time
@@ -10,14 +11,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, versions, write_json
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, Exposure, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
@@ -25,16 +27,18 @@ from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
 from pixsim.report.wording import budget_lines, dark_note, score_line
-from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.integration import check_pixel_count, pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
 from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced, save_delta_e_png, save_png, scale, worst_window
-from pixsim.viewer.display import white_header, white_rate, white_spectrum
+from pixsim.viewer.display import dot_edges_um, white_header, white_rate, white_spectrum
 from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
 
 if TYPE_CHECKING:
+    from pixsim.scene.scene import Scene
     from pixsim.studies.budget import Settled
+    from pixsim.studies.preparation import View
 
 
 # Files next to the page, with their descriptions.
@@ -46,6 +50,7 @@ FILES = {
     "image.png": "image of the sensor, as shown",
     "delta_e.exr": "S-CIELAB ΔE map, for programs",
     "delta_e.png": "S-CIELAB ΔE map, with axes",
+    "settings.toml": "all settings: `pixsim run SCENE --config settings.toml` makes the same numbers again",
     "provenance.json": "versions and wall times",
 }
 AFTERWARDS = ("score.json", "provenance.json")
@@ -121,6 +126,7 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     return Picture(grey_codes(reduced(luminance)), name)
 
 
+NO_TIME_LIMIT_S = 1e9
 OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # output files that not every run writes
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
@@ -162,17 +168,18 @@ def run_and_write(
         seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
 
     if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-        if settings.scene or sensor or variant or settings.tolerance_delta_e:
-            options = "-D, --sensor, --variant, --tolerance-delta-e"
+        if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.window_mm:
+            options = "-D, --sensor, --variant, --tolerance-delta-e, --window"
             raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
-        prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]] = partial(_read, source, settings, units)
+        prepared: Callable[[], Light] = partial(light_of_picture, source, settings, units)
     else:
         if units:
             raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
         prepared = _prepare(source, settings, full, sensor, variant, progress)
     with output_folder(out) as folder:
-        irradiance, camera, more = prepared()
-        lap("read" if not more else "render")
+        light = prepared()
+        irradiance, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
+        lap("render" if "plan" in more else "read")
         progress("sense and score")
         irradiance.header |= white_header(irradiance, camera, settings.display)
         chain = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
@@ -184,7 +191,11 @@ def run_and_write(
         lap("sense and score")
         progress("write")
         summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
-        written = write_all(folder, irradiance, score, summary, raw_suffixes, irradiance_too)
+        given = {"sensor": sensor, "variant": variant, "units": units}
+        command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
+        command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
+        text = settings_text(light.repeated or settings, shlex.join(command))
+        written = write_all(folder, irradiance, score, summary, raw_suffixes, irradiance_too, text)
         # Files of an earlier run that this one has not replaced.
         for stale in (folder / name for name in OPTIONAL if name not in written):
             if stale.is_file() and not (Path(source).exists() and stale.samefile(source)):
@@ -219,17 +230,55 @@ def summary_of(
     }
 
 
+class Light(NamedTuple):
+    """The light of a run and the settings that follow from it.
+
+    source : the scene or picture, for a command in another folder
+    settings : with what pixsim chose
+    more : further entries of score.json
+    repeated : settings that make the same picture again; None for `settings`
+    """
+
+    irradiance: SpectralImage
+    camera: Camera
+    source: str
+    settings: Run
+    more: dict[str, Any]
+    repeated: Run | None = None
+
+
+def prepared_run(
+    source: str, settings: Run, sensor: str | None = None, variant: str | None = None
+) -> tuple[Scene, Camera, Run, View]:
+    """Return the scene, the camera of the window, and the settings with what they leave open; nothing is rendered.
+
+    Raises PixsimError for invalid input.
+    """
+    from pixsim.scene.scene import load_scene
+    from pixsim.studies.preparation import View, choose_view, die_um
+
+    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
+    whole = scene.camera(settings.camera)
+    camera, pitch_um = whole.window(settings.window_mm), settings.pixel.pitch_um
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    view = choose_view(pitch_um, camera, settings.display, scene) if sheet else View()
+    check_pixel_count([pixels_along(length_um, pitch_um) for length_um in die_um(camera)], pitch_um)
+    dot_edges_um(die_um(camera), pitch_um, settings.display, pitch_um)
+    chosen = {"camera": CameraOptions.model_validate(whole.model_dump()), "display": view.display(settings.display)}
+    return view.scene(scene), camera, settings.model_copy(update=chosen | {"scene": view.parameters(settings.scene)}), view
+
+
 def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
-) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
+) -> Callable[[], Light]:
     """Check everything that can be checked before a render, and return the function that renders."""
     from pixsim.scene.convergence import render_until
     from pixsim.scene.plan import make_plan
-    from pixsim.scene.scene import load_scene
+    from pixsim.scene.scene import packaged_scenes
 
-    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
-    camera = scene.camera(settings.camera)
-    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    scene, camera, settings, view = prepared_run(source, settings, sensor, variant)
+    named = source if source in packaged_scenes() else str(scene.path)
+    kept = settings.model_copy(update={"scene": scene_table(scene.path.parent, settings.scene)})
     settled: Settled | None = None
     if settings.tolerance_delta_e:
         from pixsim.studies.budget import Setup, settle
@@ -244,25 +293,40 @@ def _prepare(
     if plan.resolution:
         scene = scene.with_parameters(resolution=plan.resolution)
 
-    def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
+    def render() -> Light:
         limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
         fixed = scene, camera, plan, [settings.pixel], settings.exposure, settings.seed
         image, noise = render_until(*fixed, progress=progress("render"), keep=True, **limits)
-        more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict()}
+        more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict(), "chosen": view.as_dict()}
+        more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
+        repeated = kept
+        if noise.ended_by == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
+            film = {"resolution": settled.choice.width} if settled and "resolution" in scene.parameters else {}
+            fixed_settings: dict[str, Any] = {
+                "render_noise": noise.fraction,
+                "max_seconds": NO_TIME_LIMIT_S,
+                "tolerance_delta_e": None,
+            }
+            fixed_settings |= {"tolerance_e": settings.tolerance_e, "scene": kept.scene | film}
+            repeated = kept.model_copy(update=fixed_settings)
         if settled:
             more["error_budget"] = settled.budget(noise, plan.bound_e if plan.bounded else None, settled.choice.sensors)
-        return image, camera, more
+        return Light(image, camera, named, settings, more, repeated)
 
     return render
 
 
-def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage, Camera, dict[str, Any]]:
-    """Return a picture of another program, and the camera."""
+def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
+    """Return a picture of another program as the light of a run."""
     from pixsim.optics.exchange import read_with_camera
+    from pixsim.studies.preparation import View, choose_view
 
     image, camera = read_with_camera(source, settings.camera, units)
     pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
-    return image, camera, {}
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    view = choose_view(settings.pixel.pitch_um, camera, settings.display, None) if sheet else View()
+    chosen = {"camera": CameraOptions.model_validate(camera.model_dump()), "display": view.display(settings.display)}
+    return Light(image, camera, str(Path(source).resolve()), settings.model_copy(update=chosen), {"chosen": view.as_dict()})
 
 
 def write_all(
@@ -272,6 +336,7 @@ def write_all(
     summary: dict[str, Any],
     raw_suffixes: Sequence[str] = (),
     irradiance_too: bool = True,
+    settings_toml: str = "",
 ) -> set[str]:
     """Write all files to a temporary folder, move them to the target, and return their names."""
     partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
@@ -285,6 +350,8 @@ def write_all(
         save_png(partial / "image.png", score.image)
         save_delta_e_png(partial / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um))
         write_json(partial / "score.json", summary)
+        if settings_toml:
+            (partial / SETTINGS_FILE).write_text(settings_toml, encoding="utf-8")
         write_run_page(partial, score, irradiance, summary)
         made = sorted(partial.iterdir())
         for path in made:

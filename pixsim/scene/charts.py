@@ -74,9 +74,7 @@ def csf_contrast(y: ArrayLike) -> Array:
     return (high - low) / (high + low) * MIN_CONTRAST ** (1 - np.asarray(y, float))
 
 
-def csf_value(
-    x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM
-) -> Array:
+def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM) -> Array:
     """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of 2π frequency.
 
     A value of 1 is 1000 cd/m², and the mean is 0.5125 (Chen et al. 2000).

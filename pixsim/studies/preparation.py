@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, PitchRange, Study
+from pixsim.base.parameters import Camera, Display, PitchRange, Study
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.plan import GREEN_NM, Plan
@@ -23,7 +23,6 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import study_pitches_um
-from pixsim.viewer.display import dot_edges_um
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
@@ -134,7 +133,9 @@ def fitted_range(study: Study, camera: Camera) -> Study:
             if len(lows) > 1:
                 which = study.technologies[lows.index(min(lows))]
                 got = f"{min(lows):.4g} µm of {which}: {height_um * width_um / min(lows) ** 2:.3g} pixels"
-                raise invalid("pitch.min_fill_factor", got, f"at most {most:.3g} pixels", f"Set --pitch.min-um {least_um:g}, or --window.")
+                raise invalid(
+                    "pitch.min_fill_factor", got, f"at most {most:.3g} pixels", f"Set --pitch.min-um {least_um:g}, or --window."
+                )
             low, large = least_um, most > MAX_FRAME_BYTES / BYTES_PER_PIXEL
             limit = "as many as the data sheet's sensor has" if large else f"{MAX_FRAME_BYTES / (1 << 30):g} GiB for a frame"
             warnings.warn(
@@ -162,3 +163,113 @@ def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
 def rounded_up(pitch_um: float) -> float:
     """Return a pitch rounded up to the digits of a study's pitches."""
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
+
+
+# Costs on one core of an ordinary machine, for an estimate before a render.
+RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
+FILM_S_PER_CELL = 1.0e-6  # its noise, diffraction and ideal image
+FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
+SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
+START_S, PAGE_S = 4.0, 6.0  # scene, compiling of the renderer; figures and page
+CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
+FILM_BYTES_PER_CELL = 120.0
+DOT_BYTES = 150.0
+BASE_BYTES = 3.0e8  # the program and its libraries
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Estimated wall time, memory of all processes, and their number."""
+
+    seconds: float
+    memory_bytes: float
+    jobs: int
+
+    def __str__(self) -> str:
+        processes = f" on {self.jobs} processes" if self.jobs > 1 else ""
+        return f"about {duration_words(self.seconds)}{processes}, {self.memory_bytes / 1e9:.2g} GB of memory"
+
+
+def duration_words(seconds: float) -> str:
+    """Return a duration to two digits, as text."""
+    if seconds < 90:
+        return f"{float(f'{seconds:.2g}'):g} s"
+    return f"{float(f'{seconds / 60:.2g}'):g} min" if seconds < 5400 else f"{float(f'{seconds / 3600:.2g}'):g} h"
+
+
+def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
+    """Estimate two renders of a film of so many cells, their noise, diffraction and the ideal image."""
+    samples = 2.0 * cells * plan.spp * plan.passes
+    seconds = START_S + samples * RENDER_S_PER_SAMPLE / cores + cells * FILM_S_PER_CELL
+    return Cost(seconds, BASE_BYTES + cells * FILM_BYTES_PER_CELL, 1)
+
+
+def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
+    """Estimate one frame of a pitch and its ΔE."""
+    pixels = float(math.prod(pixels_along(length_um, pitch_um) for length_um in die_um(camera)))
+    dots = shown_dots(camera, pitch_um, display)
+    seconds = pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
+    return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
+
+
+def shown_dots(camera: Camera, pitch_um: float, display: Display) -> int:
+    """Return the number of dots of a whole picture."""
+    if display.raster == "one_to_one":
+        return math.prod(pixels_along(length_um, pitch_um) for length_um in die_um(camera))
+    height_um, width_um = die_um(camera)
+    return display.dots * max(1, round(display.dots * height_um / width_um))
+
+
+def sampled_pitches_um(study: Study) -> list[float]:
+    """Return the pitches of all technologies of a study."""
+    return [pitch for name in study.technologies for pitch in study_pitches_um(study, name).tolist()]
+
+
+def fitting_jobs(study: Study, camera: Camera) -> int:
+    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
+    largest = max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study))
+    usable = memory().usable
+    cores = workers_here().jobs
+    return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest))))
+
+
+def study_cost(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> Cost:
+    """Estimate a whole study with its report, without further rounds for a target interval."""
+    cores = workers_here().jobs
+    jobs = jobs or fitting_jobs(study, camera)
+    frames = [frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)]
+    render = render_cost(plan, cells, cores)
+    report_s = PAGE_S + 2 * frames[0].seconds + sum(frame.seconds for frame in frames) / jobs
+    calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
+    evaluations_s = study.repeats * sum(frame.seconds for frame in frames) / jobs
+    largest = max(frame.memory_bytes for frame in frames)
+    most = max(render.memory_bytes, BASE_BYTES + FILM_BYTES_PER_CELL * cells / 2 + jobs * (BASE_BYTES + largest))
+    return Cost(calibration_s + render.seconds + evaluations_s + report_s, most, jobs)
+
+
+LONG_S = 60.0
+WINDOW_STEP = 0.85  # of the widths that are tried
+
+
+def window_within(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> float | None:
+    """Return the widest window of some, in mm, whose study is estimated to take less than a minute; None if none does.
+
+    study : with its own range, before it was fitted to the camera
+    """
+    width_mm = camera.die_mm
+    while width_mm > camera.die_mm / 100:
+        width_mm *= WINDOW_STEP
+        width = float(f"{width_mm:.2g}")
+        try:
+            with warnings.catch_warnings(action="ignore"):
+                window = camera.window(width)
+                fitted = fitted_range(study, window)
+                if study.own_um is not None:
+                    fitted = fitted.model_copy(
+                        update={"display": choose_view(study.own_um, window, study.display, None).display(study.display)}
+                    )
+                if study_cost(fitted, window, plan, cells, jobs).seconds < LONG_S:
+                    return width
+        except PixsimError:  # too few pixels or dots
+            return None
+    return None

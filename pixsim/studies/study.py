@@ -9,20 +9,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.config import checked, packaged, read_toml, resolve_file, study_layers
+from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.files import output_folder
+from pixsim.base.files import output_folder, replacing
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
+from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, Sampling, first_sampling, study_pitches_um
-from pixsim.studies.preparation import View, choose_view, die_um, fitted_range
+from pixsim.studies.preparation import View, choose_view, die_um, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
-from pixsim.viewer.display import dot_edges_um, white_cd_per_m2
+from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import SceneCache
 
 if TYPE_CHECKING:
@@ -93,6 +94,30 @@ def checked_study(layers: Sequence[Layer]) -> Study:
     return study
 
 
+NO_TIME_LIMIT_S = 1e9
+ROUNDING = 1e-5  # of the noise in an image's header
+
+
+def repeated_settings(prepared: Prepared, chosen: Study, noise: Mapping[str, Any]) -> str:
+    """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
+
+    chosen : the study as it was run, with the settings for its tolerance
+    noise : of the render, from the header of its image
+    """
+    scene, kept = prepared.scene, prepared.study
+    if noise["ended_by"] == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
+        limits = {"render_noise": noise["fraction"] * (1 + ROUNDING), "max_seconds": NO_TIME_LIMIT_S, "tolerance_delta_e": None}
+        kept = chosen.model_copy(update=limits)
+    file = kept.scene.file
+    of_scene = {
+        "file": file if file in packaged_scenes() else str(scene.path),
+        "parameters": scene_table(scene.path.parent, kept.scene.parameters),
+    }
+    camera = scene.camera(kept.camera).model_dump()
+    command = f"pixsim study {SETTINGS_FILE}" + (f" --variant {prepared.variant}" if prepared.variant else "")
+    return settings_text(kept, command, scene=of_scene, camera=camera)
+
+
 def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sampling:
     """Return the sampling after a round of additions to each curve whose interval misses the target; unchanged at a limit.
 
@@ -155,19 +180,26 @@ class Prepared:
     study : with its pixel sizes, display and chart
     scene, camera : of the study; the camera is that of the window
     view : display and chart that pixsim chose for the sensor of a data sheet
+    variant : of Mitsuba; None means the fastest that works
     """
 
     study: Study
     scene: Scene
     camera: Camera
     view: View
+    variant: str | None = None
 
 
-def prepare(study: Study, variant: str | None = None) -> Prepared:
+def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Prepared:
     """Choose what a study leaves open, and check everything that can be checked before a render.
+
+    quick : use the values of the study's `quick` table
 
     Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
+    if quick and not study.quick:
+        warnings.warn(f"the study {study.name} has no [quick] table: running it in full", stacklevel=2)
+    study = study.quickened if quick else study
     check_technologies(study)
     scene, camera = scene_for(study, variant)
     study, view = fitted_range(study, camera), View()
@@ -180,7 +212,7 @@ def prepare(study: Study, variant: str | None = None) -> Prepared:
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(die_um(camera), largest_um, study.display, study.pitch.largest_um)
-    return Prepared(study, scene, camera, view)
+    return Prepared(study, scene, camera, view, variant)
 
 
 def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
@@ -197,6 +229,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
     limits: dict[str, Any] = {"render_noise": study.render_noise, "max_seconds": study.max_seconds}
     image, _ = render_until(scene, camera, plan, largest, study.exposure, study.seed, progress=progress, keep=True, **limits)
+    image.header |= white_header(image, camera, study.display)
     return image, camera
 
 
@@ -210,7 +243,6 @@ def sweep_pitches(
     view: View | None = None,
 ) -> StudyResult:
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
-    white_cd_per_m2(irradiance, study.display)  # raises for an unknown white before any file is made
     scenes, sampling = SceneCache(irradiance, camera, study.display), first_sampling(study)
     evaluations = Evaluations(study, scenes, results, workers)
     with evaluations.locked():
@@ -275,14 +307,24 @@ def study(
         hint = "Set these values in the Study instead."
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
-    if quick and not chosen.quick:
-        warnings.warn(f"the study {chosen.name} has no [quick] table: running it in full", stacklevel=2)
-    chosen = chosen.quickened if quick else chosen
-    prepared = prepare(chosen, variant)
-    chosen = prepared.study
-    stage = progress or (lambda _: lambda *_: None)
+    return run_prepared(prepare(chosen, variant, quick=quick), out, jobs=jobs, scheduler=scheduler, progress=progress)
+
+
+def run_prepared(
+    prepared: Prepared,
+    out: str | os.PathLike[str],
+    *,
+    jobs: int | None = None,
+    scheduler: Any = None,
+    progress: Stage | None = None,
+) -> StudyResult:
+    """Run a prepared study; the arguments are those of `study`."""
     from pixsim.scene.convergence import RenderNoise
 
+    chosen, variant = prepared.study, prepared.variant
+    stage = progress or (lambda _: lambda *_: None)
+    if jobs is None and scheduler is None:
+        jobs = fitting_jobs(chosen, prepared.camera)
     with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         settled: Settled | None = None
         if chosen.tolerance_delta_e:
@@ -291,6 +333,9 @@ def study(
 
             chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
         irradiance, camera = render_for(chosen, variant, stage("render"))
+        text = repeated_settings(prepared, chosen, irradiance.header["render_noise"])
+        with replacing(folder / SETTINGS_FILE) as partial:
+            partial.write_text(text, encoding="utf-8")
         results = folder / "results.csv"
         result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)
     if settled is None:
