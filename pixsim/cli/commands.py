@@ -389,19 +389,26 @@ def template(
         ),
     ],
     *,
+    of: Annotated[
+        str | None, Parameter(help="For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity, modern).")
+    ] = None,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
     json: Json = False,
 ) -> None:
-    """Write a commented configuration file with every field, its unit, default and allowed range.
+    """Write a commented configuration file with every field, its unit, default and allowed range; or a packaged study.
 
     Example: pixsim template sensor -o my_sensor.toml
 
     Example: pixsim template study -o my_study.toml
+
+    Example: pixsim template study --of pixel-size -o my_study.toml
     """
     from pixsim.base.files import write_new
     from pixsim.cli import templates
 
-    text = templates.template(kind)
+    if of is not None and kind != "study":
+        raise invalid("--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`")
+    text = templates.template(kind) if of is None else templates.packaged_study(of)
     if output is None:
         show({"template": text}, json, text.rstrip())
         return

@@ -7,7 +7,8 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from pixsim.base.errors import invalid
+from pixsim.base.config import packaged
+from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.parameters import DATA_SHEET, Camera, Record, Run, Study
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
@@ -62,6 +63,15 @@ def template(kind: str) -> str:
         first = [key for dotted in shown if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
         lines += ["", f"[{name}]", *_fields({key: properties[key] for key in [*first, *properties]}, shown, f"{name}.")]
     return "\n".join(lines) + "\n"
+
+
+def packaged_study(name: str) -> str:
+    """TOML file of a packaged study, to be edited. Raises PixsimError for another name."""
+    known = packaged("data/studies")
+    if name not in known:
+        raise invalid("--of", f"'{name}'", ", ".join(known), did_you_mean(name, known))
+    head = f"# A copy of the packaged study {name}. Change its name with its values: the random streams depend on the name."
+    return f"{head}\n{known[name].read_text(encoding='utf-8')}"
 
 
 def json_schema(kind: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_note, score_line
+from pixsim.report.wording import budget_lines, dark_note, score_line, view_words
 from pixsim.sensor.integration import check_pixel_count, pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
@@ -91,6 +91,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
         "line": score_line(summary),
+        "view": "; ".join(view_words(summary["display"], summary, summary["pixels"][1])),
         "summary": summary,
         "label": label_of(physics.technology.name),
         "die_mm": (width_mm, height_mm),

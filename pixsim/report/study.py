@@ -17,7 +17,7 @@ from pixsim.report.paper import map_plates, scene_plates
 from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
-from pixsim.report.wording import study_dark_notes, target_notes
+from pixsim.report.wording import alike_words, study_dark_notes, study_view_line, target_notes
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -236,6 +236,8 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     page = {
         "study": study,
         "interval": interval_words,
+        "alike": alike_words,
+        "shown": study_view_line(result),
         "within": within_words,
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
         "blurs": [(curve, blur_of(curve)) for curve in result.curves],

@@ -93,8 +93,14 @@ PITCH_DIGITS = 4
 
 
 def most_pixels(camera: Camera, own_um: float | None) -> float:
-    """Return the number of pixels that a study chooses by itself at most: 2 GiB while a frame is simulated, or the sheet's own."""
-    own = 0.0 if own_um is None else math.prod(pixels_along(length_um, own_um) for length_um in die_um(camera))
+    """Return the number of pixels that a study chooses by itself at most.
+
+    That of a data sheet takes 2 GiB while a frame is simulated, or as many pixels as its sensor has; of a technology, any number
+    that pixsim simulates.
+    """
+    if own_um is None:
+        return MAX_PIXELS
+    own = math.prod(pixels_along(length_um, own_um) for length_um in die_um(camera))
     return min(max(MAX_FRAME_BYTES / BYTES_PER_PIXEL, own), MAX_PIXELS)
 
 
@@ -136,8 +142,12 @@ def fitted_range(study: Study, camera: Camera) -> Study:
                 raise invalid(
                     "pitch.min_fill_factor", got, f"at most {most:.3g} pixels", f"Set --pitch.min-um {least_um:g}, or --window."
                 )
-            low, large = least_um, most > MAX_FRAME_BYTES / BYTES_PER_PIXEL
-            limit = "as many as the data sheet's sensor has" if large else f"{MAX_FRAME_BYTES / (1 << 30):g} GiB for a frame"
+            low = least_um
+            limit = f"{MAX_FRAME_BYTES / (1 << 30):g} GiB for a frame"
+            if most == MAX_PIXELS:
+                limit = "as many as pixsim simulates"
+            elif most > MAX_FRAME_BYTES / BYTES_PER_PIXEL:
+                limit = "as many as the data sheet's sensor has"
             warnings.warn(
                 f"the smallest pixel size is {low:.4g} µm in place of {min(lows):.4g} µm, with {most / 1e6:.3g} million pixels on "
                 f"the die, {limit}; smaller ones: --pitch.min-um, or a part of the die by --window",
