@@ -12,8 +12,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from pixsim.base.config import SETTINGS_FILE, packaged, settings_text, whole_path
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.files import output_folder, versions, write_json
+from pixsim.base.files import output_folder, replacing, versions, write_json
 from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_hash, merge
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
@@ -237,6 +238,10 @@ def run_sensitivity(
 
     with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         (folder / "cases").mkdir(exist_ok=True)
+        command = f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
+        base_name = sensitivity.base if sensitivity.base in packaged("data/studies") else whole_path(sensitivity.base)
+        with replacing(folder / SETTINGS_FILE) as partial_file:
+            partial_file.write_text(settings_text(sensitivity, command, base=base_name), encoding="utf-8")
         # A process does not change the light: with the base's render, an unchanged technology has the base's rows.
         results = [run(base, "base", render(base))]
         results += [run(study, file_name(n, name, label), render(study)) for n, (name, label, study) in enumerate(cases)]
