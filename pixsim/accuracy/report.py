@@ -12,7 +12,7 @@ import numpy as np
 from pixsim.accuracy.ladders import Rung
 from pixsim.accuracy.result import METRICS, Accuracy, pareto
 from pixsim.accuracy.solvers import response_plate
-from pixsim.base.files import output_folder, versions, write_json
+from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, plain_powers
 from pixsim.show.pages import Column, Plate, plain, rows_csv, write_figures, write_page
 
@@ -246,9 +246,19 @@ def table(accuracy: Accuracy, names: list[str]) -> dict[str, Column]:
     return {name: [getattr(rung, name) for rung in rungs] for name in fields}
 
 
+FIGURES = ("work_precision", "convergence", "viewing", "stages", "budget", "dn_against_light")
+FILES = (
+    "report.html", "summary.json", "ladders.csv", "stability.csv", "solvers.csv",
+    *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("svg", "csv")),
+)  # fmt: skip
+
+
 def write_accuracy(accuracy: Accuracy, out: Path) -> Path:
-    """Write the survey's files into a folder and return the path of its report."""
-    with output_folder(out) as folder:
+    """Write the survey's files into a folder and return the path of its report.
+
+    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
+    """
+    with output_folder(out), publishing(out, "accuracy") as folder:
         shown = write_figures(folder, [plate.drawn() for plate in plates_of(accuracy)])
         rows_csv([vars(rung) for rung in accuracy.rungs], folder / "ladders.csv")
         rows_csv([case.as_dict() for case in accuracy.cases], folder / "stability.csv")
@@ -266,4 +276,5 @@ def write_accuracy(accuracy: Accuracy, out: Path) -> Path:
             "plates": shown,
             "versions": versions(),
         }
-        return write_page(folder / "report.html", "accuracy.html.j2", page)
+        write_page(folder / "report.html", "accuracy.html.j2", page)
+    return out / "report.html"

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import read_arrays
 from pixsim.base.errors import invalid
 from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text
+from pixsim.base.notes import MachineWarning
 from pixsim.base.version import VERSION
 
 Result = TypeVar("Result")
@@ -124,7 +125,7 @@ def _load(path: Path, read: Callable[[], Result]) -> Result | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except DAMAGE as error:
-        warnings.warn(f"cache entry '{path}' is damaged ({error}) and is computed again", stacklevel=4)
+        warnings.warn(f"cache entry '{path}' is damaged ({error}) and is computed again", MachineWarning, stacklevel=4)
         return None
     with suppress(OSError):  # a read-only cache works too
         os.utime(path)
@@ -145,7 +146,8 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
         finally:
             partial.unlink(missing_ok=True)
     except OSError as error:
-        warnings.warn(f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}", stacklevel=4)
+        text = f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}"
+        warnings.warn(text, MachineWarning, stacklevel=4)
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import tomllib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import read_text
-from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, Layer, Record, Run, merge
+from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, STANDS_FOR, Layer, Record, Run, Study, merge, missing_of_data_sheet
 
 MAX_BYTES = 1 << 20
 MAX_DIGITS = 250  # in any base: larger numbers exceed a float, and Python does not convert them to text
@@ -135,11 +137,16 @@ def _names(title: str, path: list[str]) -> list[str]:
     record: Any = next((kind for kind in kinds if kind.__name__ == title), None)
     for part in path:
         field = record.model_fields.get(part) if record else None
-        record = field.annotation if field else None
+        record = (
+            next((kind for kind in (get_args(field.annotation) or (field.annotation,)) if inspect.isclass(kind)), None)
+            if field
+            else None
+        )
     return list(record.model_fields) if isinstance(record, type) and issubclass(record, BaseModel) else []
 
 
-SCALED_WITH_AREA = ("full_well_e", "dark_current_e_per_s")  # a data sheet states them for its pitch only
+# A data sheet states them for its pitch only.
+SCALED_WITH_AREA = ("full_well_e", "saturation_capacity_e", "gain_e_per_dn", "dark_current_e_per_s", "dark_current")
 SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 # Fields of a range of pitches, and those of an earlier layer that they replace.
 REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
@@ -155,56 +162,57 @@ def settings_layer(path: Path) -> Layer:
     return Layer(table, str(path))
 
 
-def is_data_sheet(files: list[Layer], options: dict[str, Any]) -> bool:
-    """Whether a [pixel] table gives measured values and no technology, so that nothing is derived.
-
-    Raises PixsimError if such a table is incomplete.
-    """
-    pixels = [table for layer in files if isinstance(table := layer.table.get("pixel"), dict)]
-    given = {name for table in [*pixels, options.get("pixel", {})] for name in table}
-    if "technology" in given or not any(name in table for table in pixels for name in DATA_SHEET):
-        return False
-    source = ", ".join(layer.source for layer in files if "pixel" in layer.table)
-    if missing := [name for name in ("pitch_um", *DATA_SHEET) if name not in given]:
-        got = f"a sensor without a technology, and without {', '.join(missing)}"
-        hint = 'Add them, or the technology that they are derived from, as technology = "4t-bsi".'
-        raise invalid(f"{source}: pixel", got, f"all of pitch_um, {', '.join(DATA_SHEET)}, or a technology", hint)
-    return True
+def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
+    """Warn if several files set the table [pixel], with the fields that come from each: one sensor got values of another."""
+    sensors = [layer for layer in files if isinstance(layer.table.get("pixel"), dict)]
+    if len(sensors) < 2:
+        return
+    left = set(merged(sensors)["pixel"])
+    parts: list[str] = []
+    for layer in reversed(sensors):
+        own = [name for name in layer.table["pixel"] if name in left]
+        left -= set(own)
+        parts.insert(0, f"{layer.source}: {', '.join(own) or 'nothing'}")
+    warnings.warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}", stacklevel=3)
 
 
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
-    """Layers of a study: its own table, then the sensor files, then the options.
+    """Layers of a study: its own table, then the sensor files, then the options, which may give a sensor too.
 
-    A data sheet, in files and options together, becomes the only sensor of the study, whose sizes go from a quarter to four
-    times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is not used.
-    Values that a file or an option replaces are removed from the study's [quick] and [sources].
+    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, whose sizes go from a
+    quarter to four times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is
+    not used. Values that a file or an option replaces are removed from the study's [quick] and [sources].
 
-    options : tables of the study; `pixel` may also have pitch_um and technology, as a sensor file has
+    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
 
-    Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
+    Raises PixsimError if a file is invalid, or if an option sets a pitch that the study does not use.
     """
-    options = dict(options or {})
+    options = options or {}
     files = [settings_layer(path) for path in paths]
-    pixel_options = options.get("pixel", {})
-    given = {name for table in (*(layer.table for layer in files), options) for name in table.get("pixel", {})}
+    warn_of_mixed_sensors(files)
+    sensor = [*files, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
+    settings: Run = checked(Run, sensor)  # so that errors name the fields as they are in the file
+    given = set(merged(sensor).get("pixel", {}))
     derived: dict[str, Any] = {}
-    if files or given & set(SET_BY_STUDY):
-        settings: Run = checked(Run, [*files, Layer({"pixel": pixel_options})])  # so that errors name the fields as they were given
-        if is_data_sheet(files, options):
-            own = {"own_um": settings.pixel.pitch_um}
-            derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": own}
-        elif "technology" in given:
-            derived = {"technologies": [settings.pixel.technology], "paper": False}
-        scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
-        if "pitch_um" in given and scaled:
-            derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
-        if "pitch_um" in pixel_options and not (scaled or "pitch" in derived):
-            got, expected = f"'{pixel_options['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
-            raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
-    if pixel_options:
-        options["pixel"] = {name: value for name, value in pixel_options.items() if name not in SET_BY_STUDY}
-    source = files[-1].source if files else ""
-    overrides = [*(Layer(_as_study_table(layer.table), layer.source) for layer in files), Layer(derived, source), Layer(options)]
+    if settings.pixel.technology == NO_TECHNOLOGY:
+        derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": {"own_um": settings.pixel.pitch_um}}
+    elif "technology" in given:
+        derived = {"technologies": [settings.pixel.technology], "paper": False}
+    elif settings.pixel.assumption and given & {*DATA_SHEET, *STANDS_FOR} and "pitch_um" in given:
+        names = ", ".join(map(str, study.table.get("technologies", Study.model_fields["technologies"].default)))
+        missing = ", ".join(missing_of_data_sheet(given))
+        warnings.warn(
+            f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}", stacklevel=2
+        )
+    if "pitch_um" in given and given & set(SCALED_WITH_AREA) and "data_sheet_pitch_um" not in given:
+        derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
+    if settings.camera.pixels:
+        derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
+    if "pitch_um" in options.get("pixel", {}) and settings.pixel.technology != NO_TECHNOLOGY and "pixel" not in derived:
+        got, expected = f"'{options['pixel']['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
+        raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
+    overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
+    overrides += [Layer(_without_sensor_only(options)), Layer(derived, files[-1].source if files else "")]
     overriding = merged(overrides)
     table = _with_range(study.table, overriding)
     if overriding.get("scene", {}).get("file") is not None:  # the parameters of the study are those of its own scene
@@ -234,11 +242,18 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
     return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
 
 
+def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
+    """Settings without what a study has in other fields: pitch, technology, and the pixels that make the die."""
+    left = dict(table)
+    for name, removed in (("pixel", set(SET_BY_STUDY)), ("camera", {"pixels"})):
+        if isinstance(values := table.get(name), dict):
+            left[name] = {key: value for key, value in values.items() if key not in removed}
+    return left
+
+
 def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
-    """Convert a sensor's table to a study's: without pitch and technology, and with [scene] as scene.parameters."""
-    pixel, scene = table.get("pixel"), table.get("scene")
-    if isinstance(pixel, dict):
-        table = table | {"pixel": {name: value for name, value in pixel.items() if name not in SET_BY_STUDY}}
+    """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as scene.parameters."""
+    scene, table = table.get("scene"), _without_sensor_only(table)
     return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
 
 

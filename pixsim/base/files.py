@@ -5,16 +5,19 @@ A reader of a named pipe may block, a device has no end, and a decoder allocates
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
 import platform
+import shutil
 import stat
+import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from pixsim.base.errors import PixsimError, invalid
@@ -68,6 +71,123 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
             with suppress(OSError):  # it is not empty, or was never created
                 path.rmdir()
         raise
+
+
+PROVENANCE = "provenance.json"
+MAX_PROVENANCE = 1 << 24  # bytes
+Listed = dict[str, dict[str, Any]]  # file name -> {"command": that wrote it, "digests": of its content}
+
+
+def digest_of(path: Path) -> str:
+    """BLAKE2b of a file's content, 32 hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def listed_files(folder: Path) -> Listed | None:
+    """The files that the provenance file of a folder lists; None if another program wrote that file.
+
+    Names that lead out of the folder are left out.
+    """
+    path = folder / PROVENANCE
+    if not os.path.lexists(path):
+        return {}
+    try:
+        content = json.loads(read_text(path, "provenance", "JSON", MAX_PROVENANCE))
+        if "pixsim" not in content["versions"]:
+            return None
+        listed = content.get("files", {})
+        return {
+            str(name): {"command": str(entry["command"]), "digests": [str(digest) for digest in entry["digests"]]}
+            for name, entry in listed.items()
+            if _is_inside(folder, name)
+        }
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+
+
+def _is_inside(folder: Path, name: str) -> bool:
+    """Whether a listed name stays in the folder: relative, without `..`, and not behind a link to another folder."""
+    parts = PurePosixPath(name)
+    if parts.is_absolute() or not parts.parts or ".." in parts.parts or "\0" in name:
+        return False
+    return Path(os.path.realpath((folder / name).parent)).is_relative_to(os.path.realpath(folder))
+
+
+def is_own(path: Path, entry: dict[str, Any] | None) -> bool:
+    """Whether a file is as its entry of the provenance lists it: pixsim wrote it, and nobody has changed it."""
+    try:
+        return bool(entry) and path.is_file() and digest_of(path) in (entry or {})["digests"]
+    except OSError:
+        return False
+
+
+SHOWN_FILES = 6  # in a message
+
+
+def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> None:
+    """Check that a command may write files of these names: they are not there, or pixsim wrote them and they are unchanged.
+
+    Raises PixsimError that names the other files.
+    """
+    folder = Path(folder)
+    listed = listed_files(folder)
+    present = [name for name in sorted({*names, PROVENANCE}) if os.path.lexists(folder / name)]
+    others = [name for name in present if name != PROVENANCE and not is_own(folder / name, (listed or {}).get(name))]
+    if listed is None:
+        others.append(PROVENANCE)
+    if others:
+        more = f" and {len(others) - SHOWN_FILES} more" if len(others) > SHOWN_FILES else ""
+        shown_names = ", ".join(others[:SHOWN_FILES]) + more
+        got = f"'{folder}', which holds {shown_names}, not written by pixsim or changed since"
+        raise invalid("output folder", got, "a folder without them", "Choose another with --out, or move these files away.")
+
+
+@contextmanager
+def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = None, keep: Iterable[Path] = ()) -> Iterator[Path]:
+    """A temporary folder, whose files are moved to `folder` when all of them are written.
+
+    provenance.json lists them with their digests, so that the next command knows them as pixsim's. Files that an earlier run
+    of the same command left in the folder, and that this one does not write, are removed; those of other commands stay.
+
+    command : name of the command
+    provenance : more content of provenance.json; its value at the end of the block counts
+    keep : files that are not removed
+
+    Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write.
+    """
+    partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
+    try:
+        yield partial
+        made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
+        check_replaceable(folder, made)
+        before = {name: entry for name, entry in (listed_files(folder) or {}).items() if is_own(folder / name, entry)}
+        now: Listed = {name: {"command": command, "digests": [digest_of(partial / name)]} for name in made}
+
+        def write_provenance(files: Listed) -> None:
+            write_json(folder / PROVENANCE, {"versions": versions(), **(provenance or {}), "files": files})
+
+        # Until all are moved, a file may be the old or the new one: a killed process leaves no file that nobody owns.
+        both: Listed = {name: {**entry, "digests": list(entry["digests"])} for name, entry in now.items()}
+        for name in both.keys() & before.keys():
+            both[name]["digests"] += before[name]["digests"]
+        write_provenance(before | both)
+        for name in made:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (partial / name).replace(folder / name)
+        others = {name: entry for name, entry in before.items() if name not in now and entry["command"] != command}
+        for name in before.keys() - now.keys() - others.keys():
+            path = folder / name
+            if any(kept.exists() and path.samefile(kept) for kept in keep):
+                others[name] = before[name]
+                continue
+            path.unlink()
+            with suppress(OSError):  # it is not empty
+                if path.parent != folder:
+                    path.parent.rmdir()
+        write_provenance(others | now)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_new(path: Path, text: str) -> None:

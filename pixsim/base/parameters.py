@@ -33,8 +33,8 @@ from pixsim.base.files import read_text
 
 # Documented in the reference; the other names are internal.
 __all__ = [
-    "Camera", "CameraOptions", "Display", "Effort", "Exposure", "PitchRange", "Pixel", "PixelOptions", "Run", "Study", "StudyScene",
-    "pixel_of",
+    "Camera", "CameraOptions", "DarkCurrent", "Display", "Effort", "Exposure", "PitchRange", "Pixel", "PixelOptions", "Run",
+    "Study", "StudyScene", "pixel_of",
 ]  # fmt: skip
 
 
@@ -188,18 +188,45 @@ class Layer:
         return True
 
 
-def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Merge nested tables; values of `over` replace those of `base`."""
-    merged = dict(base)
-    for key, value in over.items():
-        old = merged.get(key)
-        merged[key] = merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
-    return merged
-
-
 NO_TECHNOLOGY = "none"
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
+# A data sheet's own words, and the fields that each of them stands for.
+STANDS_FOR = {
+    "saturation_capacity_e": ("full_well_e",),
+    "temporal_dark_noise_e": ("read_noise_e", "reset_noise_factor"),
+    "dark_current": ("dark_current_e_per_s",),
+    "prnu_percent": ("prnu",),
+    "dsnu_e": ("offset_fpn", "column_fpn"),
+}
+
+
+def excluded_by(names: Iterable[str]) -> set[str]:
+    """The fields of a pixel that cannot be given together with those of `names`, since they state the same quantity."""
+    given = set(names)
+    others = {word for word, fields in STANDS_FOR.items() if given & set(fields)}
+    return others.union(*(STANDS_FOR[name] for name in given & STANDS_FOR.keys()))
+
+
+def missing_of_data_sheet(given: Iterable[str]) -> list[str]:
+    """The names of `DATA_SHEET` that neither stand among `given` nor under another word of `STANDS_FOR`."""
+    names = set(given).union(*(STANDS_FOR[name] for name in STANDS_FOR.keys() & set(given)))
+    return [name for name in DATA_SHEET if name not in names]
+
+
+def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word the base states them."""
+    merged = dict(base)
+    for key, value in over.items():
+        old = merged.get(key)
+        if isinstance(old, dict) and isinstance(value, dict):
+            restated = excluded_by(value) if key == "pixel" else ()
+            merged[key] = merge({name: old[name] for name in old if name not in restated}, value)
+        else:
+            merged[key] = value
+    return merged
+
+
 QuantumEfficiency = Annotated[
     Fraction | tuple[tuple[float, float], ...],
     BeforeValidator(as_quantum_efficiency),
@@ -215,8 +242,27 @@ QuantumEfficiency = Annotated[
 ]
 
 
+ABSOLUTE_ZERO_C = -273.15
+Doubling = Annotated[float, Field(ge=1, le=1e6)]
+
+
+class DarkCurrent(Record):
+    """Dark current of a data sheet: e_per_s · 2^((T - at_c)/doubling_k), with T the temperature of the pixel in °C."""
+
+    e_per_s: Current = Field(description="dark current of one pixel at at_c")
+    at_c: Annotated[float, Field(ge=-196, le=127)] = Field(description="temperature of the measurement")
+    doubling_k: Doubling | None = Field(
+        None, description="temperature rise that doubles the dark current (absent: that of the technology, 8 K without one)"
+    )
+
+
 class PixelOptions(Record):
-    """A pixel without its technology and pitch. Values of None are derived from the technology."""
+    """A pixel without its technology and pitch. Values of None are derived from the technology.
+
+    A data sheet's own words can stand for some fields, but not beside them: `saturation_capacity_e` for `full_well_e`,
+    `temporal_dark_noise_e` for `read_noise_e` and `reset_noise_factor`, `dark_current` for `dark_current_e_per_s`, `prnu_percent`
+    for `prnu`, and `dsnu_e` for `offset_fpn` and `column_fpn`.
+    """
 
     capacitance: Literal["mosis", "paper"] = Field(
         "mosis",
@@ -244,18 +290,45 @@ class PixelOptions(Record):
         "technology", description="fill factor against pitch: the technology's law, or one of two other fits to Chen et al. (2000)"
     )
     fill_factor: Fraction | None = Field(None, description="photodiode area over pixel area (absent: from fill_factor_law)")
-    full_well_e: Well | None = Field(None, description="full well: charge at the highest ADC code")
+    full_well_e: Well | None = Field(
+        None, description="full well: charge that the pixel holds, at the highest ADC code unless gain_e_per_dn is given"
+    )
+    saturation_capacity_e: Well | None = Field(
+        None,
+        description="in place of full_well_e: saturation capacity (μ_e.sat of EMVA 1288), signal at the peak of the temporal "
+        "variance; the full well is chosen such that the simulated test returns it",
+    )
+    gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e15)] | None = Field(
+        None,
+        description="electrons per ADC code, 1/K of EMVA 1288; signals saturate at the lower of the full well and the highest code "
+        "(absent: the codes above the black level span the full well)",
+    )
     dark_current_e_per_s: Current | None = Field(None, description="dark current of one pixel")
+    dark_current: DarkCurrent | None = Field(
+        None,
+        description="in place of dark_current_e_per_s: dark current at a temperature, from which that at temperature_k follows",
+    )
     data_sheet_pitch_um: Pitch | None = Field(
-        None, description="pitch at which full_well_e and dark_current_e_per_s were measured; both scale with the photodiode area"
+        None, description="pitch at which full well, gain and dark current were measured; they scale with the photodiode area"
     )
     read_noise_e: NoiseElectrons | None = Field(None, description="temporal read noise without reset noise")
+    temporal_dark_noise_e: NoiseElectrons | None = Field(
+        None,
+        description="in place of read_noise_e and reset_noise_factor: temporal dark noise (σ_d of EMVA 1288), without quantisation "
+        "noise, at an exposure so short that dark current adds none",
+    )
     reset_noise_factor: ResetFactor | None = Field(
         None, description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, delta double sampling 2"
     )
     prnu: GainSpread | None = Field(None, description="standard deviation of the gain over its mean (PRNU)")
+    prnu_percent: Annotated[float, Field(ge=0, le=30)] | None = Field(None, description="in place of prnu: the same in per cent")
     dsnu: DarkSpread | None = Field(
-        None, description="standard deviation of the dark current over its mean (the DSNU of EMVA 1288 is offset_fpn × full_well_e)"
+        None, description="standard deviation of the dark current over its mean (DSNU in electrons, as in EMVA 1288, is dsnu_e)"
+    )
+    dsnu_e: NoiseElectrons | None = Field(
+        None,
+        description="in place of offset_fpn and column_fpn: standard deviation of the pixel offsets (DSNU1288 of EMVA 1288); "
+        "none of it is spread of the dark current (dsnu)",
     )
     offset_fpn: OffsetSpread | None = Field(
         None, description="standard deviation of the pixel offsets, as a fraction of the full well"
@@ -270,6 +343,24 @@ class PixelOptions(Record):
     temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(
         300.15, description="temperature of the sensor, which sets dark current and reset noise"
     )
+    dynamic_range_db: Annotated[float, Field(ge=0, le=400)] | None = Field(
+        None, description="dynamic range of the data sheet: only a check, with a warning if the other numbers give another"
+    )
+    snr_max_db: Annotated[float, Field(ge=0, le=200)] | None = Field(
+        None, description="largest signal-to-noise ratio of the data sheet: only a check, as dynamic_range_db"
+    )
+
+    @model_validator(mode="after")
+    def _states_each_quantity_once(self) -> Self:
+        for word, fields in STANDS_FOR.items():
+            if getattr(self, word) is not None and (both := [name for name in fields if getattr(self, name) is not None]):
+                raise ValueError(f"{word} and {', '.join(both)} state the same quantity; give one of them")
+        if self.saturation_capacity_e is not None and (self.well_limit, self.conversion) != ("swing", "linear"):
+            raise ValueError(
+                f"saturation_capacity_e with well_limit = '{self.well_limit}' and conversion = '{self.conversion}'; the full well "
+                "is solved for a linear pixel that clips (well_limit = 'swing', conversion = 'linear'). Give full_well_e instead"
+            )
+        return self
 
     @model_validator(mode="after")
     def _black_below_white(self) -> Self:
@@ -279,22 +370,63 @@ class PixelOptions(Record):
 
 
 class Pixel(PixelOptions):
-    """One pixel of a sensor; `pixsim.pixel.derive` computes values of None from the technology."""
+    """One pixel of a sensor; `pixsim.pixel.derive` computes values of None from the technology.
+
+    Without a technology, a complete data sheet is taken as it is: pitch_um, full_well_e, read_noise_e, dark_current_e_per_s and
+    quantum_efficiency (or the words of a data sheet for them, see `PixelOptions`) make `technology` 'none'. If only some of them
+    are given, the others come from the default technology, which `assumption` then states.
+
+    >>> Pixel(pitch_um=3.75, full_well_e=10500, read_noise_e=2.3, dark_current_e_per_s=3, quantum_efficiency=0.62).technology
+    'none'
+    >>> Pixel(pitch_um=3.75, full_well_e=10500).assumption
+    'technology 0.35um assumed, without read_noise_e, dark_current_e_per_s, quantum_efficiency'
+    """
 
     technology: str = Field(
-        "0.35um", description="packaged technology, path of a TOML file, or 'none' for a sensor described by its data sheet only"
+        "0.35um",
+        description="packaged technology, path of a TOML file, or 'none' (in Python also None) for a sensor described by its data "
+        "sheet only, which a complete data sheet is if no technology is given",
     )
     pitch_um: Pitch = Field(6.5, description="pixel pitch")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_data_sheet_needs_no_technology(cls, values: Any) -> Any:
+        """The one rule of the technology, for files, options and Python; it looks at what was given, after layers are merged."""
+        if not isinstance(values, dict):
+            return values
+        if "technology" in values:
+            return {**values, "technology": NO_TECHNOLOGY} if values["technology"] is None else values
+        given = {name for name, value in values.items() if value is not None}
+        complete = "pitch_um" in given and not missing_of_data_sheet(given)
+        return {**values, "technology": NO_TECHNOLOGY} if complete else values
+
     @model_validator(mode="after")
     def _data_sheet_complete(self) -> Self:
-        missing = [name for name in DATA_SHEET if getattr(self, name) is None]
+        missing = missing_of_data_sheet(self.given)
         if self.technology == NO_TECHNOLOGY and missing:
             raise ValueError(
                 f"technology = 'none' derives no values; missing: {', '.join(missing)}. Give them, or a technology from which they "
                 "are derived"
             )
         return self
+
+    @property
+    def given(self) -> set[str]:
+        """Names of the fields that were set, to a value other than None."""
+        return {name for name in self.model_fields_set if getattr(self, name) is not None}
+
+    @property
+    def assumption(self) -> str:
+        """The technology that is assumed since a data sheet is incomplete, in words; empty if none is."""
+        given = self.given
+        missing = [*([] if "pitch_um" in given else ["pitch_um"]), *missing_of_data_sheet(given)]
+        if "technology" in given or len(missing) > len(DATA_SHEET):
+            return ""
+        return f"technology {self.technology} assumed, without {', '.join(missing)}"
+
+    def __repr__(self) -> str:
+        return super().__repr__() + (f"  # {self.assumption}" if self.assumption else "")
 
 
 FASTEST_WORKING_F_NUMBER = 0.5
@@ -316,6 +448,7 @@ class Camera(Record):
     focal_length_mm: FocalLength = Field(3.86, description="focal length")
     f_number: FNumber = Field(4.0, description="nominal f-number: focal length over the diameter of the entrance pupil")
     die_mm: DieWidth = Field(2.7136, description="width of the die")
+    die_height_mm: DieWidth | None = Field(None, description="height of the die (absent: that of a square die, die_mm)")
     object_distance_m: Distance = Field(1.0, description="distance from the lens to the plane in focus")
     transmittance: Fraction = Field(1.0, description="transmittance of the lens")
 
@@ -333,6 +466,11 @@ class Camera(Record):
                 f"N (1 + |m|) = {self.working_f_number:g}, must be at least {FASTEST_WORKING_F_NUMBER:g}"
             )
         return self
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the die."""
+        return self.die_mm if self.die_height_mm is None else self.die_height_mm
 
     @property
     def magnification(self) -> float:
@@ -381,7 +519,8 @@ class Camera(Record):
             return self
         if width_mm > self.die_mm:
             raise invalid("window_mm", f"{width_mm:g}", f"at most the width of the die, {self.die_mm:g}")
-        return self.model_copy(update={"die_mm": width_mm})
+        height_mm = None if self.die_height_mm is None else self.die_height_mm * width_mm / self.die_mm
+        return self.model_copy(update={"die_mm": width_mm, "die_height_mm": height_mm})
 
     @classmethod
     def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
@@ -393,27 +532,71 @@ class Camera(Record):
         return cls(focal_length_mm=f_mm, f_number=f_number, die_mm=die_mm, object_distance_m=focus_distance_m)
 
 
+DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm
+
+
+def as_pixel_count(value: Any) -> Any:
+    """Columns and rows, from numbers or from text as in `2448x2048`."""
+    return (
+        [part.strip() for part in value.lower().replace("×", "x").replace(",", "x").strip("[] ").split("x")]
+        if isinstance(value, str)
+        else value
+    )
+
+
+PixelCount = Annotated[
+    tuple[Annotated[int, Field(ge=1, le=10**6)], Annotated[int, Field(ge=1, le=10**6)]], BeforeValidator(as_pixel_count)
+]
+
+
 class CameraOptions(Record):
     """Camera fields that replace those of the scene; None keeps the value of the scene."""
 
     focal_length_mm: FocalLength | None = Field(None, description=Camera.model_fields["focal_length_mm"].description)
     f_number: FNumber | None = Field(None, description=Camera.model_fields["f_number"].description)
     die_mm: DieWidth | None = Field(None, description=Camera.model_fields["die_mm"].description)
+    die_height_mm: DieWidth | None = Field(None, description=Camera.model_fields["die_height_mm"].description)
+    pixels: PixelCount | None = Field(
+        None, description="columns and rows of pixels, which with pixel.pitch_um give die_mm and die_height_mm"
+    )
     object_distance_m: Distance | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
     transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
     def over(self, camera: Camera) -> Camera:
-        """The camera with the fields that are set here replaced."""
-        return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True))
+        """The camera with the fields that are set here replaced. Raises ValueError for `pixels` without a die (`with_die`)."""
+        if self.pixels is not None and self.die_mm is None:
+            raise ValueError(
+                f"camera.pixels = {list(self.pixels)} without a pitch; give pixel.pitch_um, or die_mm and die_height_mm"
+            )
+        return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
+
+    def with_die(self, pitch_um: float | None) -> CameraOptions:
+        """These options with the die of `pixels` at a pitch (µm). ValueError if a given die differs by more than half a pixel."""
+        if self.pixels is None:
+            return self
+        if pitch_um is None:
+            raise ValueError(f"camera.pixels = {list(self.pixels)} needs the pitch of the sensor (pixel.pitch_um)")
+        die_mm = {}
+        for name, count in zip(("die_mm", "die_height_mm"), self.pixels, strict=True):
+            of_pixels_mm, given_mm = 1e-3 * count * pitch_um, getattr(self, name)
+            if given_mm is not None and abs(given_mm - of_pixels_mm) > 0.5e-3 * pitch_um:
+                raise ValueError(
+                    f"camera.{name} = {given_mm:g} differs from camera.pixels = {list(self.pixels)} of {pitch_um:g} µm, which are "
+                    f"{of_pixels_mm:.6g} mm, by more than half a pixel; give one of them"
+                )
+            die_mm[name] = round(of_pixels_mm, DIE_DIGITS) if given_mm is None else given_mm
+        return CameraOptions.model_validate(self.model_dump() | die_mm)
 
 
 class Exposure(Record):
-    """Manual exposure if `integration_s` is given, else automatic: the brightest pixel reaches `well_target` of its well."""
+    """Manual exposure if `integration_s` is given, else automatic: the brightest pixel reaches `well_target` of saturation."""
 
     integration_s: Seconds | None = Field(None, description="exposure time (absent: automatic exposure)")
     max_integration_s: Seconds = Field(0.1, description="longest exposure time of the automatic exposure")
     well_target: Fraction = Field(
-        0.95, description="automatic exposure: mean signal of the brightest pixel, as a fraction of the full well"
+        0.95,
+        description="automatic exposure: mean signal of the brightest pixel, as a fraction of saturation (the lower of the full "
+        "well and the range of the ADC)",
     )
 
 
@@ -539,6 +722,23 @@ class Study(Effort):
     sources: dict[str, str] = Field(default_factory=dict, description="sources of values: dotted name -> text")
     quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_data_sheet_needs_no_technology(cls, values: Any) -> Any:
+        """The rule of `Pixel` for a study whose own [pixel] is a data sheet."""
+        if not isinstance(values, dict) or "technologies" in values:
+            return values
+        pixel = values.get("pixel")
+        table = pixel if isinstance(pixel, dict) else dict(pixel) if isinstance(pixel, PixelOptions) else {}
+        given = {name for name, value in table.items() if value is not None}
+        complete = "data_sheet_pitch_um" in given and not missing_of_data_sheet(given)
+        return {**values, "technologies": (NO_TECHNOLOGY,)} if complete else values
+
+    @model_validator(mode="after")
+    def _pixels_make_the_die(self) -> Self:
+        self.__dict__["camera"] = self.camera.with_die(self.pixel.data_sheet_pitch_um)
+        return self
+
     @model_validator(mode="after")
     def _paper_needs_its_scene(self) -> Self:
         others = self.scene.parameters.keys() & {"chart", "max_lp_per_mm"}
@@ -552,7 +752,8 @@ class Study(Effort):
         if NO_TECHNOLOGY in self.technologies:
             if len(self.technologies) > 1:
                 raise ValueError(f"technologies: '{NO_TECHNOLOGY}' is the data sheet of [pixel]; give it alone, or leave it out")
-            if missing := [name for name in ("data_sheet_pitch_um", *DATA_SHEET) if getattr(self.pixel, name) is None]:
+            given = [name for name, value in self.pixel if value is not None]
+            if missing := [*(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []), *missing_of_data_sheet(given)]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
         return self
 
@@ -592,6 +793,11 @@ class Run(Effort):
     pixel: Pixel = Field(Pixel(), description="pixel of the sensor")
     exposure: Exposure = Field(Exposure(), description="exposure of the frame")
     display: Display = Field(Display(), description="display, viewer and metric")
+
+    @model_validator(mode="after")
+    def _pixels_make_the_die(self) -> Self:
+        self.__dict__["camera"] = self.camera.with_die(self.pixel.pitch_um if "pitch_um" in self.pixel.model_fields_set else None)
+        return self
 
 
 def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:

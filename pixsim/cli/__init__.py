@@ -21,6 +21,7 @@ from pydantic import ValidationError
 
 from pixsim.base.config import explain
 from pixsim.base.errors import PixsimError
+from pixsim.base.notes import collected_notes
 from pixsim.cli import commands as commands  # importing it registers the commands
 from pixsim.cli.options import app, set_cache_folders, verbosity
 
@@ -40,7 +41,8 @@ def main(tokens: Sequence[str] | None = None) -> None:
     set_cache_folders()
     warnings.showwarning = lambda message, *_, **__: verbosity.note(f"warning: {message}")
     try:
-        app(arguments, exit_on_error=False, print_error=False)
+        with collected_notes():  # also of the settings, before a result collects its own
+            app(arguments, exit_on_error=False, print_error=False)
     except (PixsimError, ValidationError) as error:
         end(explain(error), INVALID_INPUT)
     except CycloptsError as error:
@@ -52,8 +54,8 @@ def main(tokens: Sequence[str] | None = None) -> None:
         end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
     except MemoryError:
         end("the system is out of memory; use a coarser film (-D resolution=512), larger pixels or fewer --jobs", UNEXPECTED)
-    except KeyboardInterrupt:
-        end("interrupted; finished results are saved, and the same command continues from there", INTERRUPTED)
+    except KeyboardInterrupt as interruption:  # a command that keeps something says so in its text
+        end("; ".join(["interrupted", *map(str, interruption.args)]), INTERRUPTED)
     except Exception as error:
         end(f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows where it occurred.", UNEXPECTED)
     sys.exit(OK)

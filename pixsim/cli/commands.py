@@ -7,7 +7,8 @@ import os
 import shutil
 import sys
 import textwrap
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
@@ -17,7 +18,8 @@ from cyclopts import Parameter
 
 from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import MIB, output_folder
+from pixsim.base.files import MIB, check_replaceable, output_folder
+from pixsim.base.notes import collected_notes
 from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, given, show, stages
 
@@ -48,7 +50,13 @@ def run(
         list[Literal["tiff", "png", "npz"]] | None,
         Parameter(help="Also write the raw frame in this format.", consume_multiple=False),
     ] = None,
-    no_irradiance: Annotated[bool, Parameter(help="Do not write irradiance.exr, the largest file.")] = False,
+    irradiance: Annotated[
+        Literal["reduced", "full", "factors", "none"],
+        Parameter(
+            help="What irradiance.exr holds: spectral bands as means over larger samples (at most 1024 across, 60 MB), all samples "
+            "(read back bit for bit), only the factors (spectra × pictures; bands in full where an image has none), or no file."
+        ),
+    ] = "reduced",
     dry_run: common.DryRun = False,
     out: Out = None,
     json: Json = False,
@@ -63,7 +71,7 @@ def run(
     settings.toml and report.html. `pixsim run SCENE --config settings.toml` repeats it.
     """
     from pixsim.report.run import run_and_write
-    from pixsim.report.wording import budget_lines, dark_note, score_line
+    from pixsim.report.wording import budget_lines, dark_notes, score_line
 
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
@@ -74,13 +82,13 @@ def run(
         outline = run_outline(scene, chosen, **render_options)
         show(outline, json, "\n".join(outline_lines(outline, folder)))
         return
-    files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance_too": not no_irradiance}
+    files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance": irradiance}
     with stages() as stage:
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
     noise = result.get("render_noise")
     of_noise = f"; render noise {noise['fraction']:.2g} of the sensor's noise" if noise else ""
     line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
-    show(result, json, "\n".join([line, *dark_note(result), *budget_lines(result)]))
+    show(result, json, "\n".join([line, *(f"note: {note}" for note in dark_notes(result)), *budget_lines(result)]))
 
 
 @app.command
@@ -106,7 +114,12 @@ def plan(
     render_options: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
     made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **render_options)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
-    show(made.as_dict(), json, "" if json else plan_table(made, width))
+    assumed = chosen.pixel.assumption
+    show(
+        made.as_dict() | {"assumption": assumed},
+        json,
+        "" if json else "\n".join([plan_table(made, width), *([assumed] if assumed else [])]),
+    )
 
 
 def plan_table(plan: Plan, width: int | None = None) -> str:
@@ -167,7 +180,7 @@ def study(
     Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
     command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
-    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_dark_notes, study_view_line, target_notes
+    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_view_line
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
@@ -176,52 +189,66 @@ def study(
         hint = "Copy the study that it varies, set them there, and name the copy as its base."
         got = f"{', '.join(tables) or '--config'}, with {study}, which varies another study"
         raise invalid("options of settings", got, "studies of pixel sizes", hint)
-    layers = study_layers(table, options.config or [], tables)
-    seconds: dict[str, float] = {}
-    suffix = "-quick" if quick else ""
-    run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
-    if "vary" not in table.table:
-        from pixsim.report.outline import long_lines, outline_lines, study_outline
+    with collected_notes():  # also of what is found before the study begins
+        layers = study_layers(table, options.config or [], tables)
+        seconds: dict[str, float] = {}
+        suffix = "-quick" if quick else ""
+        run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
+        if "vary" not in table.table:
+            from pixsim.report.outline import long_lines, outline_lines, study_outline
 
-        plan = sweep.checked_study(layers)
-        folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-        prepared = sweep.prepare(plan, variant, quick)
-        outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
-        if dry_run:
-            show(outline, json, "\n".join(outline_lines(outline, folder)))
-            return
-        for line in long_lines(outline):
-            common.verbosity.note(line)
-    elif dry_run:
-        raise invalid("--dry-run", f"with {study}, which varies another study", "studies of pixel sizes")
-    with stages(seconds) as stage:
-        if "vary" in table.table:
-            from pixsim.studies.sensitivity import Sensitivity, run_sensitivity, write_sensitivity_report
+            plan = sweep.checked_study(layers)
+            folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
+            prepared = sweep.prepare(plan, variant, quick)
+            outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
+            if dry_run:
+                show(outline, json, "\n".join(outline_lines(outline, folder)))
+                return
+            for line in long_lines(outline):
+                common.verbosity.note(line)
+        elif dry_run:
+            raise invalid("--dry-run", f"with {study}, which varies another study", "studies of pixel sizes")
+        with stages(seconds) as stage:
+            if "vary" in table.table:
+                from pixsim.studies.sensitivity import FILES, Sensitivity, run_sensitivity, write_sensitivity_report
 
-            sensitivity: Sensitivity = checked(Sensitivity, layers)
-            folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
-            outcome = run_sensitivity(sensitivity, folder, progress=stage, quick=quick, variant=variant, **run_options)
-            stage("report")
-            report = write_sensitivity_report(outcome, folder, seconds)
-            summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
-        else:
-            from pixsim.report.study import write_report
-            from pixsim.studies.engine import Workers, workers_here
-            from pixsim.studies.preparation import fitting_jobs
+                sensitivity: Sensitivity = checked(Sensitivity, layers)
+                folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
+                check_replaceable(folder, FILES)
+                with interruption_says_what_is_kept(folder):
+                    outcome = run_sensitivity(sensitivity, folder, progress=stage, quick=quick, variant=variant, **run_options)
+                    stage("report")
+                    report = write_sensitivity_report(outcome, folder, seconds)
+                summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
+            else:
+                from pixsim.report.study import report_files, write_report
+                from pixsim.studies.engine import Workers, workers_here
+                from pixsim.studies.preparation import fitting_jobs
 
-            result = sweep.run_prepared(prepared, folder, progress=stage, **run_options)
-            stage("report")
-            drawing = workers_here(jobs or fitting_jobs(result.study, result.camera)) if scheduler is None else Workers()
-            report = write_report(result, folder, seconds, drawing)
-            summary = result.as_dict()
-            lines = [
-                *map(optimum_line, result.curves),
-                *study_view_line(result),
-                *target_notes(result),
-                *study_dark_notes(result),
-                *budget_lines(summary),
-            ]
+                check_replaceable(folder, report_files(prepared.study))
+                with interruption_says_what_is_kept(folder):
+                    result = sweep.run_prepared(prepared, folder, progress=stage, **run_options)
+                    stage("report")
+                    drawing = workers_here(jobs or fitting_jobs(result.study, result.camera)) if scheduler is None else Workers()
+                    report = write_report(result, folder, seconds, drawing)
+                summary = result.as_dict()
+                warned = set(result.warned)  # they are on stderr
+                lines = [*map(optimum_line, result.curves), *study_view_line(result)]
+                lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
+
+
+@contextmanager
+def interruption_says_what_is_kept(folder: Path) -> Iterator[None]:
+    """Add to a KeyboardInterrupt how many evaluations of a study lie in its folder, if there are any."""
+    from pixsim.studies.evaluations import ResultsFile
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = sum(len(ResultsFile(path).read()) for path in [folder / "results.csv", *folder.glob("cases/*.csv")])
+        words = f"{kept} finished evaluations are kept in '{folder}', and the same command continues from them"
+        raise KeyboardInterrupt(*([words] if kept else [])) from None
 
 
 @app.command
@@ -243,16 +270,19 @@ def accuracy(
 
     Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
-    from pixsim.accuracy.report import accuracy_lines, write_accuracy
+    from pixsim.accuracy.report import FILES, accuracy_lines, write_accuracy
     from pixsim.accuracy.survey import survey
 
     settings = options.settings(display=display, seed=seed)
-    with stages() as stage, output_folder(out) if out else nullcontext():  # an invalid folder fails before a minute of work
+    folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"
+    check_replaceable(folder, FILES)
+    with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
         result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
-        folder = out or DEFAULT_OUT / f"{result.name}-accuracy"
         report = write_accuracy(result, folder)
-    show(result.as_dict(), json, "\n".join([*accuracy_lines(result), f"report: {report}"]))
+    assumed = settings.pixel.assumption
+    lines = [*accuracy_lines(result), *([assumed] if assumed else []), f"report: {report}"]
+    show(result.as_dict() | {"assumption": assumed}, json, "\n".join(lines))
 
 
 @app.command
@@ -287,7 +317,7 @@ def datasheet(
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
     from pixsim.measure.datasheet import make_datasheet, sheet_summary as summary
-    from pixsim.measure.datasheet_report import datasheet_lines, sheet_name, write_datasheet
+    from pixsim.measure.datasheet_report import FILES, datasheet_lines, sheet_name, write_datasheet
 
     files, pixel_options = list(config or []), given({"pixel": pixel}).get("pixel", {})
     if pixel_file is not None and pixel_file.endswith(".toml") and "pixel" in read_toml(Path(pixel_file)):
@@ -298,10 +328,12 @@ def datasheet(
             raise PixsimError(f"PIXEL: got '{pixel_file}' and --pixel.technology {technology}; give only one of them.")
         pixel_options["technology"] = pixel_file
     settings = SceneOptions(files, exposure=exposure).settings(pixel=pixel_options or None, seed=seed)
-    with output_folder(out) if out else nullcontext(), stages() as stage:  # an invalid folder fails before the measurement
+    folder = out or DEFAULT_OUT / sheet_name(settings.pixel)
+    check_replaceable(folder, FILES)
+    with output_folder(folder), stages() as stage:  # an invalid folder fails before the measurement
         sheet = make_datasheet(settings.pixel, settings.exposure, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
         stage("report")
-        report = write_datasheet(sheet, out or DEFAULT_OUT / sheet_name(sheet))
+        report = write_datasheet(sheet, folder)
     show(summary(sheet), json, "\n".join([*datasheet_lines(sheet), f"report: {report}"]))
 
 

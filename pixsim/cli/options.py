@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, is_dataclass, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 from cyclopts import App, Parameter
 
 from pixsim.base import progress
-from pixsim.base.config import checked, is_data_sheet, settings_layer
+from pixsim.base.config import checked, settings_layer, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import cache_folder
-from pixsim.base.parameters import NO_TECHNOLOGY, CameraOptions, Display, Exposure, Layer, PitchRange, Pixel, Record, Run
+from pixsim.base.parameters import CameraOptions, Display, Exposure, Layer, PitchRange, Pixel, Record, Run
 from pixsim.base.progress import Stage
 from pixsim.base.version import VERSION
 
@@ -97,16 +98,24 @@ Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/
 Variant = Annotated[str | None, Parameter(help="Mitsuba variant [default: the fastest available].")]
 
 
-def option_table(record: type[Record], name: str) -> Any:
-    """The fields of a record as dotted options, as text that the record validates; None if no option is given."""
-    fields = []
+def option_table(record: type[Record], name: str, inside: str = "") -> Any:
+    """The fields of a record as dotted options, as text that the record validates; None if no option is given.
+
+    name : of the options; of a record in a field of another one, that of the field
+    inside : name of the options of that other record
+    """
+    fields: list[tuple[str, Any, Any]] = []
     for key, info in record.model_fields.items():
+        records = [kind for kind in get_args(info.annotation) if inspect.isclass(kind) and issubclass(kind, Record)]
+        if records:
+            fields.append((key, option_table(records[0], key.replace("_", "-"), name), field(default=None)))
+            continue
         default = "" if info.is_required() or info.default is None else f" [default: {info.default}]"
         how = Parameter(help=f"{info.description or ''}{default}".strip(), allow_leading_hyphen=True, show_default=False)
         fields.append((key, Annotated[str | None, how], field(default=None)))
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
     table.__module__ = __name__  # otherwise cyclopts treats the class as a builtin
-    return Annotated[table | None, Parameter(name=name, group=f"--{name}.…", show_default=False)]
+    return Annotated[table | None, Parameter(name=name, group=f"--{inside or name}.…", show_default=False)]
 
 
 if TYPE_CHECKING:
@@ -139,9 +148,8 @@ class SceneOptions:
         values = {**vars(self), **others}
         files = [settings_layer(path) for path in values.pop("config") or []]
         options = given({"scene": definitions(values.pop("define")), **values})
-        settings: Run = checked(Run, [*files, Layer(options)])  # invalid names and values first, then missing ones
-        if is_data_sheet(files, options):
-            settings = checked(Run, [Layer({"pixel": {"technology": NO_TECHNOLOGY}}), *files, Layer(options)])
+        warn_of_mixed_sensors(files)
+        settings: Run = checked(Run, [*files, Layer(options)])
         return settings
 
     def study_tables(self, scene: str | None, **others: Any) -> dict[str, Any]:

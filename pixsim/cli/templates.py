@@ -15,6 +15,7 @@ KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
 # Unit of a field by the end of its name; longer ends come first.
 UNITS = {
+    "_e_per_dn": "electrons per DN", "_percent": "%", "_db": "dB", "_c": "°C",
     "_cd_per_m2": "cd/m²", "_e_per_s": "electrons per second", "samples_per_deg": "display dots per degree", "_delta_e": "ΔE",
     "_seconds": "s", "_ci_um": "µm", "_dn": "DN", "_mm": "mm", "_um": "µm", "_nm": "nm", "_m": "m", "_s": "s", "_k": "kelvin",
     "_e": "electrons",
@@ -29,7 +30,11 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "tolerance_delta_e": 0.01, "target_ci_um": 0.1, "max_evaluations": 1000,
     "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.62, "bits": 12,
     "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.0002, "column_fpn": 0.0001, "reset_noise_factor": 0.0,
-    "infrared_cut_nm": 650.0, "fill_factor": 0.8, "f_number": 2.8, "integration_s": 0.02, "white_cd_per_m2": 1000.0,
+    "gain_e_per_dn": 2.57, "saturation_capacity_e": 10500.0, "temporal_dark_noise_e": 2.3, "prnu_percent": 0.5, "dsnu_e": 2.0,
+    "dark_current": {"e_per_s": 3.0, "at_c": 27.0, "doubling_k": 8.0}, "dynamic_range_db": 71.0, "snr_max_db": 40.2,
+    "die_height_mm": 2.4, "pixels": [640, 640], "die_mm": 2.4, "infrared_cut_nm": 650.0, "fill_factor": 0.8,
+    "f_number": 2.8, "integration_s": 0.02,
+    "white_cd_per_m2": 1000.0,
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
     "sources": {"pixel.bits": "data sheet, page 3"}, "quick": {"repeats": 4},
 }  # fmt: skip
@@ -42,7 +47,8 @@ STUDY_SHOWN = (
 SENSOR_HEAD = """
 A sensor from its data sheet, for `pixsim run csf --config THIS_FILE` and `pixsim datasheet THIS_FILE`. The numbers below are
 examples: replace them with yours. Lines with one # show defaults, or examples of optional values; remove the # to set them.
-Without a technology, pitch_um, full_well_e, read_noise_e, dark_current_e_per_s and quantum_efficiency are required.
+With pitch_um, full_well_e, read_noise_e, dark_current_e_per_s and quantum_efficiency (or the words of EMVA 1288 for them) no
+technology is needed; if one of them is missing, it comes from a technology, by default 0.35um.
 """
 STUDY_HEAD = """
 A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours. Lines with one

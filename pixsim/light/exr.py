@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, opened, quiet_stdout, replacing
-from pixsim.light.spectral import WHOLE, SpectralImage
+from pixsim.light.spectral import EDGE, WHOLE, SpectralImage
 
 MAGIC = 20000630
 LONG_NAMES, TILED = 0x400, 0x200
@@ -128,6 +128,9 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     numbers = np.array(metadata["wavelength_nm"] + metadata["band_width_nm"] + header.get("lamp_w_per_m2_sr_nm", []), float)
     if numbers.size % len(metadata["wavelength_nm"]) or not np.isfinite(numbers).all():
         raise ValueError("there must be one finite number for each band")
+    reduced = header.get("reduced", {"samples": [1, 1], "factor": 1.0})
+    if not (1 <= reduced["factor"] < math.inf and len(reduced["samples"]) == 2 and min(reduced["samples"]) >= 1):
+        raise ValueError("reduced must be a factor of at least 1 and two numbers of samples")
     if not 0 < header.get("luminance_cd_per_m2", 1.0) < math.inf:
         raise ValueError("luminance_cd_per_m2 must be above 0")
     return metadata
@@ -258,7 +261,35 @@ def _band_channel(wavelength_nm: float) -> str:
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 
 
-def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
+MAX_REDUCED_COLUMNS, MAX_REDUCED_BYTES = 1024, 60_000_000
+NEAR = 8  # among the most columns and an eighth less, some divide a usual height to 2 % of a sample
+MAX_CUT = 0.01  # of the height
+
+
+def reduced_to_fit(image: SpectralImage) -> SpectralImage:
+    """Return the image, or its means over larger samples where it has over 1024 across or its file would exceed 60 MB.
+
+    The finest sampling with whole numbers of samples in each mean is taken, if one is at most twice as coarse as needed; else
+    one that cuts little off the height. An image of few rows, where every one would cut more than 1 %, stays as it is.
+    """
+    height, width = image.shape
+    channels = len(_merged(image).wavelength_nm) + len(image.factors[0]) if image.factors else len(image.wavelength_nm)
+    fitting = int(math.sqrt(MAX_REDUCED_BYTES / (4 * channels) * width / height))
+    most = min(width, MAX_REDUCED_COLUMNS, max(fitting, 1))
+    if most == width:
+        return image
+    for columns in range(most, most // 2, -1):
+        if width % columns == 0 and height % (width // columns) == 0:
+            return image.box_reduced(columns)
+
+    def cut(columns: int) -> float:  # off the height, in larger samples
+        return (height * columns / width + EDGE) % 1
+
+    best = min(range(most, most - most // NEAR - 1, -1), key=cut)
+    return image.box_reduced(best) if cut(best) * width / best <= MAX_CUT * height else image
+
+
+def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_only: bool = False) -> None:
     """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the same bits back.
 
     Any reader can use the channels `S0.550,000000nm`, in W m⁻² nm⁻¹. An image with factors also has channels `factor.N`;
@@ -267,12 +298,16 @@ def write_exr(path: str | os.PathLike[str], image: SpectralImage) -> None:
 
     The file is not compressed: OpenEXR's lossless methods take ten times as long for two thirds of the bytes.
 
+    factors_only : leave out the `S0` channels of an image with factors, which pixsim does not need; others need them
+
     Raises PixsimError if `path` cannot be written.
     """
     shown = _merged(image) if image.factors else image
     header = {"emissiveUnits": "W.m^-2.nm^-1"}
-    channels: dict[str, Rows]
-    if image.factors and 4 * shown.wavelength_nm.size * math.prod(image.shape) > MAX_BAND_BYTES:
+    channels: dict[str, Rows] = {}
+    if image.factors and factors_only:
+        pass
+    elif image.factors and 4 * shown.wavelength_nm.size * math.prod(image.shape) > MAX_BAND_BYTES:
         weight = image.luminous_weight()
         channels = {"Y": lambda rows: image.weighted_part(weight, (rows, WHOLE)).astype(np.float32)}
         header["illuminanceUnits"] = "lx"

@@ -165,6 +165,32 @@ class SpectralImage:
             total += factor * picture.astype(float)
         return total
 
+    def box_reduced(self, columns: int) -> SpectralImage:
+        """Return the image on `columns` samples across, each the mean over its area, of the larger pitch.
+
+        The width stays. Where the height is no whole number of the larger samples, less than one of them is cut off, half above
+        and half below. `header["reduced"]` states the samples of the picture before, and their number along a side of a new one.
+
+        Raises PixsimError unless columns is 1 to the present number.
+
+        >>> light = SpectralImage([550.0], 10.0, 5.0, data=np.arange(8.0).reshape(2, 4, 1))
+        >>> light.box_reduced(2).data[:, :, 0].tolist(), light.box_reduced(2).pitch_um
+        ([[2.5, 4.5]], 10.0)
+        """
+        height, width = self.shape
+        ratio = width / columns if 1 <= columns <= width else math.nan
+        if not (rows := int(height / ratio + EDGE) if math.isfinite(ratio) else 0):
+            raise invalid("columns", columns, f"1 to {width}, and at least one row of square samples")
+        before = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
+        header = self.header | {"reduced": {"samples": before["samples"], "factor": float(f"{before['factor'] * ratio:.12g}")}}
+        more: dict[str, Any] = {"within": self.within, "header": header}
+        if self.factors:
+            more["factors"] = self.factors[0], np.stack([_box_means(picture, rows, columns) for picture in self.factors[1]])
+        else:
+            bands = (_box_means(self.band(band), rows, columns) for band in range(self.wavelength_nm.size))
+            more["data"] = np.stack(list(bands), axis=2)
+        return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um * ratio, **more)
+
     def mean_spectrum(self) -> Array:
         """Return the mean over all samples, (B,) W m⁻² nm⁻¹."""
         if not self.factors:
@@ -205,6 +231,28 @@ class SpectralImage:
             f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm, {self.wavelength_nm.size} bands "
             f"{self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g} nm, {kind}, W m^-2 nm^-1>"
         )
+
+
+EDGE = 1e-9  # of a sample: rounding errors of a ratio
+
+
+def _box_means(picture: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
+    """Return the means (rows, columns) of a picture over square areas that fill its width, centred in its height."""
+    height, width = picture.shape
+    ratio = width / columns
+    edges_x = np.linspace(0, width, columns + 1)
+    edges_y = (height - rows * ratio) / 2 + ratio * np.arange(rows + 1)
+    total = _running(_running(picture.astype(float), edges_y).T, edges_x).T
+    # A mean lies in the range of its values, but for rounding errors.
+    return np.clip(total / ratio**2, picture.min(), picture.max()).astype(np.float32)
+
+
+def _running(values: Array, edges: Array) -> Array:
+    """Return the integrals of the rows of `values`, taken as constant in each, between edges in units of a row."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    at = np.clip(edges, 0, len(values))
+    below = np.minimum(at.astype(int), len(values) - 1)
+    return np.diff(total[below] + (at - below)[:, None] * values[below], axis=0)
 
 
 LOW_NM, HIGH_NM = 360.0, 830.0  # the range that Mitsuba samples

@@ -12,62 +12,32 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Exposure, Pixel
+from pixsim.base.parameters import NO_TECHNOLOGY, Exposure, Pixel
 from pixsim.base.progress import Stage
 from pixsim.measure import estimators
 from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, Series, Stack, root
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.show.pages import plain
 
 GREY_FRAMES = 16  # ISO 15739 requires at least 8
 GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6.3
-SHOT_NODES, GAIN_NODES, OFFSET_NODES = 65, 37, 19
-MAX_NODE = 5.0  # σ
-
-
-def normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
-    """Equally spaced quadrature nodes of a normal distribution and their weights; a single node if sigma is 0."""
-    if sigma == 0:
-        return np.zeros(1), np.ones(1)
-    nodes = np.linspace(-MAX_NODE, MAX_NODE, count)
-    weights = np.exp(-(nodes**2) / 2)
-    return sigma * nodes, weights / weights.sum()
-
-
-def clipped_moments(mean: Array, sigma: float, top: float) -> tuple[Array, Array]:
-    """E[x] and E[x²] of min(x, top) for a normal x."""
-    if sigma == 0:
-        clipped = np.minimum(mean, top)
-        return clipped, clipped**2
-    reach = (top - mean) / sigma
-    below, density = ndtr(reach), np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
-    first = mean * below - sigma * density + top * (1 - below)
-    second = (mean**2 + sigma**2) * below - sigma * (mean + top) * density + top**2 * (1 - below)
-    return first, second
 
 
 def expected_moments(mean_e: float, integration_s: float, physics: PixelPhysics) -> tuple[float, float]:
     """Mean (DN) and mean temporal variance (DN²) over the pixels at `mean_e` photo-electrons; the quantiser adds 1/12 DN².
 
-    Shot noise is approximated by a normal distribution. Levels are relative to the full well, which avoids cancellation there.
+    Shot noise is approximated by a normal distribution, as in `pixsim.sensor.saturation`.
     """
-    p = physics
-    gain, gain_weight = normal_nodes(GAIN_NODES, p.prnu)
-    offset, offset_weight = normal_nodes(OFFSET_NODES, math.hypot(p.offset_fpn_e, p.column_fpn_e))
-    shot, shot_weight = normal_nodes(SHOT_NODES, 1.0)
-    charge = np.maximum(1 + gain, 0.0)[:, None] * mean_e + p.dark_current_e_per_s * integration_s
-    generated = np.maximum(charge + np.sqrt(charge) * shot, 0.0)
-    level = stored_signal_e(generated, integration_s, p)[:, None, :] + offset[:, None] - p.full_well_e
-    first, second = clipped_moments(level, math.hypot(p.reset_noise_e, p.read_noise_e), 0.0)
-    first, second = first @ shot_weight, second @ shot_weight
-    weight = gain_weight[:, None] * offset_weight
-    mean = float(np.sum(weight * first)) + p.full_well_e
-    variance = float(np.sum(weight * (second - first**2)))
+    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
+    mean, variance = level_moments(
+        mean_e, dark_e, p.adc_range_e, lambda generated: stored_signal_e(generated, integration_s, p),
+        noise_e=p.noise_floor_e, gain_spread=p.prnu, offset_spread_e=math.hypot(p.offset_fpn_e, p.column_fpn_e),
+    )  # fmt: skip
     return mean * p.dn_per_e + p.pixel.black_level_dn, variance * p.dn_per_e**2 + 1 / 12
 
 
@@ -77,13 +47,9 @@ def expected_curve(mean_e: Array, integration_s: float, physics: PixelPhysics) -
     return mean, variance
 
 
-def variance_peak_e(physics: PixelPhysics, integration_s: float, brightest_e: float, points: int = 200) -> float:
+def variance_peak_e(physics: PixelPhysics, integration_s: float, brightest_e: float) -> float:
     """Mean photo-electrons at which the temporal variance peaks: the saturation of EMVA 1288."""
-    coarse = np.linspace(0.3, 1.0, 36) * brightest_e
-    best = int(np.argmax(expected_curve(coarse, integration_s, physics)[1]))
-    low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, coarse.size - 1)]
-    fine = np.linspace(low, high, max(points // 8, 5))
-    return float(fine[np.argmax(expected_curve(fine, integration_s, physics)[1])])
+    return peak_e(lambda electrons: expected_moments(electrons, integration_s, physics)[1], brightest_e)
 
 
 def dark_map_e(experiment: Experiment) -> Array:
@@ -124,7 +90,8 @@ class DataSheet:
 
     @cached_property
     def transfer(self) -> PhotonTransfer:
-        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, self.prnu.value)
+        spread = 0.0 if math.isnan(self.prnu.value) else self.prnu.value  # NaN: too small to be seen
+        return estimators.photon_transfer(self.light, self.dark.mean_dn, self.dark.variance_dn2, self.pixels, spread)
 
     @property
     def signal_dn(self) -> Array:
@@ -187,9 +154,17 @@ class DataSheet:
         pixel, asked = self.experiment.physics.pixel, self.experiment.asked_black_dn
         notes = []
         if pixel.black_level_dn != asked:
+            left = "The full well spans the remaining codes, which reduces K."
+            if self.experiment.physics.gain_e_per_dn is not None:
+                left = f"The ADC's range is {self.experiment.physics.adc_range_e:.4g} e- above it."
             notes.append(
                 f"black level raised from {asked:g} to {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that the dark frames "
-                "are not clipped at 0 DN. The full well spans the remaining codes, which reduces K."
+                f"are not clipped at 0 DN. {left}"
+            )
+        if self.experiment.physics.adc_range_e < self.experiment.physics.full_well_e:
+            notes.append(
+                f"the ADC clips before the well: its top code is at {self.experiment.physics.adc_range_e:.4g} e-, the full well at "
+                f"{self.experiment.physics.full_well_e:.4g} e-. The saturation capacity is that of the ADC."
             )
         if self.transfer.limited:
             notes.append(
@@ -284,7 +259,8 @@ def sheet_summary(sheet: DataSheet) -> dict[str, Any]:
     """The data sheet as the contents of summary.json."""
     e = sheet.experiment
     return {
-        "pixel": e.physics.pixel.model_dump(), "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s,
+        "pixel": e.physics.pixel.model_dump(), "assumption": e.physics.pixel.assumption,
+        "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s,
         "shape": list(e.sensor.shape), "exposures": e.photons.size, "stack_frames": e.stack_frames, "seed": e.seed,
         "black_level_asked_dn": e.asked_black_dn, "quantisation_limited": sheet.transfer.limited,
         "notes": sheet.notes, "entries": [entry.as_dict() for entry in entries(sheet)],
@@ -311,9 +287,10 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
     step = "standard error: one exposure step"
     peak = "peak of the model's expected variance"
     straight = p.pixel.conversion == "linear" and p.pixel.well_limit == "swing"
+    of_gain = "(2^bits - 1 - black) / full well" if p.gain_e_per_dn is None else "1 / gain_e_per_dn"
     of_line = "straight line" if straight else "the model's expected curve"
     return [
-        line(EMVA, "overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, "(2^bits - 1 - black) / full well"),
+        line(EMVA, "overall system gain", "K", "DN/e-", t.gain_dn_per_e, p.dn_per_e, of_gain),
         line(EMVA, "responsivity", "R", "DN/p", t.responsivity_dn_per_p, p.dn_per_e * eta, "K η"),
         line(EMVA, "quantum efficiency", "η", "%", t.efficiency * 100, 100 * eta, "QE(λ) · fill factor, for the whole pixel"),
         line(EMVA, "temporal dark noise", "σ_d", "e-", t.dark_noise_e, sheet.true_dark_noise_e, "√(reset² + read² + dark)",
@@ -359,6 +336,12 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     ]  # fmt: skip
 
 
+def doubling_from(physics: PixelPhysics) -> str:
+    if physics.pixel.dark_current and physics.pixel.dark_current.doubling_k:
+        return "pixel.dark_current.doubling_k"
+    return "assumed, as for silicon" if physics.technology.name == NO_TECHNOLOGY else "from the technology file"
+
+
 def dark(sheet: DataSheet) -> list[Entry]:
     """Dark current from the mean and from the variance, and its doubling temperature."""
     p, (from_mean, from_variance) = sheet.experiment.physics, sheet.dark_currents
@@ -371,9 +354,15 @@ def dark(sheet: DataSheet) -> list[Entry]:
     temperatures, warm = sheet.warm_currents
     if warm and current:
         doubling = estimators.doubling_k(temperatures, *np.array([(current.value, current.error) for current in warm]).T)
-        name, true_k = "doubling temperature of the dark current", p.technology.dark_doubling_k
-        entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, "from the technology file"))
+        name, true_k = "doubling temperature of the dark current", p.dark_doubling_k
+        entries.append(line(EMVA, name, "ϑ_d", "K", doubling, true_k, doubling_from(p)))
     return entries
+
+
+def highest_dn(physics: PixelPhysics) -> float:
+    """Full scale in DN: the ADC's top code, or the level of a full well below it."""
+    black, top = physics.pixel.black_level_dn, float(2**physics.pixel.bits - 1)
+    return top if physics.gain_e_per_dn is None else min(top, black + physics.full_well_e * physics.dn_per_e)
 
 
 def noise(sheet: DataSheet) -> list[Entry]:
@@ -389,7 +378,7 @@ def noise(sheet: DataSheet) -> list[Entry]:
     dark_noise = Estimate(
         math.sqrt(sheet.dark_stack.temporal_dn2), math.sqrt(dark_dn2 / 2 / sheet.pixels / (sheet.dark_stack.frames - 1))
     )
-    full_dn = Estimate(float(2**p.pixel.bits - 1) - sheet.dark.mean_dn)
+    full_dn = Estimate(highest_dn(p) - sheet.dark.mean_dn)
     at = "from the parameters, at 13 % of saturation"
     return [
         line(NOISE, "temporal noise", "σ_temp", "DN", temporal, math.sqrt(temporal_dn2), at),
@@ -398,7 +387,7 @@ def noise(sheet: DataSheet) -> list[Entry]:
         line(NOISE, "signal over total noise at 13 %", "Q", "dB", decibel(signal / total),
              20 * math.log10(k * signal_e / math.sqrt(temporal_dn2 + fixed_dn2)), "from the parameters and this device's maps"),
         line(NOISE, "dynamic range", "DR_ISO", "dB", decibel(full_dn / dark_noise),
-             20 * math.log10(k * (p.full_well_e - dark_e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise")
+             20 * math.log10(k * (p.saturation_e - dark_e) / math.sqrt(dark_dn2)), "full scale over temporal dark noise")
     ]  # fmt: skip
 
 
@@ -407,13 +396,13 @@ def speed(sheet: DataSheet) -> list[Entry]:
     e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.physics
     per_lx_s = estimators.daylight_e_per_lx_s(p)
     lx_s_per_photon = e.efficiency / per_lx_s
-    top = Estimate(float(2**p.pixel.bits - 1) - sheet.dark.mean_dn)
+    top = Estimate(highest_dn(p) - sheet.dark.mean_dn)
     filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon
     dark_e = p.dark_current_e_per_s * e.integration_s
     of_daylight = f"CIE D65, {per_lx_s:.4g} e- per lx·s"
     entries = [
         line(SPEED, "saturation-based speed", "S_sat", "", Estimate(estimators.SATURATION_SPEED_LX_S) / filling,
-             estimators.SATURATION_SPEED_LX_S * per_lx_s / (p.full_well_e - dark_e), f"78 / H_sat; {of_daylight}")
+             estimators.SATURATION_SPEED_LX_S * per_lx_s / (p.saturation_e - dark_e), f"78 / H_sat; {of_daylight}")
     ]  # fmt: skip
     lx_s, mean = rising.at[:-1] * lx_s_per_photon, rising.mean_dn[:-1] - sheet.dark.mean_dn
     deviation = np.sqrt(rising.frame_variance_dn2[:-1])
@@ -421,7 +410,7 @@ def speed(sheet: DataSheet) -> list[Entry]:
     for wanted in estimators.SIGNAL_TO_NOISE:
         exposure = estimators.exposure_at_snr(lx_s, mean, deviation, wanted, 1 / math.sqrt(2 * sheet.pixels))
         true_e = estimators.signal_at_snr_e(wanted, dark_dn2, sheet.true_prnu)
-        true = estimators.NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.full_well_e else math.nan
+        true = estimators.NOISE_SPEED_LX_S * per_lx_s / true_e if true_e < p.saturation_e else math.nan
         note = "" if math.isfinite(exposure.value) else "not reached below saturation"
         name, speed = f"noise-based speed, S/N {wanted:g}", Estimate(estimators.NOISE_SPEED_LX_S) / exposure
         entries.append(line(SPEED, name, f"S_noise{wanted:g}", "", speed, true, f"10 / H_S/N; {of_daylight}", note))

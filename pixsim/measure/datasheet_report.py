@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.files import output_folder, versions, write_json
+from pixsim.base.files import output_folder, publishing, versions, write_json
+from pixsim.base.parameters import Pixel
 from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_curve, sheet_summary
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.readout import BLACK_SIGMAS
@@ -32,6 +33,12 @@ BINS = 101
 def datasheet_plates(sheet: DataSheet) -> list[Plate]:
     makers = (photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate)
     return [make(sheet) for make in (*makers, histogram_plate, spectrogram_plate, profile_plate)]
+
+
+FIGURES = ("photon_transfer", "responsivity", "snr", "linearity", "dark_current", "histograms", "spectrograms", "profiles")
+FILES = (
+    "report.html", "summary.json", "datasheet.csv", *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("svg", "csv")),
+)  # fmt: skip
 
 
 def plate(name: str, caption: str, figure: Figure, table: dict[str, Array]) -> Plate:
@@ -251,8 +258,7 @@ TERMINAL_WIDTH = 132
 ROUNDING = 1e-8  # smaller values are roundings of 0 in every unit of the sheet, except dark currents at very low temperature
 
 
-def sheet_name(sheet: DataSheet) -> str:
-    pixel = sheet.experiment.physics.pixel
+def sheet_name(pixel: Pixel) -> str:
     return f"datasheet-{file_label(label_of(pixel.technology))}-{pixel.pitch_um:g}um"
 
 
@@ -272,9 +278,10 @@ def described(sheet: DataSheet) -> str:
     """One line that describes the pixel and the measurement."""
     e, p = sheet.experiment, sheet.experiment.physics
     rows, columns = e.sensor.shape
+    assumed = f"; {p.pixel.assumption}" if p.pixel.assumption else ""
     return (
         f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels, {p.pixel.bits} bits, black level {p.pixel.black_level_dn:g} DN, "
-        f"{p.pixel.temperature_k:g} K; {columns} × {rows} pixels, {e.wavelength_nm:g} nm, {1e3 * e.integration_s:.4g} ms"
+        f"{p.pixel.temperature_k:g} K; {columns} × {rows} pixels, {e.wavelength_nm:g} nm, {1e3 * e.integration_s:.4g} ms{assumed}"
     )
 
 
@@ -299,9 +306,12 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
 
 
 def write_datasheet(sheet: DataSheet, out: Path) -> Path:
-    """Write the data sheet's files into a folder and return the path of its report."""
+    """Write the data sheet's files into a folder and return the path of its report.
+
+    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
+    """
     pixel = sheet.experiment.physics.pixel
-    with output_folder(out) as folder:
+    with output_folder(out), publishing(out, "datasheet") as folder:
         shown = write_figures(folder, [plate.drawn() for plate in datasheet_plates(sheet)])
         rows_csv([entry.as_dict() for entry in entries(sheet)], folder / "datasheet.csv")
         write_json(folder / "summary.json", sheet_summary(sheet))
@@ -310,4 +320,5 @@ def write_datasheet(sheet: DataSheet, out: Path) -> Path:
             "pixel": {key: shown_value(value) for key, value in pixel.model_dump(exclude_none=True).items()},
             "plates": shown, "versions": versions(),
         }  # fmt: skip
-        return write_page(folder / "report.html", "datasheet.html.j2", page)
+        write_page(folder / "report.html", "datasheet.html.j2", page)
+    return out / "report.html"

@@ -19,7 +19,7 @@ from scipy.signal.windows import tukey
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import output_folder, write_json
+from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.sensor.raw import BITS_OF_PICTURES, SUFFIXES, number_of, read_picture
 from pixsim.show.figures import COLOURS, new_figure
 from pixsim.show.pages import Plate
@@ -386,8 +386,11 @@ def edge_plate(edge: EdgeResponse, unit: str) -> Plate:
 
 
 def write_sfr(folder: Path, edge: EdgeResponse, pitch_um: float | None, result: dict[str, Any]) -> None:
-    """Write sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json."""
-    with output_folder(folder):
+    """Write sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
+
+    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
+    """
+    with output_folder(folder), publishing(folder, "sfr") as unfinished:
         for plate in (sfr_plate(edge, pitch_um), edge_plate(edge, "above black")):
-            plate.drawn().write(folder)
-        write_json(folder / "summary.json", result)
+            plate.drawn().write(unfinished)
+        write_json(unfinished / "summary.json", result)

@@ -9,12 +9,11 @@ from scipy.ndimage import gaussian_filter
 
 from pixsim.report.merit import study_mtf_terms, system_mtf
 from pixsim.report.pictures import CONTRAST_LABEL, extent, picture_axes
-from pixsim.report.views import draw_iso, study_pictures
+from pixsim.report.views import draw_iso, map_end, study_pictures
 from pixsim.scene.charts import csf_contrast
 from pixsim.sensor.pixel import physics_of
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure
 from pixsim.show.pages import Column, Plate, coarse_table
-from pixsim.show.pictures import DELTA_E_SHOWN
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
@@ -27,6 +26,10 @@ from pixsim.studies.claims import (
 )
 from pixsim.studies.result import StudyResult
 
+PAPER_PLATES = (
+    "figure_2a_dr_snr", "figure_2b_mtf", "figure_4_scene", "figure_5_pictures_8um", "figure_6_iso_delta_e",
+    "delta_e_by_frequency_and_contrast",
+)  # fmt: skip
 FIGURE_5_PITCH_UM = 8.0
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
@@ -149,11 +152,11 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     """Show the mean ΔE in cells of frequency and contrast, at 8 µm."""
     places, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))
     frequency = evidence.frequency_lp_per_mm(places)
-    figure = new_figure(5.4, 4.0)
+    figure, end = new_figure(5.4, 4.0), map_end(evidence.result)
     axes = figure.subplots()
-    image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=DELTA_E_SHOWN)
+    image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=end)
     for (row, column), value in np.ndenumerate(values):
-        colour = "w" if value < DELTA_E_SHOWN / 2 else "k"
+        colour = "w" if value < end / 2 else "k"
         axes.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(frequency.size), [f"{value:.2g}" for value in frequency])
     axes.set_yticks(range(contrast.size), [f"{value:.2g}" for value in contrast])

@@ -66,11 +66,11 @@ def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...
     return tuple((step * n, f"{step * n:.3g}") for n in steps)
 
 
-def crops(score: Score, window: Window, name: str) -> tuple[Picture, ...]:
-    """Return a detail of the ideal image, of the output and of its ΔE map, with its mean and largest ΔE."""
+def crops(score: Score, window: Window, name: str, end: float) -> tuple[Picture, ...]:
+    """Return a detail of the ideal image, of the output and of its ΔE map (scale 0 to `end`), with its mean and largest ΔE."""
     inside = window.of(score.delta_e)
     return (
         Picture(grey_codes(window.of(score.ideal)), "ideal image"),
         Picture(grey_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
-        Picture(delta_e_colours(inside), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
+        Picture(delta_e_colours(inside, end), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
     )

@@ -3,35 +3,44 @@
 from __future__ import annotations
 
 import shlex
-import shutil
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
-from pixsim.base.files import output_folder, versions, write_json
+from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Display, Exposure, Run
 from pixsim.base.progress import Stage
-from pixsim.light.exr import write_channels, write_exr
+from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_note, score_line, view_words
+from pixsim.report.wording import budget_lines, dark_notes, score_line, view_words
 from pixsim.sensor.integration import check_pixel_count, pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
-from pixsim.show.pictures import Picture, factor_for, grey_codes, reduced, save_delta_e_png, save_png, scale, worst_window
+from pixsim.show.pictures import (
+    Picture,
+    factor_for,
+    grey_codes,
+    reduced,
+    save_delta_e_png,
+    save_png,
+    scale,
+    scale_end,
+    worst_window,
+)
 from pixsim.viewer.display import dot_edges_um, white_header, white_rate, white_spectrum
 from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
 
@@ -53,7 +62,7 @@ FILES = {
     "settings.toml": "all settings: `pixsim run SCENE --config settings.toml` makes the same numbers again",
     "provenance.json": "versions and wall times",
 }
-AFTERWARDS = ("score.json", "provenance.json")
+AFTERWARDS = ("score.json", PROVENANCE)
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
@@ -96,16 +105,16 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "label": label_of(physics.technology.name),
         "die_mm": (width_mm, height_mm),
         "camera": camera,
-        "well": float(score.frame.mean_e.max()) / physics.full_well_e,
+        "well": float(score.frame.mean_e.max()) / physics.saturation_e,
         "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
         "image": shown_picture(folder / "image.png", score.image, f"{physics.pitch_um:g} µm pixels"),
         "reduced": factor_for(score.ideal),
-        "crops": crops(score, window, "the sensor's picture"),
+        "crops": crops(score, window, "the sensor's picture", scale_end(statistics["p99_delta_e"])),
         "place_mm": (left_mm + window.centre[0] * (right_mm - left_mm), top_mm + window.centre[1] * (bottom_mm - top_mm)),
-        "scale_bar": scale(),
+        "scale_bar": scale(scale_end(statistics["p99_delta_e"])),
         "map": (folder / "delta_e.png").read_bytes(),
         "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
-        "notes": dark_note(summary),
+        "notes": summary["notes"],
         "blur": blur_words(irradiance, camera, physics, display),
         "budget": budget_lines(summary),
         "light": light,
@@ -128,7 +137,7 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
 
 
 NO_TIME_LIMIT_S = 1e9
-OPTIONAL = ("irradiance.exr", "raw.tiff", "raw.png", "raw.npz")  # output files that not every run writes
+Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
 
@@ -142,13 +151,16 @@ def run_and_write(
     variant: str | None,
     units: str | None = None,
     raw_suffixes: Sequence[str] = (),
-    irradiance_too: bool = True,
+    irradiance: Irradiance = "reduced",
     progress: Stage,
 ) -> dict[str, Any]:
     """Render a scene or read a spectral picture, simulate and score a frame, write all files, and return score.json.
 
     raw_suffixes : further formats of the frame besides raw.exr
-    irradiance_too : whether irradiance.exr, the largest file, is written
+    irradiance : what irradiance.exr holds: 'reduced', bands of at most 1024 samples across and 60 MB; 'full', what `read_exr`
+        gives back bit for bit; 'factors', an image's factors only; 'none', no such file
+
+    `notes` of the result are the warnings meanwhile, and a black level that clips dark noise.
 
     Raises PixsimError for invalid input; the folder is then unchanged.
     """
@@ -161,6 +173,8 @@ def run_and_write(
     if settings.tolerance_delta_e and full:
         allowed = "one of the two: a tolerance selects cheaper settings, --full uses none"
         raise invalid("--tolerance-delta-e", "with --full", allowed)
+    names = {"report.html", *FILES, *(f"raw{suffix}" for suffix in raw_suffixes)}
+    check_replaceable(out, names - {"irradiance.exr"} if irradiance == "none" else names)
     seconds: dict[str, float] = {}
     clock = time.perf_counter()
 
@@ -168,41 +182,43 @@ def run_and_write(
         nonlocal clock
         seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
 
-    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-        if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.window_mm:
-            options = "-D, --sensor, --variant, --tolerance-delta-e, --window"
-            raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
-        prepared: Callable[[], Light] = partial(light_of_picture, source, settings, units)
-    else:
-        if units:
-            raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
-        prepared = _prepare(source, settings, full, sensor, variant, progress)
-    with output_folder(out) as folder:
-        light = prepared()
-        irradiance, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
-        lap("render" if "plan" in more else "read")
-        progress("sense and score")
-        irradiance.header |= white_header(irradiance, camera, settings.display)
-        chain = make_imaging_chain(irradiance, camera, settings.pixel, settings.exposure, settings.display, full)
-        score = chain.simulate("evaluate", settings.seed)
-        if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
-            sensors = more["error_budget"]["settings"]["sensors"]
-            others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
-            more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
-        lap("sense and score")
-        progress("write")
-        summary = summary_of(score, irradiance, camera, settings.exposure, settings.display, settings.seed) | more
-        given = {"sensor": sensor, "variant": variant, "units": units}
-        command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
-        command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
-        text = settings_text(light.repeated or settings, shlex.join(command))
-        written = write_all(folder, irradiance, score, summary, raw_suffixes, irradiance_too, text)
-        # Files of an earlier run that this one has not replaced.
-        for stale in (folder / name for name in OPTIONAL if name not in written):
-            if stale.is_file() and not (Path(source).exists() and stale.samefile(source)):
-                stale.unlink()
-        lap("write")
-        write_json(folder / "provenance.json", {"versions": versions(), "seconds": seconds})
+    prepared: Callable[[], Light]
+    with collected_notes() as notes:
+        if Path(source).suffix.lower() in PICTURE_SUFFIXES:
+            if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.window_mm:
+                options = "-D, --sensor, --variant, --tolerance-delta-e, --window"
+                raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
+            prepared = partial(light_of_picture, source, settings, units)
+        else:
+            if units:
+                raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
+            prepared = _prepare(source, settings, full, sensor, variant, progress)
+        with output_folder(out) as folder:
+            light = prepared()
+            image, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
+            lap("render" if "plan" in more else "read")
+            progress("sense and score")
+            image.header |= white_header(image, camera, settings.display)
+            chain = make_imaging_chain(image, camera, settings.pixel, settings.exposure, settings.display, full)
+            score = chain.simulate("evaluate", settings.seed)
+            if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
+                sensors = more["error_budget"]["settings"]["sensors"]
+                others = [chain.simulate("evaluate", settings.seed, number).mean_delta_e for number in range(1, sensors)]
+                more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
+            lap("sense and score")
+            progress("write")
+            summary = summary_of(score, image, camera, settings.exposure, settings.display, settings.seed) | more
+            if irradiance == "factors" and not image.factors:
+                warnings.warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full", stacklevel=2)
+            summary["notes"] = [*notes, *summary["notes"]]
+            given = {"sensor": sensor, "variant": variant, "units": units}
+            command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
+            command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
+            text = settings_text(light.repeated or settings, shlex.join(command))
+            with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
+                (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
+                write_all(partial_folder, image, score, summary, raw_suffixes, irradiance)
+                lap("write")
     return summary
 
 
@@ -215,12 +231,13 @@ def summary_of(
     """
     physics, time_s = score.physics, score.frame.integration_s
     white_e = white_rate(irradiance, camera, physics, display) * physics.photodiode_area_um2 * time_s
-    return {
+    summary = {
         **score.statistics(),
         "pixels": list(score.frame.dn.shape),
         "scored_dots": list(score.delta_e.shape),
         "border_um": list(score.border_um),
         "pixel": physics.pixel.model_dump(),
+        "assumption": physics.pixel.assumption,
         "white_spectrum": "D65: the lamps share no spectrum" if white_spectrum(irradiance) is None else "the lamps' own",
         "irradiance": irradiance.header,
         "dark": dark_clip(physics, time_s, white_e),
@@ -229,6 +246,7 @@ def summary_of(
         "display": display.model_dump(),
         "seed": seed,
     }
+    return summary | {"notes": dark_notes(summary)}
 
 
 class Light(NamedTuple):
@@ -332,31 +350,22 @@ def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
 
 def write_all(
     folder: Path,
-    irradiance: SpectralImage,
+    image: SpectralImage,
     score: Score,
     summary: dict[str, Any],
     raw_suffixes: Sequence[str] = (),
-    irradiance_too: bool = True,
-    settings_toml: str = "",
-) -> set[str]:
-    """Write all files to a temporary folder, move them to the target, and return their names."""
-    partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
-    try:
-        if irradiance_too:
-            write_exr(partial / "irradiance.exr", irradiance)
-        for suffix in dict.fromkeys((".exr", *raw_suffixes)):
-            write_frame(partial / f"raw{suffix}", score.frame)
-        write_channels(partial / "delta_e.exr", {"delta_e": score.delta_e}, {})
-        save_png(partial / "ideal.png", score.ideal)
-        save_png(partial / "image.png", score.image)
-        save_delta_e_png(partial / "delta_e.png", score.delta_e, picture_axes(irradiance, score.border_um))
-        write_json(partial / "score.json", summary)
-        if settings_toml:
-            (partial / SETTINGS_FILE).write_text(settings_toml, encoding="utf-8")
-        write_run_page(partial, score, irradiance, summary)
-        made = sorted(partial.iterdir())
-        for path in made:
-            path.replace(folder / path.name)
-        return {path.name for path in made}
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    irradiance: Irradiance = "reduced",
+) -> None:
+    """Write all files of a run but its provenance to a folder; the last two arguments are those of `run_and_write`."""
+    if irradiance != "none":
+        written = reduced_to_fit(image) if irradiance == "reduced" else image
+        write_exr(folder / "irradiance.exr", written, factors_only=irradiance == "factors")
+    for suffix in dict.fromkeys((".exr", *raw_suffixes)):
+        write_frame(folder / f"raw{suffix}", score.frame)
+    write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
+    save_png(folder / "ideal.png", score.ideal)
+    save_png(folder / "image.png", score.image)
+    end = scale_end(score.statistics()["p99_delta_e"])
+    save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um), end)
+    write_json(folder / "score.json", summary)
+    write_run_page(folder, score, image, summary)

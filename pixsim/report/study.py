@@ -10,16 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pixsim.base.files import output_folder, replacing, versions, write_json
+from pixsim.base.config import SETTINGS_FILE
+from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
 from pixsim.base.parameters import NO_TECHNOLOGY, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
-from pixsim.report.paper import map_plates, scene_plates
+from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
-from pixsim.report.views import SENSORS_SHOWN, Views, best_place, study_pictures, study_views
-from pixsim.report.wording import alike_words, study_dark_notes, study_view_line, target_notes
+from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
+from pixsim.report.wording import alike_words, study_view_line
 from pixsim.sensor.pixel import physics_of
-from pixsim.sensor.technology import technology_of
+from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
 from pixsim.show.pages import Column, Drawn, Plate, write_figures, write_page
 from pixsim.show.pictures import scale
@@ -197,13 +198,30 @@ def write_report(
     seconds : stage -> wall time in s, for the report
     workers : processes that draw the figures; None means this process
 
-    Returns the path of report.html. Raises PixsimError if the folder cannot be written.
+    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+    pixsim did not write.
     """
+    times_s = {} if seconds is None else seconds
     with output_folder(folder) as path:
-        return _write(result, path, seconds or {}, workers or Workers())
+        check_replaceable(path, report_files(result.study))
+        with publishing(path, "study", {"seconds": times_s}) as unfinished:
+            if result.settings_toml:
+                (unfinished / SETTINGS_FILE).write_text(result.settings_toml, encoding="utf-8")
+            _write(result, unfinished, times_s, workers or Workers())
+        return path / "report.html"
 
 
-def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
+def report_files(study: Study) -> set[str]:
+    """Return the names of all files that the report of a study may have."""
+    labels = [file_label(label) for label in labels_of(study.technologies)]
+    plates = {*FIGURE_NUMBERS, "other_statistics", "light_against_detail", *(f"pictures_{label}" for label in labels)}
+    plates |= set(PAPER_PLATES) if study.paper else set()
+    figures = {f"{name}.{suffix}" for name in plates for suffix in ("svg", "csv")}
+    figures |= {f"contact_sheet_{label}.png" for label in labels}
+    return {"report.html", "summary.json", SETTINGS_FILE, *(f"figures/{name}" for name in figures)}
+
+
+def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> None:
     study = result.study
     kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []
@@ -220,11 +238,8 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         for heading, kinds in HEADINGS.items()
     }
     for view in views:
-        with replacing(folder / "figures" / f"contact_sheet_{view.file_label}.png") as partial:
-            partial.write_bytes(view.sheet)
+        (folder / "figures" / f"contact_sheet_{view.file_label}.png").write_bytes(view.sheet)
     write_json(folder / "summary.json", result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}))
-    provenance = {"versions": versions(), "seconds": seconds}
-    write_json(folder / "provenance.json", provenance)
 
     def light_of(curves: Sequence[Curve]) -> LightLevel:
         return LightLevel.of(result.irradiance, study.display, np.concatenate([curve.mean("integration_s") for curve in curves]))
@@ -243,9 +258,9 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "blurs": [(curve, blur_of(curve)) for curve in result.curves],
         "plates": shown,
         "views": views,
-        "scale_bar": scale(),
+        "scale_bar": scale(map_end(result)),
         "findings": rows,
-        "notes": [note.removeprefix("note: ") for note in (*target_notes(result), *study_dark_notes(result))],
+        "notes": result.notes,
         "response_note": response_note(study) if study.paper else "",
         "budget": result.budget,
         "header": result.irradiance.header,
@@ -253,9 +268,9 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "filled": FILLED,
         "sheets": NO_TECHNOLOGY in study.technologies,
         "technologies": [technology_rows(study, name) for name in study.technologies if name != NO_TECHNOLOGY],
-        "provenance": provenance,
+        "provenance": {"versions": versions(), "seconds": seconds},
     }
-    return write_page(folder / "report.html", "report.html.j2", page)
+    write_page(folder / "report.html", "report.html.j2", page)
 
 
 def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row]]]:

@@ -27,6 +27,7 @@ from pixsim.show.pictures import (
     factor_for,
     grey_codes,
     reduced,
+    scale_end,
     window_at,
     worst_window,
 )
@@ -59,7 +60,7 @@ def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequen
     image.set_title(f"image from {pitch_um:.2f} µm pixels")
     draw_picture(image, score.image, where)
     map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
-    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where)
+    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where, map_end(result))
     iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
@@ -67,7 +68,8 @@ def study_pictures(result: StudyResult, curve: Curve, score: Score, maps: Sequen
     draw_iso(iso, where, smooth, lines)
     caption = (
         f"What {pitch_um:.2f} µm pixels show ({curve.label}): the ideal image, the picture of one sensor, its ΔE map "
-        f"(colour scale 0 to 10), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table holds the mean map."
+        f"(colour scale 0 to {map_end(result):g}), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table "
+        "holds the mean map."
     )
     return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
 
@@ -122,6 +124,12 @@ def best_place(curve: Curve) -> int:
     return int(np.argmin(curve.mean()))
 
 
+def map_end(result: StudyResult) -> float:
+    """Return the end of the colour scale of a study's ΔE maps, from those of its smallest, best and largest pixels."""
+    shown = [curve.mean("p99_delta_e")[[0, best_place(curve), -1]].max() for curve in result.curves]
+    return scale_end(float(max(shown)))
+
+
 def is_best(curve: Curve, place: int) -> bool:
     """Return whether a pitch is labelled as the best; a pitch at an end of the range is not, unless the optimum lies inside."""
     return place == best_place(curve) and (curve.optimum.inside or 0 < place < curve.pitch_um.size - 1)
@@ -135,7 +143,7 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     at, last = best_place(curve), curve.pitch_um.size - 1
     ends = sorted({0, at, last})
     scores = {place: best if place == at else result.scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in ends}
-    ideal = max((score.ideal for score in scores.values()), key=lambda picture: picture.size)
+    ideal, end = max((score.ideal for score in scores.values()), key=lambda picture: picture.size), map_end(result)
     shape = ideal.shape[0], ideal.shape[1]
     centre = result.study.detail
     window = window_at(centre, shape) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
@@ -143,19 +151,20 @@ def study_views(result: StudyResult, curve: Curve, best: Score) -> Views:
     for place in range(last + 1):
         part = window.of(scores[place].image) if place in scores else detail_at(result, curve, place, window)
         tiles.append(Picture(grey_codes(part), *labels(curve, place), is_best(curve, place)))
+    framed = "; framed: the best of these" if is_best(curve, at) else ""
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         place=window.centre,
         tiles=tuple(tiles),
-        crops=tuple(crops(scores[place], window, rank(curve, place)) for place in ends),
+        crops=tuple(crops(scores[place], window, rank(curve, place), end) for place in ends),
         ideal=Picture(grey_codes(reduced(ideal)), "ideal image"),
         factor=factor_for(ideal),
         outputs=tuple(
             Picture(grey_codes(reduced(scores[place].image)), f"{rank(curve, place)}, {size}", mean)
             for place, (size, mean) in ((place, labels(curve, place)) for place in ends)
         ),
-        sheet=contact_sheet_png(f"{curve.label}: the same detail for every pixel size, 1:1; framed: the best of these", tiles),
+        sheet=contact_sheet_png(f"{curve.label}: the same detail for every pixel size, 1:1{framed}", tiles),
     )
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, interval_words, within_words
+from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
-HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN
-TAIL_SIGMAS = 0.01  # shift in units of the dark spread that a black level of 1.9 σ causes
 
 
 def sensitivity_lines(outcome: Any) -> list[str]:
@@ -55,25 +53,6 @@ def alike_words(curve: Any) -> str:
     return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) from {low:.3g} to {high:.3g} µm{whole}"
 
 
-def target_notes(result: Any) -> list[str]:
-    """Return a note for each optimum that misses the target interval, with the limit that ended the search."""
-    study, notes = result.study, []
-    evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
-    for curve in result.curves:
-        half_um = curve.optimum.half_width_um
-        if study.target_ci_um is None or half_um <= study.target_ci_um:
-            continue
-        if study.max_evaluations is None:
-            most = max(study.repeats, study.max_repeats)
-            limit = f"{int(curve.sensors.sum())} evaluations, at most {most} per pixel size (max_repeats)"
-        else:
-            limit = f"{evaluations} of at most {study.max_evaluations} evaluations (max_evaluations)"
-        width = f"± {half_um:.2g} µm" if math.isfinite(half_um) else "open at an end"
-        target = f"the target is ± {study.target_ci_um:g} µm (target_ci_um)"
-        notes.append(f"note: {curve.label}: the interval is {width} after {limit}; {target}")
-    return notes
-
-
 def score_line(result: dict[str, Any]) -> str:
     """Return the mean ΔE of a run, its pixels and its exposure; with a tolerance, the mean over sensors and its error."""
     delta_e = f"mean ΔE {result['mean_delta_e']:.3f}"
@@ -89,7 +68,8 @@ def score_line(result: dict[str, Any]) -> str:
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
     pixels += "".join(f", {words}" for words in view_words(result["display"], result, columns))
-    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}"
+    assumed = f"; {result['assumption']}" if result["assumption"] else ""
+    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{assumed}"
 
 
 def view_words(display: dict[str, Any], result: dict[str, Any], columns: float | None = None) -> list[str]:
@@ -122,48 +102,9 @@ def study_view_line(result: Any) -> list[str]:
     return [f"{words}{own}"] if words else []
 
 
-def dark_note(result: dict[str, Any]) -> list[str]:
+def dark_notes(result: dict[str, Any]) -> list[str]:
     """Return a note on the clipping of dark pixels at 0 DN; none if its effect is not visible."""
-    return [f"note: {clip_words(result['dark'], result['pixel'])}"] if clips_dark(result["dark"]) else []
-
-
-def study_dark_notes(result: Any) -> list[str]:
-    """Return a note for each curve whose black level clips dark noise, with the number of pixel sizes and the worst of them."""
-    pixel, notes = result.study.pixel.model_dump(), []
-    for curve in result.curves:
-        table = result.dark(curve)
-        clips = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
-        clipped = [place for place, clip in enumerate(clips) if clips_dark(clip)]
-        if clipped:
-            worst = max(clipped, key=lambda place: clips[place]["of_display_white"])
-            most = max(clips[place]["least_black_level_dn"] for place in clipped)
-            where = f" at {len(clipped)} of {len(clips)} pixel sizes, most at {curve.pitch_um[worst]:.2f} µm"
-            notes.append(f"note: {curve.label}: {clip_words(clips[worst] | {'least_black_level_dn': most}, pixel, where)}")
-    return notes
-
-
-def clips_dark(dark: dict[str, float]) -> bool:
-    """Return whether a `dark_clip` is visible: larger than rounding errors and than the tail of the noise."""
-    clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
-    return clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
-
-
-def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> str:
-    from pixsim.sensor.readout import MAX_BLACK
-
-    black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
-    fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
-    hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else "avoiding this takes more bits (pixel.bits)"
-    return (
-        f"the black level of {black:g} DN clips dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
-        f"are at 0 DN, which raises the dark mean by {rounded(dark['too_bright_e'])} e- "
-        f"(ΔE {rounded(dark['lightness'])} on uniform black, less on grey); {hint}"
-    )
-
-
-def rounded(value: float) -> str:
-    """Return a value to two digits, without an exponent."""
-    return f"{float(f'{value:.2g}'):.15g}"
+    return [clip_words(result["dark"], result["pixel"])] if clips_dark(result["dark"]) else []
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from pixsim.base.arrays import Array, strips
+from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import WHOLE, SpectralImage
@@ -113,11 +114,11 @@ def render_until(
     if ended == "max_seconds" and job.cache:
         job.cache.store_runs_in_time(limits, runs)
     if ended != "target":
-        limit = f"time limit of {max_seconds:g} s" if ended == "max_seconds" else f"limit of {runs} renders"
-        stopped_early = ended == "max_seconds" and now - start < max_seconds
-        when = f" after {now - start:.0f} s (the next step would exceed it)" if stopped_early else ""
-        left = f"render noise is {fraction:.2g} of the sensor noise, target {render_noise:g}"
-        warnings.warn(f"the {limit} ended rendering{when}: {left}. Raise --max-seconds or --render-noise", stacklevel=2)
+        # Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
+        out_of_time = f"the time limit of {max_seconds:g} s (--max-seconds) leaves no time for the next step of the render"
+        cause = out_of_time if ended == "max_seconds" else f"the render ended at its limit of {runs} renders"
+        left = "render noise is {} of the sensor noise, target {}".format(*told_apart(fraction, render_noise))
+        warnings.warn(f"{cause}: {left}. Raise --max-seconds or --render-noise", stacklevel=2)
     for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
         mean += odd
         mean /= 2 * weight

@@ -322,7 +322,8 @@ def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
     bent = pixel.conversion == "junction" and diode is not None and not diode.constant
     conversion = "; V(Q) of the junction at every level" if bent else ""
     if pixel.well_limit == "swing" or diode is None:
-        reason = f"linear charge up to a hard clip at the well, {physics.full_well_e:.3g} e-{conversion}"
+        clips = "at the well" if physics.full_well_e <= physics.adc_range_e else "by the ADC"
+        reason = f"linear charge up to a hard clip {clips}, {physics.saturation_e:.3g} e-{conversion}"
         return Decision("saturation", True, reason)
     limit_e = linear_limit_e(diode, physics.full_well_e, integration_s)
     limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / physics.full_well_e:.0%} of the well)"

@@ -20,6 +20,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from pixsim.base.errors import invalid
+from pixsim.base.notes import MachineWarning
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
@@ -167,7 +168,7 @@ def choose(asked: str | None = None) -> Choice:
         if asked is not None:
             raise invalid("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {hint}.")
         cause = "Mitsuba was imported before its LLVM was checked"
-        warnings.warn(f"rendering with scalar_spectral, since {cause}; {hint}", stacklevel=2)
+        warnings.warn(f"rendering with scalar_spectral, since {cause}; {hint}", MachineWarning, stacklevel=2)
         return Choice("scalar_spectral", None, "Mitsuba was imported before pixsim could check its LLVM")
     path, reason = find_llvm()
     if path is not None:
@@ -177,5 +178,5 @@ def choose(asked: str | None = None) -> Choice:
     hint = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if asked is not None:
         raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {hint}.")
-    warnings.warn(f"rendering with scalar_spectral, since {reason}; {hint}", stacklevel=2)
+    warnings.warn(f"rendering with scalar_spectral, since {reason}; {hint}", MachineWarning, stacklevel=2)
     return Choice("scalar_spectral", None, reason)

@@ -7,6 +7,7 @@ undefined beyond V = -PB (0.4 V forward for the sidewall at 0.18 µm), so below 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -16,14 +17,16 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import MIN_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
+from pixsim.base.parameters import ABSOLUTE_ZERO_C, MIN_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
+from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.technology import Junction, Technology, load_technology, technology_of, with_fill_factor_law
 
 # The public names; everything else is internal.
 __all__ = [
     "PixelPhysics", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet", "photodiode_widths_um",
-    "physics_of", "pitch_for_fill_factor_um", "response_curve", "silicon_curve", "smallest_pitch_um",
+    "physics_of", "pitch_for_fill_factor_um", "response_curve", "sheet_disagreements", "silicon_curve", "smallest_pitch_um",
+    "warn_of_disagreements",
 ]  # fmt: skip
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
@@ -314,7 +317,7 @@ class PixelPhysics:
     technology : with the pixel's fill-factor law
     fill_factor : photodiode area over pixel area
     capacitance_ff : mean over the swing; None for a pinned photodiode
-    full_well_e : charge at the ADC's top code
+    full_well_e : charge that the pixel holds; at the ADC's top code if `gain_e_per_dn` is None
     dark_current_e_per_s : at the pixel's temperature
     reset_noise_e : √(n kTC)/q
     read_noise_e : temporal, without the reset noise
@@ -323,6 +326,7 @@ class PixelPhysics:
     offset_fpn_e : offsets of pixels
     column_fpn_e : offsets of columns
     diode : the photodiode; None if it is pinned
+    gain_e_per_dn : electrons per code; None: the codes above the black level span the full well
     """
 
     pixel: Pixel
@@ -338,6 +342,7 @@ class PixelPhysics:
     offset_fpn_e: float
     column_fpn_e: float
     diode: Diode | None = None
+    gain_e_per_dn: float | None = None
 
     @property
     def pitch_um(self) -> float:
@@ -355,9 +360,35 @@ class PixelPhysics:
         return math.sqrt(self.fill_factor) * self.pitch_um
 
     @property
+    def codes_dn(self) -> float:
+        """The codes above the black level."""
+        return 2**self.pixel.bits - 1 - self.pixel.black_level_dn
+
+    @property
     def dn_per_e(self) -> float:
-        """Gain: the codes above the black level over the full well."""
-        return (2**self.pixel.bits - 1 - self.pixel.black_level_dn) / self.full_well_e
+        """Gain: the given one, or the codes above the black level over the full well."""
+        return self.codes_dn / self.full_well_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
+
+    @property
+    def adc_range_e(self) -> float:
+        """Signal at the ADC's top code: the full well, if no gain is given."""
+        return self.full_well_e if self.gain_e_per_dn is None else self.codes_dn * self.gain_e_per_dn
+
+    @property
+    def saturation_e(self) -> float:
+        """Signal that saturates: the lower of the full well and of the ADC's range."""
+        return min(self.full_well_e, self.adc_range_e)
+
+    @property
+    def dark_doubling_k(self) -> float:
+        """Temperature rise that doubles the dark current: of the data sheet, or of the technology."""
+        of_sheet = self.pixel.dark_current and self.pixel.dark_current.doubling_k
+        return of_sheet or self.technology.dark_doubling_k
+
+    @property
+    def noise_floor_e(self) -> float:
+        """Temporal dark noise without dark charge: reset and read noise."""
+        return math.hypot(self.reset_noise_e, self.read_noise_e)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         if self.pixel.quantum_efficiency is not None:
@@ -382,7 +413,7 @@ class PixelPhysics:
         return self._uncut_quantum_efficiency(wavelength_nm) * below
 
     def dynamic_range_db(self, integration_s: float) -> float:
-        """Return the dynamic range: 20 log₁₀ of the well less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
+        """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
 
         Raises PixsimError if the dark charge fills the well.
 
@@ -391,11 +422,11 @@ class PixelPhysics:
         61.1
         """
         dark_e = self.dark_current_e_per_s * integration_s
-        if dark_e >= self.full_well_e:
-            allowed, hint = f"less than the well, {self.full_well_e:.4g} e-", "Shorten the integration time or cool the sensor."
+        if dark_e >= self.saturation_e:
+            allowed, hint = f"less than saturation, {self.saturation_e:.4g} e-", "Shorten the integration time or cool the sensor."
             raise invalid("dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, hint)
         variance_e2 = self._dark_variance_e2(dark_e)
-        return 20 * math.log10((self.full_well_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
+        return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
     def snr_db(self, signal_e: float, integration_s: float) -> float:
         """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
@@ -413,8 +444,10 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
 
 
-def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float) -> float:
+def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float, full_well_e: float | None = None) -> float:
     """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
+
+    full_well_e : of the measured pixel; None: `pixel.full_well_e`
 
     Raises PixsimError if the measured pitch leaves no photodiode, or if the scaled full well is out of range.
     """
@@ -427,11 +460,35 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
         raise invalid("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
     growth = area_um2 / (fill_factor * measured_um**2)
     low_e, high_e = WELL_RANGE_E
-    if pixel.full_well_e is not None and not low_e <= growth * pixel.full_well_e <= high_e:
-        scaled_e = growth * pixel.full_well_e
-        got = f"{pixel.pitch_um:g}, to which {pixel.full_well_e:g} electrons at {measured_um:g} µm scale as {scaled_e:.2g}"
+    measured_e = pixel.full_well_e if full_well_e is None else full_well_e
+    if measured_e is not None and not low_e <= growth * measured_e <= high_e:
+        scaled_e = growth * measured_e
+        got = f"{pixel.pitch_um:g}, to which {measured_e:g} electrons at {measured_um:g} µm scale as {scaled_e:.2g}"
         raise invalid("pixel.pitch_um", got, f"a full well of {low_e:g} to {high_e:g} electrons")
     return growth
+
+
+MAX_CURRENT_E_PER_S = 1e18  # as the record allows
+
+
+def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
+    """Return the given dark current of the measured pixel at the pixel's temperature; None if none is given.
+
+    doubling_k : of the technology, for a data sheet that states none
+
+    Raises PixsimError if it is out of range at that temperature.
+    """
+    given = pixel.dark_current
+    if given is None:
+        return pixel.dark_current_e_per_s
+    above_k = pixel.temperature_k + ABSOLUTE_ZERO_C - given.at_c
+    current = given.e_per_s * 2 ** (above_k / (given.doubling_k or doubling_k))
+    if current > MAX_CURRENT_E_PER_S:
+        got = f"{given.e_per_s:g} e-/s at {given.at_c:g} °C, which is {current:.2g} at {pixel.temperature_k:g} K"
+        raise invalid(
+            "pixel.dark_current", got, f"at most {MAX_CURRENT_E_PER_S:g} e-/s", "Check at_c, doubling_k and temperature_k."
+        )
+    return current
 
 
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
@@ -456,15 +513,43 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
     area_um2 = fill_factor * pixel.pitch_um**2
-    factor = given(pixel.reset_noise_factor, technology.reset_noise_factor)
+    # EMVA's σ_d is all temporal noise in the dark, that of the reset included.
+    factor = 0.0 if pixel.temporal_dark_noise_e is not None else given(pixel.reset_noise_factor, technology.reset_noise_factor)
+    read_noise_e = given(pixel.temporal_dark_noise_e, given(pixel.read_noise_e, technology.read_noise_e))
+    prnu = given(pixel.prnu, technology.prnu) if pixel.prnu_percent is None else pixel.prnu_percent / 100
     temperature_factor = 2 ** ((pixel.temperature_k - REFERENCE_TEMPERATURE_K) / technology.dark_doubling_k)
     dark_e_per_s = technology.dark_current_na_per_cm2 * 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * area_um2 * temperature_factor
-    growth = growth_from_data_sheet(pixel, technology, area_um2)
-    if pixel.dark_current_e_per_s is not None:
-        dark_e_per_s = growth * pixel.dark_current_e_per_s
+    measured_dark_e_per_s = dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
+
+    def offsets_e(full_well_e: float) -> tuple[float, float]:
+        """Spread of the offsets of pixels and of columns; DSNU1288 is that of all offsets."""
+        if pixel.dsnu_e is not None:
+            return pixel.dsnu_e, 0.0
+        shares = given(pixel.offset_fpn, technology.offset_fpn), given(pixel.column_fpn, technology.column_fpn)
+        return shares[0] * full_well_e, shares[1] * full_well_e
+
+    def measured_well_e(growth: float) -> float | None:
+        """The full well of the measured pixel: as given, or as its saturation capacity needs it."""
+        if pixel.saturation_capacity_e is None:
+            return pixel.full_well_e
+        process_well = well(pixel, technology, area_um2 / growth, given(measured_dark_e_per_s, dark_e_per_s / growth))
+        full_well_e = pixel.saturation_capacity_e
+        for _ in range(WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
+            reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
+            noise_e = math.hypot(reset_noise_e(reset_ff, pixel.temperature_k, factor), read_noise_e)
+            full_well_e = full_well_for_e(
+                pixel.saturation_capacity_e, adc_range_of_e(pixel), noise_e, prnu, math.hypot(*offsets_e(full_well_e))
+            )
+        return full_well_e
+
+    measured_e = measured_well_e(growth_from_data_sheet(pixel, technology, area_um2))
+    growth = growth_from_data_sheet(pixel, technology, area_um2, measured_e)
+    if measured_dark_e_per_s is not None:
+        dark_e_per_s = growth * measured_dark_e_per_s
     process_well = well(pixel, technology, area_um2, dark_e_per_s)
-    full_well_e = process_well.full_well_e if pixel.full_well_e is None else growth * pixel.full_well_e
+    full_well_e = process_well.full_well_e if measured_e is None else growth * measured_e
     scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
+    offset_e, column_e = offsets_e(full_well_e)
     return PixelPhysics(
         pixel=pixel,
         technology=technology,
@@ -473,13 +558,73 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         full_well_e=full_well_e,
         dark_current_e_per_s=dark_e_per_s,
         reset_noise_e=reset_noise_e((process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor),
-        read_noise_e=given(pixel.read_noise_e, technology.read_noise_e),
-        prnu=given(pixel.prnu, technology.prnu),
+        read_noise_e=read_noise_e,
+        prnu=prnu,
         dsnu=given(pixel.dsnu, technology.dsnu),
-        offset_fpn_e=given(pixel.offset_fpn, technology.offset_fpn) * full_well_e,
-        column_fpn_e=given(pixel.column_fpn, technology.column_fpn) * full_well_e,
+        offset_fpn_e=offset_e,
+        column_fpn_e=column_e,
         diode=None if process_well.diode is None else process_well.diode.scaled(scale),
+        gain_e_per_dn=None if pixel.gain_e_per_dn is None else growth * pixel.gain_e_per_dn,
     )
+
+
+WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
+
+
+def adc_range_of_e(pixel: Pixel) -> float | None:
+    """Return the signal at the top code of a measured pixel; None if its full well is there."""
+    if pixel.gain_e_per_dn is None:
+        return None
+    return (2**pixel.bits - 1 - pixel.black_level_dn) * pixel.gain_e_per_dn
+
+
+CAPACITY_WITHIN = 0.01  # of a saturation capacity: rounding of the data sheet's other numbers
+DECIBEL_WITHIN = 0.5  # data sheets round ratios to whole decibels, and electrons to two digits (0.4 dB)
+CAUSES = (
+    "Usual causes: a well and a noise of different gain modes; a ratio to the full well in place of the saturation capacity; "
+    "an ADC that clips first."
+)
+
+
+def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> list[str]:
+    """Return a sentence for each number of a data sheet that its other numbers contradict by more than rounding explains.
+
+    The simulated pixel, at the data sheet's own pitch, gives μ_e.sat; SNRmax = 10 log₁₀ μ_e.sat; and the dynamic range, from
+    20 log₁₀ μ_e.sat/μ_e.min (EMVA 1288) to 20 log₁₀ of the full well over the temporal dark noise (as many data sheets).
+
+    Raises PixsimError as `derive` does.
+    """
+    if pixel.dynamic_range_db is None and pixel.snr_max_db is None and pixel.saturation_capacity_e is None:
+        return []
+    own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
+    p = derive(pixel.model_copy(update=own), technology)
+    noise_e, offset_e = p.noise_floor_e, math.hypot(p.offset_fpn_e, p.column_fpn_e)
+    saturation_e = saturation_capacity_e(p.full_well_e, adc_range_of_e(pixel), noise_e, p.prnu, offset_e)
+    found = []
+    asked_e = pixel.saturation_capacity_e
+    if asked_e is not None and abs(saturation_e / asked_e - 1) > CAPACITY_WITHIN:
+        why = f"the ADC ends at {p.adc_range_e:.0f}" if p.adc_range_e < p.full_well_e else f"temporal noise is {noise_e:.3g} e-"
+        found.append(f"saturation_capacity_e = {asked_e:g}, but the simulated pixel has {saturation_e:.0f}, since {why}.")
+    snr_db = 10 * math.log10(saturation_e)
+    if pixel.snr_max_db is not None and abs(pixel.snr_max_db - snr_db) > DECIBEL_WITHIN:
+        found.append(
+            f"snr_max_db = {pixel.snr_max_db:g}, but that of a saturation capacity of {saturation_e:.0f} e- is {snr_db:.1f}."
+        )
+    threshold_e = math.sqrt(noise_e**2 + 1 / (12 * p.dn_per_e**2)) + 0.5
+    ends_db = [20 * math.log10(saturation_e / threshold_e), 20 * math.log10(p.full_well_e / noise_e) if noise_e else math.inf]
+    asked_db = pixel.dynamic_range_db
+    if asked_db is not None and not min(ends_db) - DECIBEL_WITHIN <= asked_db <= max(ends_db) + DECIBEL_WITHIN:
+        found.append(
+            f"dynamic_range_db = {asked_db:g}, but the pixel has {ends_db[0]:.1f} (saturation over the sensitivity threshold, EMVA "
+            f"1288) to {ends_db[1]:.1f} (full well over temporal dark noise)."
+        )
+    return [f"pixel: {text} {CAUSES}" for text in found]
+
+
+def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) -> None:
+    """Warn of each of the `sheet_disagreements`, on behalf of the public function that calls this one."""
+    for text in sheet_disagreements(pixel, technology):
+        warnings.warn(text, stacklevel=3)
 
 
 def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:

@@ -14,7 +14,7 @@ from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_along
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -29,16 +29,16 @@ MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: float) -> float:
     """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
-    The target is for the mean charge with dark charge.
+    The target is a share of `PixelPhysics.saturation_e`, for the mean charge with dark charge.
 
     brightest_e_per_s : mean photo-electrons per second of the brightest pixel
     """
     if exposure.integration_s is not None:
         return exposure.integration_s
     brightest = brightest_e_per_s + physics.dark_current_e_per_s
-    if brightest * exposure.max_integration_s <= exposure.well_target * physics.full_well_e:
+    if brightest * exposure.max_integration_s <= exposure.well_target * physics.saturation_e:
         return exposure.max_integration_s
-    return exposure.well_target * physics.full_well_e / brightest
+    return exposure.well_target * physics.saturation_e / brightest
 
 
 # --- fixed pattern ----------------------------------------------------------------------------------------------------
@@ -102,6 +102,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 
     >>> make_sensor(Pixel(pitch_um=5.3), Camera(die_mm=2.7136)).shape  # the die of Chen et al. (2000)
     (512, 512)
     """
+    warn_of_disagreements(pixel)
     if seed < 0:
         raise invalid("seed", seed, "an integer of 0 or more")
     if not 0 < aspect < math.inf:
@@ -239,9 +240,11 @@ def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
 def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
-    The full well F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, which is solved for b.
+    Without a given gain the full well F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, solved for b.
     """
     top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
+    if physics.gain_e_per_dn is not None:
+        return math.ceil(spread / physics.gain_e_per_dn) + 1
     return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
 
 

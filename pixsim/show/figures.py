@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA, PictureAxes
+from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -109,9 +109,9 @@ def draw_picture(axes: Axes, luminance: Array, where: PictureAxes) -> None:
     label_axes(axes, where)
 
 
-def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, where: PictureAxes) -> None:
-    """Draw a ΔE map on the fixed scale, with its colour bar in the axes `bar`."""
-    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, extent=where.extent_mm)
+def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, where: PictureAxes, end: float) -> None:
+    """Draw a ΔE map on the scale from 0 to `end`, with its colour bar in the axes `bar`."""
+    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=end, extent=where.extent_mm)
     axes.figure.colorbar(image, cax=bar, label="ΔE", extend="max")
     label_axes(axes, where)
 

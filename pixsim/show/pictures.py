@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 
-DELTA_E_SHOWN = 10.0  # top of the fixed colour scale, so that two maps can be compared
+SCALE_ENDS = (1.0, 2.0, 5.0, 10.0)  # of the colour scale: few, so that most maps can be compared
+SCALE_STEPS = 5
 VIEWING_GAMMA = 2.2
 COLOUR_LEVEL = 3  # of zlib: a third of the default's time for a tenth more bytes
 # Layout of a map with axes, in px.
@@ -65,15 +66,20 @@ def save_png(path: Path, luminance: Array) -> None:
     path.write_bytes(png_bytes(np.repeat(grey_codes(luminance)[:, :, None], 3, axis=2)))
 
 
-def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes) -> None:
-    """Write a ΔE map as a PNG with its colour scale and axes."""
+def scale_end(p99_delta_e: float) -> float:
+    """Return the end of the colour scale of maps with this 99th percentile, the largest of them: the next of `SCALE_ENDS`."""
+    return next((end for end in SCALE_ENDS if p99_delta_e <= end), SCALE_ENDS[-1])
+
+
+def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes, end: float) -> None:
+    """Write a ΔE map as a PNG with its axes and its colour scale from 0 to `end`."""
     from PIL import Image, ImageDraw
 
     factor = MAP / max(delta_e.shape)  # each dot several px, or several dots one
     height, width = (max(1, round(dots * factor)) for dots in delta_e.shape)
     resampling = Image.Resampling.NEAREST if factor >= 1 else Image.Resampling.BOX
     canvas = Image.new("RGB", (LEFT + width + RIGHT, TOP + height + BOTTOM), WHITE)
-    canvas.paste(Image.fromarray(delta_e_colours(delta_e)).resize((width, height), resampling), (LEFT, TOP))
+    canvas.paste(Image.fromarray(delta_e_colours(delta_e, end)).resize((width, height), resampling), (LEFT, TOP))
     draw = ImageDraw.Draw(canvas)
     title = f"S-CIELAB difference from the ideal image, mean {delta_e.mean():.3f}"
     draw.text((LEFT + width / 2, TOP - POINT), title, BLACK, font(18), anchor="ms")
@@ -85,14 +91,14 @@ def save_delta_e_png(path: Path, delta_e: Array, where: PictureAxes) -> None:
         _mark(draw, LEFT, TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height, text, down=False)
     draw.text((LEFT + width / 2, TOP + height + 45), x.label, BLACK, font(15), anchor="mt")
     _upright(canvas, y.label, LEFT - 95, TOP + height / 2)
-    _colour_bar(canvas, draw, LEFT + width + BAR_GAP, height)
+    _colour_bar(canvas, draw, LEFT + width + BAR_GAP, height, end)
     path.write_bytes(png_bytes(np.asarray(canvas)))
 
 
-def delta_e_colours(delta_e: Array) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) colour codes of a ΔE map on the fixed scale, 0 to `DELTA_E_SHOWN`; larger ΔE takes the last colour."""
+def delta_e_colours(delta_e: Array, end: float) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) colour codes of a ΔE map on the scale from 0 to `end`; larger ΔE takes the last colour."""
     table = viridis()
-    place = np.clip(delta_e / DELTA_E_SHOWN * len(table), 0, len(table) - 1)
+    place = np.clip(delta_e / end * len(table), 0, len(table) - 1)
     return np.asarray(table[place.astype(int)])
 
 
@@ -101,20 +107,20 @@ def viridis() -> NDArray[np.uint8]:
     return np.loadtxt(str(resources.files("pixsim") / "data/viridis.csv"), np.uint8, delimiter=",", skiprows=2)
 
 
-def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int) -> None:
+def _colour_bar(canvas: Image, draw: ImageDraw, left: int, height: int, end: float) -> None:
     from PIL import Image
 
     high = max(height - POINT, 1)
-    ramp = delta_e_colours(np.linspace(DELTA_E_SHOWN, 0, high)[:, None])
+    ramp = delta_e_colours(np.linspace(end, 0, high)[:, None], end)
     canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (left, TOP + height - high))
     top = TOP + height - high
     arrow = [(left, top), (left + BAR / 2, top - POINT), (left + BAR - 1, top)]
     draw.polygon(arrow, fill=tuple(viridis()[-1].tolist()), outline=BLACK)
     draw.rectangle((left, top, left + BAR - 1, TOP + height), outline=BLACK)
-    for value in range(0, int(DELTA_E_SHOWN) + 1, 2):
-        at = top + (1 - value / DELTA_E_SHOWN) * high
+    for step in range(SCALE_STEPS + 1):
+        at = top + (1 - step / SCALE_STEPS) * high
         draw.line((left + BAR, at, left + BAR + TICK, at), BLACK)
-        draw.text((left + BAR + TICK + GAP, at), str(value), BLACK, font(15), anchor="lm")
+        draw.text((left + BAR + TICK + GAP, at), f"{end * step / SCALE_STEPS:g}", BLACK, font(15), anchor="lm")
     _upright(canvas, "ΔE", left + BAR + 48, TOP + height / 2)
 
 
@@ -284,8 +290,8 @@ def reduced(luminance: Array) -> Array:
     return np.asarray(luminance[: rows * down, : columns * across].reshape(rows, down, columns, across).mean(axis=(1, 3)))
 
 
-def scale() -> Picture:
-    """Return the colour scale of every ΔE map, 0 on the left."""
+def scale(end: float) -> Picture:
+    """Return the colour scale of ΔE maps, 0 on the left and `end` on the right."""
     width, height = SCALE_DOTS
-    ramp = delta_e_colours(np.linspace(0.0, DELTA_E_SHOWN, width, endpoint=False)[None])
-    return Picture(np.repeat(ramp, height, axis=0), f"colour scale of ΔE from 0 to {DELTA_E_SHOWN:g}")
+    ramp = delta_e_colours(np.linspace(0.0, end, width, endpoint=False)[None], end)
+    return Picture(np.repeat(ramp, height, axis=0), f"colour scale of ΔE from 0 to {end:g}", f"{end:g} and more")

@@ -37,6 +37,7 @@ from scipy.stats import t as student_t
 from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
+from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run, Study, content_hash, pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
@@ -600,10 +601,8 @@ def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float)
     choice = choose(calibration, tolerance_delta_e, film_is_free=free)
     if not choice.met:
         hint = "" if free else "; the scene's resolution is fixed: leave it unset"
-        warnings.warn(
-            f"no settings meet --tolerance-delta-e {tolerance_delta_e:g}: smallest error {choice.expected_delta_e:.2g}{hint}",
-            stacklevel=3,
-        )
+        error, asked = told_apart(choice.expected_delta_e, tolerance_delta_e)
+        warnings.warn(f"no settings meet --tolerance-delta-e {asked}: smallest error {error}{hint}", stacklevel=3)
     chosen = scene.with_parameters(resolution=choice.width) if free else scene
     return Settled(chosen, tolerance_delta_e, calibration, choice)
 

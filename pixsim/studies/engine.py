@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import processors
+from pixsim.base.notes import MachineWarning
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -21,7 +22,8 @@ Result = TypeVar("Result")
 Function = Callable[[Task, Shared], Result]
 Call = tuple[Task, Callable[[], Shared]]  # a task, and the function that makes its shared data
 Calls = dict[int, Call[Task, Shared]]  # by number
-Reply = tuple[int, Result, list[str]]  # a call's number, its result and its warnings
+Note = tuple[str, type[UserWarning]]  # the text of a warning, and whether it is a MachineWarning
+Reply = tuple[int, Result, list[Note]]  # a call's number, its result and its warnings
 NAMED_TASKS = 4  # named in an error message
 SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
@@ -123,7 +125,8 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
         yield from attempt(left)
         if not left:
             break
-        warnings.warn(f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks", stacklevel=2)
+        text = f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks"
+        warnings.warn(text, MachineWarning, stacklevel=2)
         indices = list(left)
         if len(left) < before:  # the calls started first may be the cause: the others go before them
             half = len(indices) // 2
@@ -158,12 +161,12 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
     else:
         # At least two: after a worker's death, joblib must not run the remaining calls in this process.
         results = _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
-    shown: set[str] = set()
+    shown: set[Note] = set()
     for index, result, notes in results:
-        for note in notes:
-            if note not in shown:
-                warnings.warn(note, stacklevel=4)
-                shown.add(note)
+        for text, category in notes:
+            if (text, category) not in shown:
+                warnings.warn(text, category, stacklevel=4)
+                shown.add((text, category))
         yield index, result
 
 
@@ -191,7 +194,8 @@ def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, 
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always")
         result = function(task, shared)
-    return index, result, [str(note.message) for note in notes if issubclass(note.category, UserWarning)]
+    kinds = ((str(note.message), note.category) for note in notes if issubclass(note.category, UserWarning))
+    return index, result, [(text, MachineWarning if issubclass(kind, MachineWarning) else UserWarning) for text, kind in kinds]
 
 
 def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int) -> Iterator[Reply[Result]]:

@@ -24,7 +24,7 @@ import numpy as np
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import read_bytes, replacing
+from pixsim.base.files import opened, read_bytes, replacing
 from pixsim.base.parameters import Camera, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
@@ -64,6 +64,17 @@ class ResultsFile:
         except csv.Error as error:
             hint = "Move the file away: its rows are then computed again."
             raise invalid("results", f"'{self.path}' ({error})", allowed, hint) from None
+
+    def check_replaceable(self) -> None:
+        """Raise PixsimError if the file has content and does not begin with the columns of a study: it is another program's."""
+        if not os.path.lexists(self.path):
+            return
+        allowed = "the rows of a study, or no such file"
+        with opened(self.path, "results", allowed) as file:
+            first = file.readline(MAX_LINE)
+        if first and not first.startswith(",".join(COLUMNS[:3]).encode()):
+            hint = "Choose another folder with --out, or move the file away."
+            raise invalid("results", f"'{self.path}', not written by pixsim", allowed, hint)
 
     def _is_whole(self, row: Row) -> bool:
         """Return whether a row has every column, with numbers where they belong; other rows are computed again."""

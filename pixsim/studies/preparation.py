@@ -106,7 +106,7 @@ def most_pixels(camera: Camera, own_um: float | None) -> float:
 
 def die_um(camera: Camera) -> tuple[float, float]:
     """Return height and width of the die."""
-    return 1e3 * camera.die_mm, 1e3 * camera.die_mm
+    return 1e3 * camera.height_mm, 1e3 * camera.die_mm
 
 
 def fitted_range(study: Study, camera: Camera) -> Study:

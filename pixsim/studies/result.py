@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.notes import told_apart
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import photodiode_widths_um, physics_of
@@ -30,7 +32,7 @@ from pixsim.studies.evaluations import (
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
 from pixsim.viewer.display import white_rate
-from pixsim.viewer.score import SceneCache, Score, dark_clip
+from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,6 +148,8 @@ class StudyResult:
     camera : with which it was rendered
     budget : error budget of the first curve, if a tolerance of ΔE was requested
     view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.View`)
+    settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
+    warned : warnings while it was computed
     """
 
     study: Study
@@ -154,6 +158,8 @@ class StudyResult:
     camera: Camera
     budget: dict[str, Any] | None = None
     view: dict[str, Any] = field(default_factory=dict)
+    settings_toml: str = field(default="", repr=False)
+    warned: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         labels = labels_of([curve.technology for curve in self.curves])
@@ -170,12 +176,18 @@ class StudyResult:
         """Keys of its frames and rows."""
         return Fingerprints(self.study, self.camera, self.irradiance)
 
+    @cached_property
+    def notes(self) -> list[str]:
+        """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
+        return [*sorted(self.warned), *target_notes(self), *study_dark_notes(self)]
+
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
         more = {"error_budget": self.budget, "chosen": self.view, "window_mm": self.study.window_mm}
         return {name: value for name, value in more.items() if value} | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "irradiance": self.irradiance.header,
+            "notes": self.notes,
             "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
         }
 
@@ -399,3 +411,38 @@ def interval_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     ends = ([curve.optimum.interval_um[end] for curve in curves] for end in (0, 1))
     low, high = (["" if end is None else end for end in column] for column in ends)
     return {"interval_low_um": low, "interval_high_um": high}
+
+
+def target_notes(result: Any) -> list[str]:
+    """Return a note for each optimum that misses the target interval, with the limit that ended the search."""
+    study, notes = result.study, []
+    evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
+    for curve in result.curves:
+        half_um = curve.optimum.half_width_um
+        if study.target_ci_um is None or half_um <= study.target_ci_um:
+            continue
+        if study.max_evaluations is None:
+            most = max(study.repeats, study.max_repeats)
+            limit = f"{int(curve.sensors.sum())} evaluations, at most {most} per pixel size (max_repeats)"
+        else:
+            limit = f"{evaluations} of at most {study.max_evaluations} evaluations (max_evaluations)"
+        shown_um, target_um = told_apart(half_um, study.target_ci_um)
+        width = f"± {shown_um} µm" if math.isfinite(half_um) else "open at an end"
+        target = f"the target is ± {target_um} µm (target_ci_um)"
+        notes.append(f"{curve.label}: the interval is {width} after {limit}; {target}")
+    return notes
+
+
+def study_dark_notes(result: Any) -> list[str]:
+    """Return a note for each curve whose black level clips dark noise, with the number of pixel sizes and the worst of them."""
+    pixel, notes = result.study.pixel.model_dump(), []
+    for curve in result.curves:
+        table = result.dark(curve)
+        clips = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
+        clipped = [place for place, clip in enumerate(clips) if clips_dark(clip)]
+        if clipped:
+            worst = max(clipped, key=lambda place: clips[place]["of_display_white"])
+            most = max(clips[place]["least_black_level_dn"] for place in clipped)
+            where = f" at {len(clipped)} of {len(clips)} pixel sizes, most at {curve.pitch_um[worst]:.2f} µm"
+            notes.append(f"{curve.label}: {clip_words(clips[worst] | {'least_black_level_dn': most}, pixel, where)}")
+    return notes

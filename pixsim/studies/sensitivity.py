@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +14,8 @@ from pydantic import Field
 
 from pixsim.base.config import SETTINGS_FILE, packaged, settings_text, whole_path
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.files import output_folder, replacing, versions, write_json
+from pixsim.base.files import output_folder, publishing, versions, write_json
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_hash, merge
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
@@ -23,6 +24,7 @@ from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Column, Plate, write_figures, write_page
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.engine import Workers, results_of, workers_for
+from pixsim.studies.evaluations import ResultsFile
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
 from pixsim.studies.study import check_pitches, check_technologies, load_study, prepare, render_for, sweep_pitches
 
@@ -126,12 +128,13 @@ class Case:
 
 @dataclass(frozen=True)
 class SensitivityResult:
-    """The base case and all others, in file order."""
+    """The base case and all others, in file order; `notes` are warnings while they were computed."""
 
     sensitivity: Sensitivity
     base: StudyResult
     base_case: Case
     cases: tuple[Case, ...]
+    notes: tuple[str, ...] = ()
 
     def turning(self, statement: str) -> list[Case]:
         """Return the cases whose verdict on a statement differs from the base's."""
@@ -163,6 +166,7 @@ class SensitivityResult:
             "base": self.base.as_dict(),
             "claims": claims,
             "cases": [case.as_dict() for case in self.cases],
+            "notes": list(self.notes),
         }
 
 
@@ -220,6 +224,11 @@ def run_sensitivity(
     for study in moved:
         check_technologies(study)
         check_pitches(study)
+    studies = [base, *(study for _, _, study in cases)]
+    names = ["base", *(file_name(n, name, label) for n, (name, label, _) in enumerate(cases))]
+    names += [file_name(len(cases) + n, move.variation, str(move)) for n, move in enumerate(moves)]
+    for name in names:
+        ResultsFile(Path(out) / "cases" / f"{name}.csv").check_replaceable()
     stage = progress or (lambda _: lambda *_: None)
     renders: dict[str, tuple[SpectralImage, Camera]] = {}
 
@@ -236,23 +245,15 @@ def run_sensitivity(
         result = sweep_pitches(study, *light, folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
         return StudyResult(study, result.curves, *light)  # without prepared scenes, since many results stay in memory
 
-    with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
+    with collected_notes() as notes, workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         (folder / "cases").mkdir(exist_ok=True)
-        command = f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
-        base_name = sensitivity.base if sensitivity.base in packaged("data/studies") else whole_path(sensitivity.base)
-        with replacing(folder / SETTINGS_FILE) as partial_file:
-            partial_file.write_text(settings_text(sensitivity, command, base=base_name), encoding="utf-8")
         # A process does not change the light: with the base's render, an unchanged technology has the base's rows.
-        results = [run(base, "base", render(base))]
-        results += [run(study, file_name(n, name, label), render(study)) for n, (name, label, study) in enumerate(cases)]
-        results += [
-            run(study, file_name(len(cases) + n, move.variation, str(move)), render(base))
-            for n, (move, study) in enumerate(zip(moves, moved, strict=True))
-        ]
+        results = [run(study, name, render(study)) for name, study in zip(names, studies, strict=False)]
+        results += [run(study, name, render(base)) for name, study in zip(names[len(studies) :], moved, strict=True)]
         rows: list[tuple[Finding, ...]] = [()] * len(results)
         if base.paper:
             rows = claims(results, workers, stage("claims"))
-    return assemble(sensitivity, results, rows, moves)
+    return replace(assemble(sensitivity, results, rows, moves), notes=tuple(sorted(notes)))
 
 
 def claims(results: list[StudyResult], workers: Workers, progress: Progress) -> list[tuple[Finding, ...]]:
@@ -370,22 +371,32 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
     }
 
 
+FILES = ("report.html", "summary.json", SETTINGS_FILE, "figures/tornado.svg", "figures/tornado.csv")
+
+
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
-    """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; return the report's path."""
-    (drawn,) = write_figures(folder, [tornado(result).drawn()])
-    write_json(folder / "summary.json", result.as_dict())
-    provenance = {"versions": versions(), "seconds": seconds}
-    write_json(folder / "provenance.json", provenance)
+    """Write summary.json, figures/tornado.svg and .csv, provenance.json and report.html; return the report's path.
+
+    Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
+    """
     page = {
         "interval": interval_words,
         "sensitivity": result.sensitivity,
-        "drawn": drawn,
+        "sensitivity_notes": result.notes,
         "claims": [
             (row, len(turning), turned_words([(case.variation, case.label) for case in turning]))
             for row, turning in ((row, result.turning(row.statement)) for row in result.base_case.rows)
         ],
         "cases": [(case, case.differing(result.base_case)) for case in (result.base_case, *result.cases)],
         "header": result.base.irradiance.header,
-        "provenance": provenance,
+        "provenance": {"versions": versions(), "seconds": seconds},
     }
-    return write_page(folder / "report.html", "sensitivity.html.j2", page)
+    name = result.sensitivity.base
+    base = name if name in packaged("data/studies") else whole_path(name)
+    with output_folder(folder), publishing(folder, "study", {"seconds": seconds}) as unfinished:
+        text = settings_text(result.sensitivity, f"pixsim study {SETTINGS_FILE}", base=base)
+        (unfinished / SETTINGS_FILE).write_text(text, encoding="utf-8")
+        (page["drawn"],) = write_figures(unfinished, [tornado(result).drawn()])
+        write_json(unfinished / "summary.json", result.as_dict())
+        write_page(unfinished / "report.html", "sensitivity.html.j2", page)
+    return folder / "report.html"

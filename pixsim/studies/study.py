@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.files import output_folder, replacing
+from pixsim.base.files import output_folder
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Camera, Layer, Study, content_hash
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
@@ -20,7 +22,7 @@ from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, Sampling, first_sampling, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
 from pixsim.studies.preparation import View, choose_view, die_um, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import dot_edges_um, white_header
@@ -113,7 +115,7 @@ def repeated_settings(prepared: Prepared, chosen: Study, noise: Mapping[str, Any
         "file": file if file in packaged_scenes() else str(scene.path),
         "parameters": scene_table(scene.path.parent, kept.scene.parameters),
     }
-    camera = scene.camera(kept.camera).model_dump()
+    camera = scene.camera(kept.camera).model_dump(exclude_none=True)
     command = f"pixsim study {SETTINGS_FILE}" + (f" --variant {prepared.variant}" if prepared.variant else "")
     return settings_text(kept, command, scene=of_scene, camera=camera)
 
@@ -292,7 +294,7 @@ def study(
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
         pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0
 
-    Raises PixsimError for invalid input, before anything is rendered.
+    Raises PixsimError for invalid input, before anything is rendered, and if `out` holds a results.csv of another program.
 
     >>> import tempfile
     >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
@@ -306,8 +308,9 @@ def study(
     if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
-    chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
-    return run_prepared(prepare(chosen, variant, quick=quick), out, jobs=jobs, scheduler=scheduler, progress=progress)
+    with collected_notes():  # also of what is found before the study begins
+        chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
+        return run_prepared(prepare(chosen, variant, quick=quick), out, jobs=jobs, scheduler=scheduler, progress=progress)
 
 
 def run_prepared(
@@ -323,22 +326,27 @@ def run_prepared(
 
     chosen, variant = prepared.study, prepared.variant
     stage = progress or (lambda _: lambda *_: None)
+    settled: Settled | None = None
     if jobs is None and scheduler is None:
         jobs = fitting_jobs(chosen, prepared.camera)
-    with workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
-        settled: Settled | None = None
+    with collected_notes() as notes, ExitStack() as stack:
+        ResultsFile(Path(out) / "results.csv").check_replaceable()
+        workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
         if chosen.tolerance_delta_e:
             stage("calibrate")
             from pixsim.studies.budget import settled_study
 
             chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
         irradiance, camera = render_for(chosen, variant, stage("render"))
-        text = repeated_settings(prepared, chosen, irradiance.header["render_noise"])
-        with replacing(folder / SETTINGS_FILE) as partial:
-            partial.write_text(text, encoding="utf-8")
         results = folder / "results.csv"
         result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)
-    if settled is None:
-        return result
-    noise = RenderNoise(**irradiance.header["render_noise"])
-    return replace(result, budget=settled.budget(noise, irradiance.header["bound_e"], int(result.curves[0].sensors.min())))
+        for technology in chosen.technologies:
+            light_of(chosen, result.scenes, technology)  # whose warnings a resumed study, with all rows, would miss
+    noise = irradiance.header["render_noise"]
+    changes: dict[str, Any] = {"warned": tuple(notes), "settings_toml": repeated_settings(prepared, chosen, noise)}
+    if settled is not None:
+        sensors = int(result.curves[0].sensors.min())
+        changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)
+    final = replace(result, **changes)
+    final.__dict__["scenes"] = result.scenes  # expensive to prepare again
+    return final

@@ -16,11 +16,11 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
-from pixsim.sensor.pixel import PixelPhysics, derive
-from pixsim.sensor.readout import Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
+from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
+from pixsim.sensor.readout import MAX_BLACK, Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import html_cell, rows_csv
-from pixsim.show.pictures import DELTA_E_SHOWN, VIEWING_GAMMA
+from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.viewer import display as displays
 from pixsim.viewer.scielab import delta_e, filtered_grey_lab, filtered_lab, grey_delta_e_map, xyz_to_lab
 
@@ -77,13 +77,14 @@ class Score:
         }
 
     def plot(self) -> Figure:
-        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map on the fixed scale."""
+        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
         figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
         axes = figure.subplots(1, 3, sharex=True, sharey=True)
         for panel, picture, title in zip(axes, (self.ideal, self.image), ("ideal", "sensor"), strict=False):
             panel.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
             panel.set_title(title)
-        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=DELTA_E_SHOWN, interpolation="nearest")
+        end = scale_end(*percentiles(self.delta_e, (99,)))
+        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=end, interpolation="nearest")
         axes[2].set_title(f"S-CIELAB ΔE, mean {self.mean_delta_e:.3f}")
         figure.colorbar(delta_e_map, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
         for panel in axes:
@@ -286,11 +287,15 @@ def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposu
 def make_imaging_chain(
     irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display, full: bool = False
 ) -> ImagingChain:
-    """Return the imaging chain up to the noise. Warns if the render used another camera, or the display clips the scene."""
+    """Return the imaging chain up to the noise.
+
+    Warns if the render used another camera, the display clips the scene, or numbers of a data sheet contradict one another.
+    """
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
         warnings.warn("the irradiance was rendered with another camera than the one given", stacklevel=3)
     physics = derive(pixel)
+    warn_of_disagreements(pixel)
     return chain_at_pitch(prepare_scene(irradiance, camera, physics, display, full), physics, exposure)
 
 
@@ -388,3 +393,34 @@ def clipped_at_zero(mean_dn: Array, sigma_dn: Array) -> tuple[Array, Array]:
     codes = np.arange(math.ceil(8 * COARSE_DN))[:, None]  # the terms beyond 8 σ are below 1e-15
     excess[fine] = ndtr((-0.5 - codes - mean_dn[fine]) / sigma[fine]).sum(axis=0)
     return ndtr((0.5 - mean_dn) / sigma), excess
+
+
+HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN
+TAIL_SIGMAS = 0.01  # shift in units of the dark spread that a black level of 1.9 σ causes
+
+
+def clips_dark(dark: dict[str, float]) -> bool:
+    """Return whether a `dark_clip` is visible: larger than rounding errors and than the tail of the noise."""
+    clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
+    return clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
+
+
+def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> str:
+    """Return a `dark_clip` in words, with the black level that avoids it.
+
+    pixel : its settings
+    where : further words after the black level
+    """
+    black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
+    fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
+    hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else "avoiding this takes more bits (pixel.bits)"
+    return (
+        f"the black level of {black:g} DN clips dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
+        f"are at 0 DN, which raises the dark mean by {rounded(dark['too_bright_e'])} e- "
+        f"(ΔE {rounded(dark['lightness'])} on uniform black, less on grey); {hint}"
+    )
+
+
+def rounded(value: float) -> str:
+    """Return a value to two digits, without an exponent."""
+    return f"{float(f'{value:.2g}'):.15g}"

@@ -24,7 +24,7 @@ import pixsim
 from pixsim.accuracy import ladders, stability, survey as surveys
 from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
-from pixsim.accuracy.report import accuracy_lines, plates_of, write_accuracy
+from pixsim.accuracy.report import FILES, accuracy_lines, plates_of, write_accuracy
 from pixsim.accuracy.result import METRICS, Accuracy
 from pixsim.accuracy.solvers import solvers
 from pixsim.accuracy.stability import compare
@@ -102,6 +102,8 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
     for metric in ("error_e", "error_delta_e"):
         assert accuracy.rivals(metric)[0] is accuracy.shipped
     report = write_accuracy(accuracy, folder)
+    made = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert made <= {*FILES, "provenance.json"}
     text = report.read_text(encoding="utf-8")
     Page(text)
     assert "by &lt;hand&gt;" in text

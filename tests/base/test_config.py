@@ -165,12 +165,25 @@ def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> Non
 
 
 @pytest.mark.parametrize("missing", ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
-@pytest.mark.parametrize("line", ["run csf", "study pixel-size"])
-def test_is_data_sheet_missing_value_raises(line: str, missing: str, sheet: Path, tmp_path: Path) -> None:
+def test_run_command_incomplete_data_sheet_states_assumed_technology(missing: str, sheet: Path, tmp_path: Path) -> None:
+    text = "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)).replace("pitch_um = 4.0", "pitch_um = 6.0")
+    written(sheet, text)
+    small = f"run csf -D resolution=64 --display.dots 64 --out {tmp_path / 'out'} --config"
+    words = f"technology 0.35um assumed, without {missing}"
+    code, out, err = command(small, sheet)
+    assert (code, words in out) == (0, True), err
+    code, out, err = command(small, sheet, "--json")
+    score = json.loads(out)
+    assert (score["assumption"], score["pixel"]["technology"]) == (words, "0.35um")
+    assert words in repr(settings_of(sheet).pixel)
+
+
+@pytest.mark.parametrize("missing", ["full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"])
+def test_study_layers_incomplete_data_sheet_states_technology(missing: str, sheet: Path) -> None:
     written(sheet, "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)))
-    message = f"{sheet}: pixel: got a sensor without a technology, and without {missing};"
-    assert_refused(*command(line, "--out", tmp_path / "out", "--config", sheet), [message, 'technology = "4t-bsi"'])
-    assert not (tmp_path / "out").exists()
+    with pytest.warns(UserWarning, match=rf"no technology and not {missing}, .* the study's technology 4t-bsi"):
+        study = load_study("pixel-size", sheet)
+    assert (study.technologies, study.pixel.data_sheet_pitch_um) == (("4t-bsi",), None if missing == "all" else 4.0)
 
 
 def test_settings_with_technology_measured_values_replace_derived(sheet: Path) -> None:
@@ -213,7 +226,8 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
 
 def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
     paths = [written(tmp_path / "a.toml", SHEET), written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")]
-    pixel, other = (checked_study(study_layers(read_study("pixel-size"), files)).pixel for files in (paths, paths[::-1]))
+    with pytest.warns(UserWarning, match=r"\[pixel\] is a mixture of 2 files"):
+        pixel, other = (checked_study(study_layers(read_study("pixel-size"), files)).pixel for files in (paths, paths[::-1]))
     assert (pixel.read_noise_e, pixel.full_well_e, other.read_noise_e) == (7, 12000, 2.5)
 
 
@@ -269,7 +283,7 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
     ],
 )
 def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_path: Path) -> None:
-    film = "--no-irradiance -D resolution=64 -D spp=4 --display.dots 64"
+    film = "--irradiance none -D resolution=64 -D spp=4 --display.dots 64"
     sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
     path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
     code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import assert_refused, command, process
+from helpers.commands import SIGN_OF_LIFE, assert_refused, command, process
 from helpers.processes import HANG_S
 from matplotlib.image import imread
 
@@ -177,7 +177,7 @@ def run_process(line: str, **environment: str) -> tuple[int, str, str]:
     done = process(line, **environment)
     # Without LLVM every command warns that it renders with scalar_spectral.
     stderr = re.sub("^warning: rendering with scalar_spectral.*\n", "", done.stderr, flags=re.MULTILINE)
-    return done.returncode, done.stdout, stderr
+    return done.returncode, done.stdout, SIGN_OF_LIFE.sub("", stderr)
 
 
 @pytest.mark.parametrize("line", ["run flat -D chart=nan.exr", "run perspective.xml"])

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 import pixsim
 from pixsim.base.config import packaged, read_toml
-from pixsim.base.parameters import DATA_SHEET, Run, Study
+from pixsim.base.parameters import DATA_SHEET, STANDS_FOR, Run, Study
 from pixsim.cli import options
 from pixsim.cli.templates import UNITS, allowed, json_schema, template, unit_of
 
@@ -25,6 +25,12 @@ RECORDS = {"sensor": Run, "study": Study}
 def uncommented(text: str) -> dict[str, Any]:
     """The table of a template with all commented fields set."""
     return tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE))
+
+
+def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
+    """A table whose [pixel] has either a data sheet's own words or the fields that they stand for."""
+    removed = {name for names in STANDS_FOR.values() for name in names} if words else STANDS_FOR
+    return table | {"pixel": {name: value for name, value in table["pixel"].items() if name not in removed}}
 
 
 def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:
@@ -45,7 +51,10 @@ def test_template_has_every_field_and_is_valid(kind: str) -> None:
     record.model_validate(tomllib.loads(text))
     everything = uncommented(text)
     everything.pop("quick", None)
-    record.model_validate(everything)
+    for words in (False, True):
+        record.model_validate(stated_once(everything, words))
+    with pytest.raises(ValueError, match=r"saturation_capacity_e and full_well_e state the same quantity"):
+        record.model_validate(everything)
 
 
 @pytest.mark.parametrize("kind", RECORDS)

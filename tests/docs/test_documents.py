@@ -1,13 +1,17 @@
-"""Blocks of README and docs/ are run; output and pictures must be those that the pages show."""
+"""Blocks of README and docs/ are run; output and pictures must be those that the pages show.
+
+On the processor and with the packages of docs/made_on.toml, every digit must agree.
+"""
 
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.documents import ROOT, Page, alike_pictures, blocks_of, difference
+from helpers.documents import MADE_ON, ROOT, Page, alike_pictures, blocks_of, difference, differs_from_made_on, updated
 
 import pixsim
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Study
@@ -26,16 +30,44 @@ def text_of(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
+@pytest.fixture(scope="module")
+def exact() -> bool:
+    """Whether this is the machine of docs/made_on.toml; if not, a notice says what is compared."""
+    if found := differs_from_made_on():
+        warnings.warn(f"pages are compared within their intervals, not in every digit: {found}", stacklevel=1)
+    return not found
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_page_blocks_give_shown_output(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_blocks_give_shown_output(path: Path, exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three minutes in total; part of `.ci/run`."""
     monkeypatch.setenv("MPLBACKEND", "agg")
-    page = Page(path, tmp_path)
-    page.run()
+    page = Page(path, tmp_path, exact)
+    page.check()
     for shown, created in page.pictures:
         assert shown.is_file(), f"{path.name} shows {shown.name}, which does not exist"
-        assert alike_pictures(shown, created), f"{shown} is outdated: run python tests/helpers/documents.py {path}"
+        assert alike_pictures(shown, created, exact), f"{shown} is outdated: run python tests/helpers/documents.py {path}"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_page_with_numbers_names_machine(path: Path) -> None:
+    if any({"output", "picture"} & block.comments.keys() for block in blocks_of(text_of(path))):
+        assert f"]({'docs/' if path == README else ''}{MADE_ON.name})" in text_of(path)
+
+
+TIMES = re.compile(r"\d (?:GiB|MiB|MB|GB|minutes?|seconds)\b|\d s[,;:.]|\d s on|(?:two|2) cores|\b(?:a|half a) minute\b")
+
+
+@pytest.mark.parametrize("path", [page for page in PAGES if page.name != "costs.md"], ids=lambda path: path.name)
+def test_page_states_no_run_time_or_memory(path: Path) -> None:
+    """They depend on the machine: docs/costs.md has them, with the machine and the commands."""
+    inside, found = False, []
+    for line in text_of(path).splitlines():
+        inside ^= line.startswith("```")
+        if not inside and (time := TIMES.search(line)):
+            found.append(f"{time[0]!r} in {line!r}")
+    assert not found
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
@@ -50,7 +82,7 @@ def test_page_blocks_are_all_checked(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_readme_first_study_gives_shown_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readme_first_study_gives_shown_output(exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first study of README gives the output and the first picture that it shows."""
     here = (".ci", "tests/docs/test_d")
     first, printed = (block for block in blocks_of(text_of(README)) if block.comments.get("elsewhere", "").startswith(here))
@@ -60,10 +92,10 @@ def test_readme_first_study_gives_shown_output(tmp_path: Path, monkeypatch: pyte
     created = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
     parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {created} -->\n{picture}"]
     page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
-    shown = Page(page, tmp_path)
-    shown.run()
+    shown = Page(page, tmp_path, exact)
+    shown.check()
     ((_, drawn),) = shown.pictures
-    assert alike_pictures(ROOT / re.search(r"\(([^)]+)\)", picture)[1], drawn)
+    assert alike_pictures(ROOT / re.search(r"\(([^)]+)\)", picture)[1], drawn, exact)
 
 
 # --- Glossary of the paper's terms ---------------------------------------------------------------------------------------
@@ -127,20 +159,43 @@ def test_blocks_of_parses_comments() -> None:
         ("a 1\nb 2", "a 1", False),
         ("", "a 1", False),
         ("± 0.04 µm", "± 0.05 µm", True),
-        ("± 0.04 µm", "± 0.10 µm", True),
-        ("± 0.04 µm", "± 0.16 µm", False),
+        ("± 0.04 µm", "± 0.07 µm", True),
+        ("± 0.04 µm", "± 0.10 µm", False),
+        ("mean ΔE 0.427 ± 0.02", "mean ΔE 0.446 ± 0.02", True),
+        ("mean ΔE 0.427 ± 0.02", "mean ΔE 0.449 ± 0.02", False),
+        ("mean ΔE 0.4274 ± 0.0002", "mean ΔE 0.4280 ± 0.0002", False),
+        ("size 2.35 µm (95 %: 1.82 to 2.56 µm)", "size 2.60 µm (95 %: 1.82 to 2.56 µm)", True),
         ("640 × 640", "641 × 640", False),
         ("x 1.0e-04", "x 1.2e-04", False),
     ],
 )
 def test_difference_compares_output(expected: str, printed: str, same: bool) -> None:
-    assert (difference(expected, printed) == "") == same
+    assert (difference(expected, printed, exact=False) == "") == same
+
+
+@pytest.mark.parametrize(
+    ("printed", "same"), [("a 1.00\nb\nc 2.0", True), ("a 1.01\nb\nc 2.0", False), ("a 1.00\nb\nc 2.1", False)]
+)
+def test_difference_exact_compares_digits(printed: str, same: bool) -> None:
+    assert (difference("a 1.00\n…\nc 2.0", printed) == "") == same
+
+
+def test_updated_page_has_new_output(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("```sh\nprintf '1\\n2'\n```\n\n<!-- output -->\n```text\nold\n```\nend\n", encoding="utf-8")
+    run = Page(page, tmp_path)
+    run.run()
+    page.write_text(updated(page, run.outputs), encoding="utf-8")
+    assert page.read_text(encoding="utf-8").endswith("<!-- output -->\n```text\n1\n2\n```\nend\n")
+    Page(page, tmp_path).check()
 
 
 @pytest.mark.parametrize(
     "text",
     [
         "```sh\nexit 3\n```\n",
+        "```sh\necho 'the time limit of 120 s ended rendering' >&2\n```\n",
+        "```python\nimport warnings\nwarnings.warn('the time limit of 120 s ended rendering')\n```\n",
         "```python\nassert 1 == 2\n```\n",
         "```sh\necho 1\n```\n\n<!-- output -->\n```text\n2\n```\n",
         "```python\nprint(1)\n```\n",
@@ -154,8 +209,8 @@ def test_difference_compares_output(expected: str, printed: str, same: bool) -> 
 )
 def test_page_with_wrong_output_fails(text: str, tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text(text, encoding="utf-8")
-    with pytest.raises(AssertionError):
-        Page(tmp_path / "page.md", tmp_path).run()
+    with pytest.raises((AssertionError, UserWarning)):
+        Page(tmp_path / "page.md", tmp_path).check()
 
 
 def test_alike_pictures_detects_changes(tmp_path: Path) -> None:

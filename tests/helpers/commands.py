@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -20,15 +21,18 @@ from pixsim.cli.options import verbosity
 COMMAND = Path(sys.executable).with_name("pixsim")
 
 
+SIGN_OF_LIFE = re.compile(r"^\[\d+ s\] .*\n", re.MULTILINE)  # of pixsim.base.progress.Lines
+
+
 def command(line: str, *words: object) -> tuple[int, str, str]:
-    """Run `pixsim LINE` with further arguments in this process: exit code, stdout, stderr."""
+    """Run `pixsim LINE` with further arguments in this process: exit code, stdout, and stderr without its signs of life."""
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(warnings, "showwarning", warnings.showwarning)  # main() sets it
         patch.setattr(verbosity, "__dict__", vars(verbosity).copy())
         with pytest.raises(SystemExit) as end:
             cli.main([*shlex.split(line), *map(str, words)])
-    return end.value.code, out.getvalue(), err.getvalue()
+    return end.value.code, out.getvalue(), SIGN_OF_LIFE.sub("", err.getvalue())
 
 
 def process(line: str, *words: object, folder: Path | None = None, **changes: str | None) -> subprocess.CompletedProcess[str]:

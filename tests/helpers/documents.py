@@ -7,7 +7,9 @@ Invisible comments before a block state what it is:
     <!-- elsewhere: WHERE -->        the block is run there, word for word
     <!-- picture: FILE -->           the next picture is that file, which earlier blocks create
 
-`python tests/helpers/documents.py PAGE…` runs pages and updates their pictures.
+`python tests/helpers/documents.py PAGE…` runs pages and updates their output, their pictures, and docs/made_on.toml, which records
+the processor and the packages. There every digit of a page's output must come out again; elsewhere a number may differ within the
+interval that the page prints with it, or else by `NUMBER_WITHIN`.
 """
 
 from __future__ import annotations
@@ -21,26 +23,67 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 ROOT = Path(__file__).parents[2]
-# Relative tolerance of numbers with a decimal point: noise differs between processors and render variants. Integers are counts.
-# A number after ± is itself uncertain, by a factor for few sensors.
+MADE_ON = ROOT / "docs/made_on.toml"
+MADE_ON_HEAD = """\
+# The processor and the packages that made the numbers and pictures of README.md and docs/. There, every digit comes out again.
+# Other processors round some functions differently, which changes noise. (Written by tests/helpers/documents.py.)
+"""
+# Of the imaging chain and of the pictures.
+PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "numpy", "scipy", "OpenEXR", "matplotlib", "pillow")
+# On another machine: relative tolerance of numbers with a decimal point, and the factor for a number after ±, which is itself
+# uncertain for few sensors. Integers are counts.
 NUMBER_WITHIN = 0.02
-UNCERTAINTY_WITHIN = 3.0
+UNCERTAINTY_WITHIN = 2.0
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\d)")
 INTERVAL = re.compile(r"95 %: (\d+\.\d+) to (\d+\.\d+) µm")  # of an optimum, which may move within it
+PLUS_MINUS = re.compile(r"^\s*±\s*(\d+(?:\.\d+)?(?:e[-+]?\d+)?)")
 ANY_LINES = "…"
+OF_THE_CLOCK = "time limit of"  # in a warning: the result depends on the speed of the machine
 SVG_NUMBER = re.compile(r"(-?\d+\.\d+)")
 SVG_NAMES = re.compile(r'<metadata>.*?</metadata>|(?:id="|url\(#|href="#)[^")]*', re.DOTALL)  # a date, and random ids
 SVG_WITHIN = 3.0  # points, 1/50 of the side of a small figure
 CODES_WITHIN = 2.0  # of 255, in the mean of every block: rounding of other processors, not other details
 BLOCK_PX = 28  # half a block's side
+
+
+def this_machine() -> dict[str, object]:
+    """The type of the processor and the versions of the packages, as in docs/made_on.toml."""
+    cpu = {}
+    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
+        name, _, value = line.partition(":")
+        cpu.setdefault(name.strip(), value.strip())
+    kind = [cpu.get(name, "unknown") for name in ("vendor_id", "cpu family", "model")]
+    packages = {}
+    for name in PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            packages[name] = metadata.version(name)
+    return {"processor": "{}, family {}, model {}".format(*kind), "python": sys.version.split()[0], "packages": packages}
+
+
+def write_made_on() -> None:
+    made = this_machine()
+    lines = [f'{name} = "{made[name]}"' for name in ("processor", "python")]
+    lines += ["", "[packages]", *(f'{name} = "{version}"' for name, version in made["packages"].items())]
+    MADE_ON.write_text(MADE_ON_HEAD + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+def differs_from_made_on() -> str:
+    """What differs between this machine and the one of docs/made_on.toml; empty if nothing does."""
+    made, here = tomllib.loads(MADE_ON.read_text(encoding="utf-8")), this_machine()
+    pairs = [(name, made[name], here[name]) for name in ("processor", "python")]
+    pairs += [(name, version, here["packages"].get(name, "not installed")) for name, version in made["packages"].items()]
+    return "; ".join(f"{name} {found} here, {there} in {MADE_ON.name}" for name, there, found in pairs if there != found)
 
 
 @dataclass(frozen=True)
@@ -80,24 +123,34 @@ def blocks_of(text: str) -> Iterator[Block]:
 
 
 class Page:
-    """Run the blocks of a page in a folder."""
+    """Run the blocks of a page in a folder.
 
-    def __init__(self, path: Path, folder: Path) -> None:
-        self.path, self.folder = path, folder
+    exact : whether output must agree in every digit
+    """
+
+    def __init__(self, path: Path, folder: Path, exact: bool = True) -> None:
+        self.path, self.folder, self.exact = path, folder, exact
+        self.outputs: list[tuple[Block, str]] = []  # a block of the page, and what was printed
         self.names: dict[str, object] = {"__name__": "__main__"}
         self.printed = self.unseen = ""  # output of the last block, and Python output that the page has not shown yet
         self.pictures: list[tuple[Path, Path]] = []  # (picture of the page, created file)
 
-    def run(self) -> None:
+    def check(self) -> None:
         """Run all blocks. AssertionError names the line of a block that fails or has another output."""
+        self.run()
+        for block, printed in self.outputs:
+            message = difference(block.text, printed, self.exact)
+            assert not message, f"{self.path.name}, line {block.line}: {message}\n--- printed:\n{printed}"
+
+    def run(self) -> None:
+        """Run all blocks. AssertionError names the line of a block that fails or depends on the clock."""
         for block in blocks_of(self.path.read_text(encoding="utf-8")):
             if "elsewhere" in block.comments:
                 continue
             where = f"{self.path.name}, line {block.line}"
             if "output" in block.comments:
                 assert block.language == "text", f"{where}: output must be a block of text"
-                message = difference(block.text, self.printed)
-                assert not message, f"{where}: {message}\n--- printed:\n{self.printed}"
+                self.outputs.append((block, self.printed))
                 self.unseen = ""
                 continue
             if block.language in ("sh", "python"):
@@ -123,18 +176,23 @@ class Page:
             ["bash", "-euo", "pipefail", "-c", text], cwd=self.folder, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, f"{where}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+        assert OF_THE_CLOCK not in done.stderr, f"{where}: the result depends on the speed of the machine\n{done.stderr}"
         return done.stdout
 
     def _python(self, text: str, where: str) -> str:
         """Run in this process with the variables of earlier blocks, as in a notebook."""
         printed = io.StringIO()
-        with contextlib.chdir(self.folder), contextlib.redirect_stdout(printed):
+        with contextlib.chdir(self.folder), contextlib.redirect_stdout(printed), warnings.catch_warnings():
+            warnings.filterwarnings("error", f".*{OF_THE_CLOCK}")
             exec(compile("\n" * int(where.rpartition(" ")[2]) + text, str(self.path), "exec"), self.names)
         return printed.getvalue()
 
 
-def difference(expected: str, printed: str) -> str:
-    """Message about the first difference between page and output; empty if there is none."""
+def difference(expected: str, printed: str, exact: bool = True) -> str:
+    """Message about the first difference between page and output; empty if there is none.
+
+    exact : whether every digit counts; otherwise lines may differ as in `alike`
+    """
     wanted, got = expected.strip().splitlines(), printed.strip().splitlines()
     place = 0
     anywhere = False
@@ -143,7 +201,8 @@ def difference(expected: str, printed: str) -> str:
             anywhere = True
             continue
         rest = got[place:] if anywhere else got[place : place + 1]
-        at = next((index for index, other in enumerate(rest) if alike(line, other)), None)
+        same = (lambda one, other: one.rstrip() == other.rstrip()) if exact else alike
+        at = next((index for index, other in enumerate(rest) if same(line, other)), None)
         if at is None:
             return f"the page shows {line!r}, the output is {(got[place] if place < len(got) else 'nothing more')!r}"
         place, anywhere = place + at + 1, False
@@ -151,7 +210,7 @@ def difference(expected: str, printed: str) -> str:
 
 
 def alike(expected: str, printed: str) -> bool:
-    """Same words, and numbers within `NUMBER_WITHIN` or one unit of the last digit; optima within the length of their interval."""
+    """Same words, and numbers within their printed interval; without one, within `NUMBER_WITHIN` or one unit of the last digit."""
     if NUMBER.sub("#", " ".join(expected.split())) != NUMBER.sub("#", " ".join(printed.split())):
         return False
     pairs = zip(NUMBER.finditer(expected), NUMBER.finditer(printed), strict=True)
@@ -163,6 +222,8 @@ def alike(expected: str, printed: str) -> bool:
         if expected[: one.start()].rstrip().endswith("±"):
             return wanted / UNCERTAINTY_WITHIN <= got <= wanted * UNCERTAINTY_WITHIN
         allowed = max(NUMBER_WITHIN * abs(wanted), 1.01 * last_digit(one[0])) if "." in one[0] else 0.0
+        if allowed and (error := PLUS_MINUS.match(expected[one.end() :])):
+            allowed = max(float(error[1]), last_digit(one[0]))
         if length_um and allowed and not expected[: one.start()].rstrip().endswith("ΔE"):
             allowed = max(allowed, length_um)
         return abs(wanted - got) <= allowed
@@ -176,20 +237,35 @@ def last_digit(number: str) -> float:
     return 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
 
 
-def alike_pictures(shown: Path, created: Path) -> bool:
-    """Whether two pictures agree but for the rounding of other processors."""
+def alike_pictures(shown: Path, created: Path, exact: bool = False) -> bool:
+    """Whether two pictures agree but for the rounding of other processors; with `exact`, in every number or sample."""
     if shown.suffix == ".svg":
         one, other = (SVG_NUMBER.split(SVG_NAMES.sub("", path.read_text(encoding="utf-8"))) for path in (shown, created))
         if one[::2] != other[::2]:
             return False
-        return bool(np.allclose(np.array(one[1::2], float), np.array(other[1::2], float), rtol=0, atol=SVG_WITHIN))
+        return bool(np.allclose(np.array(one[1::2], float), np.array(other[1::2], float), rtol=0, atol=0 if exact else SVG_WITHIN))
     first, second = (np.asarray(Image.open(path).convert("RGB"), float) for path in (shown, created))
     if first.shape != second.shape:
         return False
+    if exact:
+        return bool(np.array_equal(first, second))
     off = np.abs(first - second).mean(axis=2)
     starts = (range(0, max(1, size - BLOCK_PX + 1), BLOCK_PX) for size in off.shape)
     blocks = (off[y : y + 2 * BLOCK_PX, x : x + 2 * BLOCK_PX] for y, x in itertools.product(*starts))
     return max(float(part.mean()) for part in blocks) < CODES_WITHIN
+
+
+def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
+    """The text of a page with its output blocks replaced; blocks with a line of … are left, and named if they differ."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for block, printed in reversed(outputs):
+        if ANY_LINES in block.text.splitlines():
+            if message := difference(block.text, printed):
+                print(f"{path}, line {block.line}: CHANGE BY HAND: {message}\n{printed}")
+            continue
+        end = block.line + block.text.count("\n")
+        lines[block.line : end] = printed.rstrip().splitlines()
+    return "\n".join(lines) + "\n"
 
 
 def main(pages: list[str]) -> None:
@@ -197,10 +273,12 @@ def main(pages: list[str]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             page = Page(Path(name), Path(folder))
             page.run()
+            page.path.write_text(updated(page.path, page.outputs), encoding="utf-8")
             for picture, created in page.pictures:
                 picture.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(created, picture)
                 print(picture)
+    write_made_on()
 
 
 if __name__ == "__main__":

@@ -14,8 +14,9 @@ import pytest
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light import exr, spectral
-from pixsim.light.exr import _merged, read_channels, read_header, write_channels
+from pixsim.light.exr import _merged, read_channels, read_header, reduced_to_fit, write_channels
 from pixsim.light.spectral import SpectralImage, Spectrum
+from pixsim.optics.exchange import read_irradiance
 from pixsim.scene import variant
 from pixsim.scene.bands import BAND_EDGES_NM
 from pixsim.scene.mitsuba import import_mitsuba
@@ -157,6 +158,110 @@ def test_weighted_large_image_needs_memory_of_result_only(make, monkeypatch):
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert total.nbytes < most < 1.3 * total.nbytes
+
+
+def ramps(shape: tuple[int, int], bands: int = 2, factored: bool = False) -> SpectralImage:
+    """Planes in x and y, of which the mean over any area is the value at its centre."""
+    y, x = (np.arange(n) + 0.5 for n in shape)
+    planes = np.stack([1 + x + 2 * y[:, None], 5 + 3 * x - y[:, None] / shape[0]]).astype(np.float32)
+    nm = np.linspace(400, 700, bands)
+    if factored:
+        return SpectralImage(nm, 5.0, 2.0, factors=(np.linspace(1, 2, 2 * bands).reshape(2, bands), planes), header={"seed": 1})
+    return SpectralImage(nm, 5.0, 2.0, data=planes[np.arange(bands) % 2].transpose(1, 2, 0), header={"seed": 1})
+
+
+@pytest.mark.parametrize("factored", [False, True])
+@pytest.mark.parametrize(("shape", "columns"), [((12, 18), 6), ((12, 18), 7), ((13, 17), 5), ((64, 64), 64), ((9, 5), 1)])
+def test_box_reduced_plane_keeps_centres(shape, columns, factored):
+    """A plane stays a plane; the die's width and centre stay, and less than a sample of its height is cut off."""
+    image = ramps(shape, factored=factored)
+    reduced = image.box_reduced(columns)
+    rows, ratio = reduced.shape[0], shape[1] / columns
+    assert reduced.shape[1] == columns
+    assert reduced.pitch_um * columns == pytest.approx(image.pitch_um * shape[1], rel=1e-12)
+    assert 0 <= shape[0] - rows * ratio < ratio * (1 + 1e-9)
+    x, y = (np.arange(columns) + 0.5) * ratio, shape[0] / 2 + (np.arange(rows)[:, None] + 0.5 - rows / 2) * ratio
+    planes = reduced.factors[1] if factored else reduced.data.transpose(2, 0, 1)
+    for plane, expected in zip(planes, (1 + x + 2 * y, 5 + 3 * x - y / shape[0]), strict=True):
+        # Values are constant in each sample: an area with parts of samples errs by up to a quarter of a step of 3.
+        assert plane == pytest.approx(expected, rel=1e-6, abs=0 if ratio.is_integer() else 0.75 / ratio)
+    assert reduced.header == {"seed": 1, "reduced": {"samples": list(shape), "factor": pytest.approx(ratio)}}
+
+
+@pytest.mark.parametrize(("shape", "columns"), [((12, 18), 6), ((14, 21), 6)])
+def test_box_reduced_keeps_mean_and_range(shape, columns):
+    """Where the height is a whole number of samples; noise of great contrast, so that no mean leaves the values' range."""
+    values = np.random.default_rng(2).lognormal(0, 3, (*shape, 1)).astype(np.float32) * (np.arange(shape[1])[:, None] > 4)
+    image = SpectralImage([550.0], 10.0, 1.0, data=values)
+    reduced = image.box_reduced(columns)
+    assert reduced.data.mean(dtype=float) == pytest.approx(values.mean(dtype=float), rel=1e-6)
+    assert reduced.data.min() == 0
+
+
+def test_box_reduced_twice_states_first_samples():
+    twice = ramps((12, 24)).box_reduced(12).box_reduced(4)
+    assert twice.header["reduced"] == {"samples": [12, 24], "factor": 6.0}
+    assert twice.data == pytest.approx(ramps((12, 24)).box_reduced(4).data, rel=1e-6)
+
+
+@pytest.mark.parametrize("columns", [0, 5, -1])
+def test_box_reduced_other_columns_raise(columns):
+    with pytest.raises(PixsimError, match="columns"):
+        ramps((4, 4)).box_reduced(columns)
+
+
+@pytest.mark.parametrize(
+    ("shape", "bands", "columns"),
+    [
+        ((64, 64), 40, 64),  # fits: the same image
+        ((4, 2048), 2, 1024),  # too wide
+        ((30, 3000), 2, 1000),  # the largest number with whole samples in each mean
+        ((200, 200), 2000, 50),  # 4 × 50² × 2000 bytes are 20 MB; of 200² samples, 100² would take 80 MB
+        ((101, 1999), 2, 970),  # prime: 49.01 rows
+        ((1, 3000), 2, 3000),  # every coarser sampling would cut off the only row
+        ((2, 3000), 2, 3000),
+    ],
+)
+def test_reduced_to_fit_holds_limits(shape, bands, columns):
+    image = ramps(shape, bands)
+    reduced = reduced_to_fit(image)
+    assert reduced.shape[1] == columns
+    assert (reduced is image) == (columns == shape[1])
+    rows = reduced.shape[0]
+    assert 0.99 * shape[0] <= rows * shape[1] / columns <= shape[0] * (1 + 1e-9)
+    if reduced is not image:
+        assert columns <= 1024
+        assert 4 * bands * rows * columns <= 60_000_000
+
+
+def test_write_exr_reduced_reads_back_bit_for_bit(tmp_path):
+    """With its header, and as a picture of the larger pitch."""
+    for factored_too in (False, True):
+        image = ramps((128, 2048), 20, factored_too)
+        reduced = reduced_to_fit(image)
+        assert reduced.pitch_um == 4.0
+        assert_comes_back(reduced, tmp_path / "image.exr")
+        with pytest.warns(UserWarning, match="means over 2 × 2 samples of the render, 4 µm wide"):
+            again = read_irradiance(tmp_path / "image.exr")
+        assert again.shape == (64, 1024)
+
+
+def test_write_exr_factors_only_reads_back_bit_for_bit(tmp_path):
+    image, path = ramps((30, 40), 20, factored=True), tmp_path / "image.exr"
+    pixsim.write_exr(path, image, factors_only=True)
+    back = pixsim.read_exr(path)
+    assert set(read_channels(path)[0]) == {"factor.0", "factor.1"}
+    assert np.array_equal(bits(back.data), bits(image.data))
+    assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
+
+
+@pytest.mark.parametrize("reduced", [{"factor": 0.5, "samples": [4, 4]}, {"factor": "2", "samples": [4, 4]}, {"factor": 2}, 7])
+def test_read_exr_damaged_reduction_raises(reduced, tmp_path):
+    image = ramps((4, 4))
+    image.header["reduced"] = reduced
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    with pytest.raises(PixsimError, match="damaged header"):
+        pixsim.read_exr(tmp_path / "image.exr")
 
 
 def test_write_exr_too_many_band_bytes_writes_illuminance(tmp_path, monkeypatch):

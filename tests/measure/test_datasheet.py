@@ -15,15 +15,15 @@ from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import MIN_FRACTION, Exposure, Pixel
 from pixsim.measure import datasheet, estimators
-from pixsim.measure.datasheet import DataSheet, Entry, clipped_moments, entries, expected_moments, make_datasheet, variance_peak_e
-from pixsim.measure.datasheet_report import datasheet_plates, sheet_name, spectrogram, write_datasheet
+from pixsim.measure.datasheet import DataSheet, Entry, entries, expected_moments, make_datasheet, variance_peak_e
+from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_plates, sheet_name, spectrogram, write_datasheet
 from pixsim.measure.estimators import Estimate, Series, Stack
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_dn2, least_black_level_dn, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
-FILES = {"datasheet.csv", "summary.json", "report.html", "figures"}
+FILES = {"datasheet.csv", "summary.json", "report.html", "provenance.json", "figures"}
 
 
 @pytest.fixture(scope="module")
@@ -150,14 +150,6 @@ def test_exposure_at_snr_matches_closed_form(wanted: float) -> None:
     assert result.value * 7 == pytest.approx(estimators.signal_at_snr_e(wanted, 500, 0.01), rel=1e-5)
     assert math.isnan(estimators.exposure_at_snr(signal, signal, noise, 99.99, 0.01).value)
     assert math.isnan(estimators.signal_at_snr_e(100.0, 500, 0.01))
-
-
-def test_clipped_moments_at_the_mean_closed_form() -> None:
-    """Clipped at the mean: first moment -σ/√(2π), second moment σ²/2."""
-    first, second = clipped_moments(np.zeros(1), 3.0, 0.0)
-    assert first[0] == pytest.approx(-3 / math.sqrt(2 * math.pi))
-    assert second[0] == pytest.approx(4.5)
-    assert clipped_moments(np.array([2.0]), 0.0, 1.0) == (1.0, 1.0)
 
 
 def test_expected_moments_below_full_well_closed_form() -> None:
@@ -296,7 +288,8 @@ def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, mon
     assert "DSNU_1288" in out
     assert {path.name for path in folders[0].iterdir()} == FILES
     names = [path.relative_to(folders[0]) for path in folders[0].rglob("*") if path.is_file()]
-    assert len(names) == 3 + 2 * 8
+    assert {name.as_posix() for name in names} == {*PLANNED, "provenance.json"}
+    assert len(names) == 4 + 2 * 8
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name
 
@@ -313,7 +306,7 @@ def test_datasheet_command_bad_folder_fails_before_measurement(tmp_path: Path, m
 def test_datasheet_report_fits_browser_and_print(sheet: DataSheet, tmp_path: Path) -> None:
     page = write_datasheet(sheet, tmp_path / "out")
     assert_fits(page, tmp_path)
-    texts = ["Data sheet", sheet_name(sheet).split("-")[1], "μ_p.sat", "Data (CSV)"]
+    texts = ["Data sheet", sheet_name(sheet.experiment.physics.pixel).split("-")[1], "μ_p.sat", "Data (CSV)"]
     assert_prints(page, tmp_path, range(4, 9), texts, ["Measured and true", "Figures", "How it was made"])
 
 

@@ -16,7 +16,7 @@ from helpers.tiny import tiny
 import pixsim
 from pixsim.report.merit import blur_words
 from pixsim.report.settings import LightLevel
-from pixsim.report.study import plates_of_curves, write_report
+from pixsim.report.study import plates_of_curves, report_files, write_report
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.studies.result import StudyResult
@@ -123,6 +123,7 @@ def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Pat
         assert {f"contact_sheet_{label}.png", f"pictures_{label}.svg"} <= names
         assert f"Best pixel size, {label}:" in " ".join(page.split())
     assert str(tmp_path) not in page
+    assert {f"figures/{name}" for name in names} <= report_files(study)
 
 
 def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import re
 import warnings
@@ -167,18 +168,87 @@ def test_run_conflicting_options_raise(rendered, line, wanted, tmp_path, monkeyp
 
 
 def test_run_removes_files_of_earlier_run(rendered, tmp_path):
-    """Files of an earlier run are removed, except the irradiance that was read."""
+    """Files of an earlier run are removed, except the irradiance that was read, and the user's own."""
     folder, _ = rendered
-    light = tmp_path / "irradiance.exr"
-    light.write_bytes((folder / "irradiance.exr").read_bytes())
-    here = f"--no-irradiance {OPTIONS} --json --out {tmp_path}"
-    scored(f"run {light} {here} --raw tiff")
+    (tmp_path / "raw.npz").write_bytes(b"mine")
+    here = f"{OPTIONS} --json --out {tmp_path}"
+    scored(f"run {folder / 'irradiance.exr'} {here} --raw tiff")
     assert {"irradiance.exr", "raw.tiff", "report.html"} <= {path.name for path in tmp_path.iterdir()}
+    scored(f"run {tmp_path / 'irradiance.exr'} {here} --irradiance none")
     assert "irradiance.exr" not in (tmp_path / "report.html").read_text(encoding="utf-8")
-    scored(f"run {folder / 'irradiance.exr'} {here}")
-    assert not {"irradiance.exr", "raw.tiff"} & {path.name for path in tmp_path.iterdir()}
+    assert "irradiance.exr" in {path.name for path in tmp_path.iterdir()}
+    assert "raw.tiff" not in {path.name for path in tmp_path.iterdir()}
+    scored(f"run {folder / 'irradiance.exr'} {here} --irradiance none")
+    assert "irradiance.exr" not in {path.name for path in tmp_path.iterdir()}
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {name for name in ("raw.tiff", "raw.exr", "score.json") if f'href="{name}"' in page} == {"raw.exr", "score.json"}
+    assert (tmp_path / "raw.npz").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("run {exr} --raw png", "raw.png"),
+        ("run {exr}", "report.html"),
+        ("run csf -D resolution=64", "score.json"),
+        ("study pixel-size --quick", "figures/other_statistics.svg"),
+        ("study pixel-size --quick", "results.csv"),
+        ("study chen2000-sensitivity --quick", "figures/tornado.csv"),
+        ("study chen2000-sensitivity --quick", "cases/base.csv"),
+        ("accuracy csf --quick", "ladders.csv"),
+        ("datasheet 0.35um", "figures/snr.svg"),
+        ("sfr {exr}/../raw.exr", "summary.json"),
+    ],
+)
+def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_path):
+    """Before anything is rendered or measured."""
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("my own")
+    if line.startswith("sfr"):  # a chart of the run is no edge
+        edge = np.full((128, 128), 100, np.uint16) + 500 * (np.arange(128) + np.arange(128)[:, None] / 12 > 70)
+        np.save(tmp_path / "edge.npy", edge.astype(np.uint16))
+        line = f"sfr {tmp_path / 'edge.npy'}"
+    before = sorted(tmp_path.rglob("*"))
+    line = line.format(exr=rendered[0] / "irradiance.exr")
+    assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
+    assert path.read_text() == "my own"
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_run_notes_reach_score_page_and_json(tmp_path):
+    line = f"run csf --variant scalar_spectral -D resolution=64 {OPTIONS} --max-seconds 1e-3 --render-noise 1e-5"
+    score, err = scored(f"{line} --json --out {tmp_path / 'out'}")
+    noisy, dark = score["notes"]
+    fraction = score["render_noise"]["fraction"]
+    assert noisy.startswith("the time limit of 0.001 s (--max-seconds) leaves no time for the next step of the render")
+    assert f"render noise is {fraction:.2g} of the sensor noise, target 1e-05" in noisy
+    assert dark.startswith("the black level of 0 DN clips dark noise")
+    assert err.count(noisy) == 1
+    assert json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
+    page = html.unescape(text_of(tmp_path / "out"))
+    assert all(note in page for note in score["notes"])
+
+
+def test_run_irradiance_option_sets_contents(tmp_path):
+    """The result is the same, but for the frame of a file whose samples are larger."""
+    y, x = np.indices((128, 2048))
+    light = light_file(tmp_path / "wide.npz", 1.0 + (x // 3 + y) % 2, 1.0)
+    line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 8 --display.dots 512 --json --out {tmp_path / 'out'} --irradiance"
+    scores, file = {}, tmp_path / "out/irradiance.exr"
+    for content in ("reduced", "full", "factors", "none"):
+        score, err = scored(f"{line} {content}")
+        scores[content] = {name: score[name] for name in ("mean_delta_e", "mean_electrons_e", "irradiance")}
+        assert ("holds its bands in full" in err) == (content == "factors")  # a cube of another program has no factors
+        assert file.exists() == (content != "none")
+        if content != "none":
+            assert pixsim.read_exr(file).shape == ((64, 1024) if content == "reduced" else (128, 2048))
+    assert all(score == scores["full"] for score in scores.values())
+    scored(f"{line} reduced")
+    again, err = scored(f"run {file} --pixel.pitch-um 8 --display.dots 512 --json --out {tmp_path / 'again'}")
+    assert "'irradiance.exr' holds means over 2 × 2 samples of the render, 2 µm wide" in err
+    assert again["irradiance"]["reduced"] == {"samples": [128, 2048], "factor": 2.0}
+    assert again["mean_electrons_e"] == pytest.approx(scores["full"]["mean_electrons_e"], rel=1e-3)
 
 
 # --- The page of one picture ---

@@ -64,10 +64,10 @@ def command_in(folder: Path) -> str:
     ],
 )
 def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done(f"run csf {options} -D resolution=64 -D spp=4 --no-irradiance --out out")
+    done(f"run csf {options} -D resolution=64 -D spp=4 --irradiance none --out out")
     first, line = json.loads((desk / "out/score.json").read_text(encoding="utf-8")), command_in(desk / "out")
     monkeypatch.chdir(desk / "out")
-    done(f"{line} --no-irradiance --out {tmp_path / 'again'}")
+    done(f"{line} --irradiance none --out {tmp_path / 'again'}")
     again = json.loads((tmp_path / "again/score.json").read_text(encoding="utf-8"))
     for name in ("raw.exr", "delta_e.exr", "image.png", "ideal.png"):
         assert (tmp_path / "again" / name).read_bytes() == (desk / "out" / name).read_bytes(), name
@@ -79,7 +79,7 @@ def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path
 
 
 def test_run_settings_of_picture_make_same_numbers(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done("run csf --config sheet.toml -D resolution=64 -D spp=4 --out out")
+    done("run csf --config sheet.toml -D resolution=64 -D spp=4 --irradiance full --out out")
     done("run out/irradiance.exr --config sheet.toml --seed 2 --out foreign")
     line = command_in(desk / "foreign")
     monkeypatch.chdir(desk / "foreign")
@@ -92,12 +92,12 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit ends the first run after its first two renders; its noise as the target ends the second one there too."""
-    line = "run macbeth --config sheet.toml -D resolution=32 -D spp=4 --render-noise 0.001 --no-irradiance"
+    line = "run macbeth --config sheet.toml -D resolution=32 -D spp=4 --render-noise 0.001 --irradiance none"
     done(f"{line} --max-seconds 1e-9 --out out")
     first = json.loads((desk / "out/score.json").read_text(encoding="utf-8"))
     assert first["render_noise"]["ended_by"] == "max_seconds"
     monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
-    done(f"run macbeth --config out/settings.toml --no-irradiance --out {tmp_path / 'again'}")
+    done(f"run macbeth --config out/settings.toml --irradiance none --out {tmp_path / 'again'}")
     again = json.loads((tmp_path / "again/score.json").read_text(encoding="utf-8"))
     assert again["render_noise"]["ended_by"] == "target"
     assert (tmp_path / "again/raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()

@@ -185,16 +185,17 @@ def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
 def test_crops_show_the_same_part(tiny_result: StudyResult) -> None:
     (score,) = tiny_result.scores("0.35um", 8.5, 1)
     window = window_at((0.3, 0.8), score.ideal.shape)
-    ideal, output, map_ = crops(score, window, "sensor")
+    ideal, output, map_ = crops(score, window, "sensor", 5.0)
     np.testing.assert_array_equal(decoded(ideal.png), grey_codes(window.of(score.ideal)))
     np.testing.assert_array_equal(decoded(output.png), grey_codes(window.of(score.image)))
-    np.testing.assert_array_equal(decoded(map_.png), delta_e_colours(window.of(score.delta_e)))
+    np.testing.assert_array_equal(decoded(map_.png), delta_e_colours(window.of(score.delta_e), 5.0))
     assert f"mean here {window.of(score.delta_e).mean():.2f}" in map_.note
 
 
-def test_scale_matches_map_colours() -> None:
-    bar = decoded(scale().png)
-    expected = delta_e_colours((np.arange(bar.shape[1]) / bar.shape[1] * 10)[None])[0]
+@pytest.mark.parametrize("end", [1.0, 10.0])
+def test_scale_matches_map_colours(end: float) -> None:
+    bar = decoded(scale(end).png)
+    expected = delta_e_colours((np.arange(bar.shape[1]) / bar.shape[1] * end)[None], end)[0]
     np.testing.assert_array_equal(bar[0], expected)
 
 

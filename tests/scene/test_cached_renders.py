@@ -182,7 +182,7 @@ def test_render_cache_time_limit_is_reproduced(rendered, monkeypatch):
         camera = scene.camera()
         plan = make_render_plan(scene, camera)
         how = {"render_noise": 1e-6, "max_seconds": max_seconds, "keep": True}
-        with pytest.warns(UserWarning, match="ended rendering"):
+        with pytest.warns(UserWarning, match="leaves no time for the next step"):
             image, noise = render_until(scene, camera, plan, [pixel], pixsim.Exposure(), **how)
         return noise.runs, image.factors[1].tobytes()
 

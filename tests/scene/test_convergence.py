@@ -200,7 +200,7 @@ def test_render_until_time_limit_warns(monkeypatch):
     Noisy(monkeypatch, 0.1)
     now = iter(range(10**6))
     monkeypatch.setattr(convergence.time, "perf_counter", lambda: float(next(now)))  # a second from each look to the next
-    with pytest.warns(UserWarning, match="ended rendering") as caught:
+    with pytest.warns(UserWarning, match="leaves no time for the next step") as caught:
         image, noise = until(1e-6, max_seconds=20)
     assert noise.ended_by == "max_seconds"
     assert image.header["render_noise"]["ended_by"] == "max_seconds"

@@ -12,7 +12,7 @@ from PIL import Image
 
 import pixsim
 from pixsim.report.pictures import picture_axes
-from pixsim.show.pictures import LEFT, MAP, TOP, delta_e_colours, save_delta_e_png, save_png
+from pixsim.show.pictures import LEFT, MAP, TOP, delta_e_colours, save_delta_e_png, save_png, scale_end
 
 
 def light(shape: tuple[int, int] = (16, 16), die_mm: float = 2.7136, **header) -> pixsim.SpectralImage:
@@ -29,7 +29,13 @@ def test_save_png_encodes_gamma(tmp_path):
 def test_delta_e_colours_are_viridis():
     delta_e = np.linspace(-1, 12, 500)[:, None]
     expected = colormaps["viridis"](np.clip(delta_e / 10, 0, 1), bytes=True)[:, :, :3]
-    np.testing.assert_array_equal(delta_e_colours(delta_e), expected)
+    np.testing.assert_array_equal(delta_e_colours(delta_e, 10.0), expected)
+    np.testing.assert_array_equal(delta_e_colours(delta_e / 5, 2.0), expected)
+
+
+@pytest.mark.parametrize(("p99", "end"), [(0.0, 1.0), (1.0, 1.0), (1.01, 2.0), (4.0, 5.0), (9.0, 10.0), (40.0, 10.0)])
+def test_scale_end_is_next_of_few(p99, end):
+    assert scale_end(p99) == end
 
 
 @pytest.mark.parametrize("shape", [(64, 64), (16, 48), (1024, 512)])
@@ -37,11 +43,11 @@ def test_save_delta_e_png_map_fills_axes(shape, tmp_path):
     """Bright in the upper left quarter and dark elsewhere, whatever the number of dots."""
     delta_e = np.zeros(shape)
     delta_e[: shape[0] // 2, : shape[1] // 2] = 10
-    save_delta_e_png(tmp_path / "map.png", delta_e, picture_axes(light(shape)))
+    save_delta_e_png(tmp_path / "map.png", delta_e, picture_axes(light(shape)), 10.0)
     shown = np.asarray(Image.open(tmp_path / "map.png")).astype(int)
     height, width = (MAP * n // max(shape) for n in shape)
     inside = shown[TOP : TOP + height, LEFT : LEFT + width]
-    bright = np.abs(inside - delta_e_colours(np.array([[10.0]]))[0, 0]).sum(axis=2) == 0
+    bright = np.abs(inside - delta_e_colours(np.array([[10.0]]), 10.0)[0, 0]).sum(axis=2) == 0
     assert bright[: height // 2 - 1, : width // 2 - 1].all()
     assert not bright[height // 2 + 1 :].any()
     assert not bright[:, width // 2 + 1 :].any()
@@ -51,7 +57,7 @@ def test_save_delta_e_png_map_fills_axes(shape, tmp_path):
 
 def test_save_delta_e_png_is_reproducible(tmp_path):
     for name in ("a.png", "b.png"):
-        save_delta_e_png(tmp_path / name, np.ones((8, 8)), picture_axes(light((8, 8))))
+        save_delta_e_png(tmp_path / name, np.ones((8, 8)), picture_axes(light((8, 8))), 5.0)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

@@ -1,11 +1,13 @@
 """Studies: rows computed and stored, independent of workers, threads, order and interruptions."""
 
+import html
 import json
 import shlex
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from pixsim.base.arrays import stream
 from pixsim.base.config import packaged, read_toml
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge, pixel_of
-from pixsim.report.study import light_against_detail, write_report
+from pixsim.report.study import light_against_detail, report_files, write_report
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.budget import Setup
@@ -78,6 +80,7 @@ def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: t
     figures = {path.name for path in (out / "figures").iterdir()}
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg"} <= figures
     assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
+    assert {f"figures/{name}" for name in figures} <= report_files(done[0].study)
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
     best = done[0].curves[0].optimum
     message = (by_command / "stdout").read_text(encoding="utf-8")
@@ -113,6 +116,31 @@ def test_study_second_run_evaluates_nothing(done: tuple[StudyResult, Path], eval
     assert evaluations == []
     assert (folder / "results.csv").read_bytes() == before
     assert again.as_dict() == done[0].as_dict()
+
+
+@pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
+def test_study_notes_reach_result_summary_page_and_json(raster: str, tmp_path: Path) -> None:
+    """Of the worker processes too (one_to_one, where they prepare the light); in an order that does not depend on them."""
+    over: dict[str, Any] = {"display": {"white_cd_per_m2": 40.0, "raster": raster}, "pixel": {"bits": 8}}
+    toml = tmp_path / "tiny.toml"
+    toml.write_text(tiny_toml(**over), encoding="utf-8")
+    code, message, err = command(f"study {toml} --out {tmp_path / 'out'} --jobs 2 --json")
+    assert code == 0
+    summary = json.loads(message)
+    bright = [note for note in summary["notes"] if "of the ideal image is brighter than display white" in note]
+    dark = [note for note in summary["notes"] if "the black level of 0 DN clips dark noise" in note]
+    assert len(bright) >= 1
+    assert len(dark) == 1
+    assert len(summary["notes"]) == len(bright) + len(dark)
+    assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["notes"] == summary["notes"]
+    page = html.unescape((tmp_path / "out/report.html").read_text(encoding="utf-8"))
+    assert all(note in page for note in summary["notes"])
+    assert all(f"warning: {note}" in err for note in bright)
+    with pytest.warns(UserWarning, match="brighter than display white"):
+        assert pixsim.study(tiny_study(**over), tmp_path / "python", jobs=1).notes == summary["notes"]
+    if raster == "fixed_size":  # with one_to_one, only a pitch that is evaluated anew prepares its light
+        with pytest.warns(UserWarning, match="brighter than display white"):
+            assert pixsim.study(tiny_study(**over), tmp_path / "out", jobs=1).notes == summary["notes"]
 
 
 # 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
@@ -249,8 +277,8 @@ def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
     (tmp_path / "sensor.toml").write_text(text, encoding="utf-8")
     study = load_study("pixel-size", tmp_path / "sensor.toml", pixel={"read_noise_e": 2.0})
     assert (study.technologies, study.pixel.read_noise_e, study.pixel.data_sheet_pitch_um) == (("none",), 2.0, 4.0)
-    with pytest.raises(pixsim.PixsimError, match="read_noise_e"):
-        load_study("pixel-size", tmp_path / "sensor.toml")
+    with pytest.warns(UserWarning, match="not read_noise_e, which come from the study's technology 4t-bsi"):
+        assert load_study("pixel-size", tmp_path / "sensor.toml").technologies == ("4t-bsi",)
 
 
 @pytest.mark.parametrize(
@@ -387,8 +415,9 @@ def test_study_interrupt_keeps_finished_rows(done: tuple[StudyResult, Path], tmp
     ended = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
     assert (ended.returncode, ended.stdout) == (130, ""), ended.stderr
     assert "Traceback" not in ended.stderr
-    assert ended.stderr.splitlines()[-1].startswith("pixsim: interrupted")
-    assert {path.name for path in out.rglob("*")} == {"results.csv", "settings.toml"}
+    kept = f"3 finished evaluations are kept in '{out}', and the same command continues from them"
+    assert ended.stderr.splitlines()[-1] == f"pixsim: interrupted; {kept}"
+    assert [path.name for path in out.rglob("*")] == ["results.csv"]
     assert len(rows(out)) == 3, "a pitch is written when all of its sensors are done"
     pixsim.study(toml, out, jobs=1)
     assert len(evaluations) == 18 - 3

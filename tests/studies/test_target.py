@@ -16,11 +16,11 @@ from helpers.dense_curves import simulated
 from helpers.tiny import keys, tiny as tiny_study, tiny_toml
 
 import pixsim
-from pixsim.report.wording import target_notes
+from pixsim.base.notes import told_apart
 from pixsim.sensor.readout import Frame
 from pixsim.studies.allocation import BEYOND, MIN_RATIO, ROUND, SENSORS_PER_ADDITION, additions, next_sensors, rise_variance
 from pixsim.studies.optimum import FittedCurve, Posterior, fit_curve
-from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.result import Curve, StudyResult, target_notes
 from pixsim.studies.study import next_round
 from pixsim.viewer.score import ImagingChain, Score
 
@@ -300,12 +300,12 @@ def test_study_command_names_limit(done: tuple[StudyResult, Path], toml: Path, t
     assert code == 0
     (note,) = target_notes(done[0])
     half_um = done[0].curves[0].optimum.half_width_um
-    where = f"± {half_um:.2g} µm" if half_um < np.inf else "open at an end"
-    assert note in message
+    where = f"± {told_apart(half_um, 0.01)[0]} µm" if half_um < np.inf else "open at an end"
+    assert f"note: {note}" in message
     done_of = f"{done[0].curves[0].sensors.sum()} of at most {done[0].study.max_evaluations} evaluations (max_evaluations)"
-    assert note == f"note: 0.35um: the interval is {where} after {done_of}; the target is ± 0.01 µm (target_ci_um)"
+    assert note == f"0.35um: the interval is {where} after {done_of}; the target is ± 0.01 µm (target_ci_um)"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert note.removeprefix("note: ") in page
+    assert note in page
 
 
 def test_target_notes_of_missed_targets(fit: FittedCurve) -> None:

@@ -1,0 +1,67 @@
+"""Notes: what a user should be told besides a result. They are warnings, and results collect them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+MOST_DIGITS = 17  # which tell any two floats apart
+
+
+class MachineWarning(UserWarning):
+    """A warning about this machine or this run of a command, not about its result: no note of a result."""
+
+
+_outer: ContextVar[list[str] | None] = ContextVar("notes", default=None)
+
+
+@contextmanager
+def collected_notes() -> Iterator[list[str]]:
+    """Collect the texts of the warnings of the block, each once; they are shown as before, by the filters of the caller.
+
+    A warning counts however often, or in whichever earlier call, it was shown before; a MachineWarning does not. A block
+    inside another shares its list: what a command said before belongs to its result.
+    """
+    if (outer := _outer.get()) is not None:
+        yield outer
+        return
+    notes: list[str] = []
+    filters, show = list(warnings.filters), warnings.showwarning
+
+    def collect(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any, **__: Any) -> None:
+        text = str(message).removesuffix(".")
+        is_note = issubclass(category, UserWarning) and not issubclass(category, MachineWarning)
+        if is_note and text in notes:
+            return
+        if is_note:
+            notes.append(text)
+        with warnings.catch_warnings():
+            warnings.resetwarnings()
+            warnings.filters[:] = filters  # type: ignore[index]  # a list, though typed as a sequence
+            warnings.showwarning = show
+            warnings.warn_explicit(message, category, filename, lineno)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = collect
+        token = _outer.set(notes)
+        try:
+            yield notes
+        finally:
+            _outer.reset(token)
+
+
+def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
+    """Two numbers as text, with as many significant digits as it takes to tell them apart, at least `digits`.
+
+    >>> told_apart(0.2013, 0.2), told_apart(0.31, 0.2), told_apart(0.2, 0.2)
+    (('0.201', '0.2'), ('0.31', '0.2'), ('0.2', '0.2'))
+    """
+    for count in range(digits, MOST_DIGITS + 1):
+        texts = f"{value:.{count}g}", f"{limit:.{count}g}"
+        if value == limit or float(texts[0]) != float(texts[1]):
+            return texts
+    return texts

@@ -1,0 +1,133 @@
+"""Saturation capacity of EMVA 1288: the mean signal at the peak of the temporal variance of a pixel that clips.
+
+The charge clips at the full well, then reset noise, read noise and the offsets of pixels are added, then the ADC clips at its top
+code. Shot noise is taken as normal. Moments are integrated over shot noise, and over the spread of gain and offset between
+pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+from scipy.special import ndtr
+
+from pixsim.base.arrays import Array
+
+SHOT_NODES = 65
+GAIN_NODES, OFFSET_NODES, MAX_NODES = (
+    37,
+    19,
+    2001,
+)  # at least, and at most; between, they are as dense as the temporal noise is wide
+MAX_NODE = 5.0  # σ
+PEAK_RANGE, PEAK_POINTS = (0.3, 1.0), 15  # of the brightest light, and light levels that bracket the peak
+PEAK_WITHIN = 1e-5  # of the brightest light
+MAX_WELL = 4.0  # saturation capacities: end of the search for the full well
+WELL_WITHIN = 1e-5  # of the saturation capacity
+
+
+def normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
+    """Equally spaced quadrature nodes of a normal distribution and their weights; a single node if sigma is 0."""
+    if sigma == 0:
+        return np.zeros(1), np.ones(1)
+    nodes = np.linspace(-MAX_NODE, MAX_NODE, count)
+    weights = np.exp(-(nodes**2) / 2)
+    return sigma * nodes, weights / weights.sum()
+
+
+def node_count(least: int, spread_e: float, temporal_e: float) -> int:
+    """Nodes of a spread between pixels; wider apart than the temporal noise, they would be seen one by one at the clip."""
+    needed = 2 * MAX_NODE * spread_e / temporal_e if temporal_e else 0.0
+    return max(least, math.ceil(min(needed, MAX_NODES)))
+
+
+def clipped_moments(mean: Array, sigma: float, top: float) -> tuple[Array, Array]:
+    """E[x] and E[x²] of min(x, top) for a normal x."""
+    if sigma == 0:
+        clipped = np.minimum(mean, top)
+        return clipped, clipped**2
+    reach = (top - mean) / sigma
+    below, density = ndtr(reach), np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
+    first = mean * below - sigma * density + top * (1 - below)
+    second = (mean**2 + sigma**2) * below - sigma * (mean + top) * density + top**2 * (1 - below)
+    return first, second
+
+
+def level_moments(
+    mean_e: float,
+    dark_e: float,
+    top_e: float,
+    stored: Callable[[Array], Array],
+    *,
+    noise_e: float,
+    gain_spread: float,
+    offset_spread_e: float,
+) -> tuple[float, float]:
+    """Mean (e-) and mean temporal variance (e-²) over the pixels of the level that the ADC outputs, without its rounding.
+
+    mean_e, dark_e : mean photo-electrons and dark charge
+    top_e : level at the ADC's top code; levels are relative to it, which avoids cancellation there
+    stored : signal level of a generated charge, e-, as `pixsim.sensor.photodiode.stored_signal_e`
+    noise_e : temporal, reset and read noise
+    gain_spread : PRNU. offset_spread_e : of pixels and columns
+    """
+    temporal_e = math.sqrt(mean_e + dark_e + noise_e**2)
+    gain, gain_weight = normal_nodes(node_count(GAIN_NODES, gain_spread * mean_e, temporal_e), gain_spread)
+    offset, offset_weight = normal_nodes(node_count(OFFSET_NODES, offset_spread_e, temporal_e), offset_spread_e)
+    shot, shot_weight = normal_nodes(SHOT_NODES, 1.0)
+    charge = np.maximum(1 + gain, 0.0)[:, None] * mean_e + dark_e
+    generated = np.maximum(charge + np.sqrt(charge) * shot, 0.0)
+    level = stored(generated)[:, None, :] + offset[:, None] - top_e
+    first, second = clipped_moments(level, noise_e, 0.0)
+    first, second = first @ shot_weight, second @ shot_weight
+    weight = gain_weight[:, None] * offset_weight
+    return float(np.sum(weight * first)) + top_e, float(np.sum(weight * (second - first**2)))
+
+
+def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
+    """Signal (e-) at which the temporal variance peaks, of `variance` at a mean signal up to `brightest_e`."""
+    coarse = np.linspace(*PEAK_RANGE, PEAK_POINTS) * brightest_e
+    best = int(np.argmax([variance(electrons) for electrons in coarse.tolist()]))
+    bounds = float(coarse[max(best - 1, 0)]), float(coarse[min(best + 1, coarse.size - 1)])
+    options = {"xatol": PEAK_WITHIN * brightest_e}
+    return float(minimize_scalar(lambda electrons: -variance(electrons), bounds=bounds, method="bounded", options=options).x)
+
+
+@lru_cache(maxsize=4096)
+def saturation_capacity_e(
+    full_well_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
+) -> float:
+    """μ_e.sat of a pixel with a hard clip, in a dark so short that it adds no charge.
+
+    adc_range_e : signal at the ADC's top code; None: the full well
+    noise_e, gain_spread, offset_spread_e : as in `level_moments`
+    """
+    top_e = full_well_e if adc_range_e is None else adc_range_e
+
+    def variance(mean_e: float) -> float:
+        spreads = {"noise_e": noise_e, "gain_spread": gain_spread, "offset_spread_e": offset_spread_e}
+        return level_moments(mean_e, 0.0, top_e, lambda generated: np.minimum(generated, full_well_e), **spreads)[1]
+
+    return peak_e(variance, 1.1 * min(full_well_e, top_e))
+
+
+@lru_cache(maxsize=4096)
+def full_well_for_e(
+    capacity_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
+) -> float:
+    """The full well with which `saturation_capacity_e` is `capacity_e`; without the ADC's limit if that alone is lower."""
+
+    def excess_e(full_well_e: float, range_e: float | None) -> float:
+        return saturation_capacity_e(full_well_e, range_e, noise_e, gain_spread, offset_spread_e) - capacity_e
+
+    for range_e in (adc_range_e, None):
+        low_e, high_e = capacity_e, MAX_WELL * capacity_e
+        if excess_e(low_e, range_e) >= 0:
+            return low_e
+        if excess_e(high_e, range_e) > 0:
+            return float(brentq(excess_e, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e))
+    return capacity_e

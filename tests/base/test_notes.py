@@ -1,0 +1,89 @@
+"""Notes of results: warnings collected once, shown by the caller's filters, and numbers that can be told apart."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+import pytest
+from hypothesis import given, strategies as st
+
+from pixsim.base.notes import MachineWarning, collected_notes, told_apart
+
+
+def tell(text: str = "told", category: type[Warning] = UserWarning) -> None:
+    warnings.warn(text, category, stacklevel=2)
+
+
+@contextmanager
+def shown_as(action: Literal["always", "default", "ignore", "error"]) -> Iterator[list[warnings.WarningMessage]]:
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter(action)
+        yield shown
+
+
+def test_collected_notes_text_once_and_shown_once() -> None:
+    with shown_as("always") as shown, collected_notes() as notes:
+        for text in ("told", "other.", "told"):
+            tell(text)
+    assert notes == ["told", "other"]
+    assert [str(warning.message) for warning in shown] == ["told", "other."]
+
+
+def test_collected_notes_later_call_has_them_again() -> None:
+    """Python shows a warning of one place once a process; a result has it whatever came before."""
+    for _ in range(2):
+        with shown_as("default"), collected_notes() as notes:
+            tell()
+        assert notes == ["told"]
+
+
+def test_collected_notes_filters_of_caller_hold() -> None:
+    with shown_as("ignore") as shown, collected_notes() as notes:
+        tell()
+    assert (notes, shown) == (["told"], [])
+    with shown_as("error"), collected_notes(), pytest.raises(UserWarning, match="told"):
+        tell()
+
+
+def test_collected_notes_machine_and_other_categories_are_shown_only() -> None:
+    with shown_as("always") as shown, collected_notes() as notes:
+        tell("cache", MachineWarning)
+        tell("old", DeprecationWarning)
+        tell("cache", MachineWarning)
+    assert notes == []
+    assert [warning.category for warning in shown] == [MachineWarning, DeprecationWarning, MachineWarning]
+
+
+def test_collected_notes_inner_block_shares_list() -> None:
+    """A warning about the settings, before the result collects, belongs to the result."""
+    with shown_as("always"), collected_notes() as notes:
+        tell("settings")
+        with collected_notes() as inner:
+            tell("result")
+            assert inner == ["settings", "result"]
+    assert notes == ["settings", "result"]
+    with collected_notes() as after:
+        assert after == []
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "texts"),
+    [
+        (0.2013, 0.2, ("0.201", "0.2")),
+        (0.2, 0.2, ("0.2", "0.2")),
+        (0.3, 0.2, ("0.3", "0.2")),
+        (0.20000001, 0.2, ("0.20000001", "0.2")),
+    ],
+)
+def test_told_apart_shows_least_digits(value: float, limit: float, texts: tuple[str, str]) -> None:
+    assert told_apart(value, limit) == texts
+
+
+@given(st.floats(1e-300, 1e300), st.floats(1e-300, 1e300))
+def test_told_apart_order_is_that_of_the_numbers(value: float, limit: float) -> None:
+    shown, asked = map(float, told_apart(value, limit))
+    assert (shown > asked) == (value > limit)
+    assert (shown == asked) == (value == limit)

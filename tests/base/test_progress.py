@@ -1,0 +1,114 @@
+"""Signs of life of a command whose stderr is no terminal."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from pixsim.base import progress
+from pixsim.base.progress import Lines, stages
+
+
+class Clock:
+    """A clock that a test sets."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def told() -> tuple[Lines, Clock, list[str]]:
+    clock, written = Clock(), list[str]()
+    return Lines(written.append, clock), clock, written
+
+
+def test_lines_start_every_ten_seconds_and_end(told: tuple[Lines, Clock, list[str]]) -> None:
+    lines, clock, written = told
+    lines.begin("render")
+    for second in range(1, 26):
+        clock.now = 100.0 + second
+        lines.update(second / 40, ", render noise 0.3")
+        lines.tick()
+    clock.now = 127.0
+    lines.end()
+    lines.begin("report")
+    clock.now = 127.25
+    lines.end()
+    assert written == [
+        "[0 s] render …",
+        "[10 s] render: 25 %, render noise 0.3",
+        "[20 s] render: 50 %, render noise 0.3",
+        "[27 s] render: done in 27 s",
+        "[27 s] report: done in 0.25 s",
+    ]
+
+
+def test_lines_stage_without_progress_lives(told: tuple[Lines, Clock, list[str]]) -> None:
+    lines, clock, written = told
+    lines.begin("evaluate")
+    lines.update(0.9)
+    lines.end()
+    lines.begin("write")
+    clock.now += 10
+    lines.tick()
+    assert written[-1] == "[10 s] write …"
+
+
+def test_lines_without_stage_say_nothing(told: tuple[Lines, Clock, list[str]]) -> None:
+    lines, clock, written = told
+    clock.now += 100
+    lines.tick()
+    assert written == []
+
+
+def test_stages_without_terminal_tick_while_nothing_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread looks at the clock by itself; the stage ends when its line has come."""
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(progress, "EVERY_S", 0.0)
+    monkeypatch.setattr(progress, "LOOK_S", 0.001)
+    ticked, tick = progress.threading.Event(), Lines.tick
+
+    def ticks(lines: Lines) -> None:
+        tick(lines)
+        ticked.set()
+
+    monkeypatch.setattr(Lines, "tick", ticks)
+    with stages() as stage:
+        stage("render")
+        ticked.clear()
+        assert ticked.wait(60)
+    written = stream.getvalue().splitlines()
+    assert written[:2] == ["[0 s] render …"] * 2
+    assert written[-1].startswith("[0 s] render: done in ")
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_stages_quiet_says_nothing(quiet: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream, seconds = io.StringIO(), dict[str, float]()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with stages(seconds, quiet) as stage:
+        stage("render")(0.5)
+        stage("report")
+    assert bool(stream.getvalue()) != quiet
+    assert set(seconds) == {"render", "report"}
+
+
+def test_stages_failure_claims_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with pytest.raises(KeyboardInterrupt), stages() as stage:
+        raise KeyboardInterrupt(stage("render"))
+    assert stream.getvalue() == "[0 s] render …\n"
+
+
+def test_stages_reader_is_gone_command_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    stream.close()
+    with stages(quiet=True):
+        pass
+    progress.writer_to(stream)("line")

@@ -1,0 +1,228 @@
+"""A sensor from its data sheet: the same frames however it is given, and the numbers that a simulated measurement returns."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.tiny import tiny_toml, toml_of
+
+import pixsim
+from pixsim.base.config import read_toml
+from pixsim.base.parameters import Study
+from pixsim.cli.options import SceneOptions
+from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
+from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.pixel import sheet_disagreements
+
+SHEET: dict[str, Any] = {
+    "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
+    "bits": 12, "prnu": 0.01, "offset_fpn": 0.001,
+}  # fmt: skip
+# The same numbers, bit for bit, in the words of a data sheet.
+WORDS: dict[str, Any] = {name: SHEET[name] for name in ("pitch_um", "full_well_e", "quantum_efficiency", "bits")} | {
+    "temporal_dark_noise_e": 6.5, "dark_current": {"e_per_s": 125.0, "at_c": 27.0}, "prnu_percent": 1.0, "dsnu_e": 12.0,
+}  # fmt: skip
+SMALL = "-D resolution=64 -D spp=4 --display.dots 64 --seed 3"
+
+
+def file_of(path: Path, pixel: dict[str, Any]) -> Path:
+    path.write_text("[pixel]\n" + "".join(f"{name} = {toml_of(value)}\n" for name, value in pixel.items()), encoding="utf-8")
+    return path
+
+
+def options_of(pixel: dict[str, Any], name: str = "--pixel") -> list[str]:
+    found = []
+    for key, value in pixel.items():
+        option = f"{name}.{key.replace('_', '-')}"
+        found += options_of(value, option) if isinstance(value, dict) else [option, str(value)]
+    return found
+
+
+def parts(pixel: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The sheet in two incomplete halves."""
+    items = list(pixel.items())
+    return dict(items[::2]), dict(items[1::2])
+
+
+def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
+    """Arguments of a command that give the sensor as a file, as options, as both, and as two files."""
+    folder.mkdir(exist_ok=True)
+    one, other = parts(pixel)
+    whole, first, second = (file_of(folder / f"{n}.toml", part) for n, part in enumerate((pixel, one, other)))
+    return {
+        "file": ["--config", whole],
+        "options": options_of(pixel),
+        "both": ["--config", first, *options_of(other)],
+        "files": ["--config", first, "--config", second],
+        "none": ["--config", whole, "--pixel.technology", "none"],
+    }
+
+
+@pytest.mark.parametrize("pixel", [SHEET, WORDS], ids=["fields", "words"])
+def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tmp_path: Path) -> None:
+    frames = {}
+    for name, arguments in ways(pixel, tmp_path / "sheets").items():
+        with warnings.catch_warnings(action="always"):
+            code, out, err = command(f"run csf {SMALL} --json", *arguments, "--out", tmp_path / name)
+        assert code == 0, err
+        score = json.loads(out)
+        assert (score["pixel"]["technology"], score["fill_factor"], score["assumption"]) == ("none", 1.0, "")
+        frames[name] = pixsim.read_frame(tmp_path / name / "raw.exr").dn
+        assert ("[pixel] is a mixture of 2 files" in err) == (name == "files")
+    irradiance = pixsim.read_exr(tmp_path / "file/irradiance.exr")
+    camera = pixsim.Camera.model_validate(score["camera"])
+    for technology in ({}, {"technology": None}, {"technology": "none"}):
+        python = pixsim.evaluate(irradiance, camera, pixsim.Pixel(**SHEET, **technology), display=pixsim.Display(dots=64), seed=3)
+        frames[f"python {technology}"] = python.frame.dn
+    assert frames["file"].std() > 10, "a frame with noise and detail"
+    for name, dn in frames.items():
+        assert np.array_equal(dn, frames["file"]), name
+
+
+def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path) -> None:
+    """The command's summary against that of `make_datasheet`: measured on the frames, it is equal only if they are."""
+    expected = json.loads(json.dumps(sheet_summary(make_datasheet(pixsim.Pixel(**SHEET)))))
+    arguments = ways(SHEET, tmp_path / "sheets") | {"positional": [tmp_path / "sheets/0.toml"]}
+    for name in ("both", "positional"):
+        code, out, err = command("datasheet --json", *arguments[name], "--out", tmp_path / name)
+        assert code == 0, err
+        assert json.loads(out) == expected, name
+
+
+def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
+    table = {"technologies": ["0.35um"], "repeats": 2, "pitch": {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}}
+    plan = tmp_path / "own.toml"
+    plan.write_text(tiny_toml(**table), encoding="utf-8")
+    for name, arguments in ways(SHEET, tmp_path / "sheets").items():
+        with warnings.catch_warnings(action="always"):
+            code, out, err = command(f"study {plan} --jobs 1", *arguments, "--out", tmp_path / name)
+        assert code == 0, err
+        assert out.startswith("data sheet: "), name
+    pixsim.study(plan, tmp_path / "python", pixel=SHEET, jobs=1)
+    pixsim.study(plan, tmp_path / "python none", pixel=SHEET | {"technology": None}, jobs=1)
+    pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {"data_sheet_pitch_um": 30.0}
+    values = read_toml(plan) | {"pixel": pixel}
+    values["pitch"] |= {"min_um": 30.0 / 4, "max_um": 30.0 * 4}  # as a sheet sets them; the render is for the largest
+    del values["technologies"]
+    pixsim.study(Study.model_validate(values), tmp_path / "record", jobs=1)
+    rows = {path.parent.name: path.read_bytes() for path in tmp_path.glob("*/results.csv")}
+    assert len(rows) == 8
+    for name, text in rows.items():
+        assert text == rows["file"], name
+
+
+def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
+    """An option in a data sheet's words replaces the file's field, and the other way round."""
+    path = file_of(tmp_path / "a.toml", SHEET)
+    code, out, err = command("datasheet --json", path, "--pixel.temporal-dark-noise-e", 9, "--out", tmp_path / "out")
+    assert code == 0, err
+    pixel = json.loads(out)["pixel"]
+    assert (pixel["read_noise_e"], pixel["temporal_dark_noise_e"], pixel["technology"]) == (None, 9.0, "none")
+
+
+# --- Round trip of published data sheets -------------------------------------------------------------------------------
+
+SHEETS = Path(__file__).parent / "data/sheets"
+WITHIN = 0.02  # of a number, or 3 standard errors
+# The wavelength of the quantum efficiency, nm, and the quantity that the sheet calls dynamic range: saturation over threshold as
+# in EMVA 1288, or the full well over the temporal dark noise.
+PUBLISHED = {
+    "imx174": (525.0, "DR"),
+    "cmv4000": (550.0, "DR"),
+    "gsense400bsi": (400.0, "DR_ISO"),
+    "gsense4040bsi": (550.0, "DR"),
+    "hwk4123": (470.0, "DR"),
+    "imx530": (530.0, "DR"),
+    "imx455": (460.8023, "DR"),
+    "thorlabs_cs165": (550.0, "DR"),
+}
+# Steps of 10.8 e- hide a noise of 4 e-: EMVA 1288 gives an upper bound only.
+BOUNDED = ("thorlabs_cs165",)
+
+
+def test_sheets_are_the_published_ones() -> None:
+    assert {path.stem for path in SHEETS.glob("*.toml")} == set(PUBLISHED)
+    for path in SHEETS.glob("*.toml"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for number, line in enumerate(lines):
+            if " = " in line and not line.startswith("#"):
+                assert lines[number - 1].startswith("#") or "temperature_k" in line, f"{path.name}, line {number + 1}: no source"
+
+
+def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
+    """Symbol of the data sheet -> the number that was given."""
+    nm, of_range = PUBLISHED[name]
+    physics = pixsim.derive(pixel)
+    expected = {
+        "K": pixel.gain_e_per_dn and 1 / pixel.gain_e_per_dn,
+        "η": 100 * float(physics.quantum_efficiency(nm)),
+        "σ_d": pixel.temporal_dark_noise_e,
+        # Of a full well beyond the ADC's range nothing can be measured but that range.
+        "μ_e.sat": pixel.saturation_capacity_e or min(pixel.full_well_e, physics.adc_range_e),
+        "SNR_max": pixel.snr_max_db,
+        of_range: pixel.dynamic_range_db,
+        "PRNU_1288": pixel.prnu_percent,
+        "DSNU_1288": pixel.dsnu_e,
+        "μ_I.mean": pixel.dark_current.e_per_s if pixel.dark_current else pixel.dark_current_e_per_s,
+        "ϑ_d": pixel.dark_current and pixel.dark_current.doubling_k,
+    }
+    return {symbol: value for symbol, value in expected.items() if value is not None}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_datasheet_returns_published_numbers(name: str) -> None:
+    """False alarms: 0.3 % a number of 3 standard errors; most are far within 2 %. Nothing warns."""
+    settings = SceneOptions([SHEETS / f"{name}.toml"]).settings()
+    pixel = settings.pixel
+    assert (pixel.technology, pixel.assumption) == ("none", "")
+    sheet = make_datasheet(pixel, wavelength_nm=PUBLISHED[name][0])
+    found = {entry.symbol: entry for entry in entries(sheet)}
+    assert sheet.transfer.limited == (name in BOUNDED)
+    for symbol, value in expected_numbers(pixel, name).items():
+        entry = found[symbol]
+        if sheet.transfer.limited and symbol == "σ_d":
+            assert value < entry.measured < 1.1 * value, "an upper bound"
+            continue
+        assert abs(entry.measured - value) <= max(WITHIN * value, 3 * entry.standard_error), (symbol, value, entry)
+    columns, rows = settings.camera.pixels
+    die_mm = settings.camera.die_mm, settings.camera.die_height_mm
+    assert die_mm == pytest.approx((1e-3 * columns * pixel.pitch_um, 1e-3 * rows * pixel.pitch_um), rel=1e-12)
+    assert [pixels_along(1e3 * side_mm, pixel.pitch_um) for side_mm in die_mm] == [columns, rows]
+
+
+def test_datasheet_of_bounded_noise_with_more_bits_returns_it() -> None:
+    """The sheet whose noise 10 bits hide: 12 bits show it."""
+    pixel = SceneOptions([SHEETS / "thorlabs_cs165.toml"]).settings(pixel={"bits": 12}).pixel
+    sheet = make_datasheet(pixel)
+    assert not sheet.transfer.limited
+    assert sheet.transfer.dark_noise_e.value == pytest.approx(4.0, rel=WITHIN)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gain_e_per_dn": 7.82}, r"saturation_capacity_e = 32691, but .* 31\d\d\d, since the ADC ends at 32023"),
+        ({"dynamic_range_db": 78.0}, r"dynamic_range_db = 78, but .* 72\.5 .* 73\.8 .*different gain modes"),
+        ({"dynamic_range_db": 70.0}, r"dynamic_range_db = 70, but"),
+        ({"snr_max_db": 44.0}, r"snr_max_db = 44, but .* 326\d\d e- is 45\.1"),
+    ],
+)
+def test_sheet_disagreements_name_both_numbers(options: dict[str, float], message: str) -> None:
+    pixel = SceneOptions([SHEETS / "imx174.toml"]).settings(pixel=options).pixel
+    (text,) = sheet_disagreements(pixel)
+    assert re.search(message, text), text
+    with pytest.warns(UserWarning, match=message):
+        pixsim.make_sensor(pixel, pixsim.Camera(die_mm=0.1))
+
+
+def test_sheet_disagreements_of_published_sheets_are_none() -> None:
+    for path in SHEETS.glob("*.toml"):
+        found = sheet_disagreements(SceneOptions([path]).settings().pixel)
+        assert not found, (path.name, found)
