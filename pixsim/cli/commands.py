@@ -196,6 +196,7 @@ def study(
         run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
         if "vary" not in table.table:
             from pixsim.report.outline import long_lines, outline_lines, study_outline
+            from pixsim.report.study import report_files
 
             plan = sweep.checked_study(layers)
             folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
@@ -204,6 +205,7 @@ def study(
             if dry_run:
                 show(outline, json, "\n".join(outline_lines(outline, folder)))
                 return
+            check_replaceable(folder, report_files(prepared.study))
             for line in long_lines(outline):
                 common.verbosity.note(line)
         elif dry_run:
@@ -221,11 +223,10 @@ def study(
                     report = write_sensitivity_report(outcome, folder, seconds)
                 summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
             else:
-                from pixsim.report.study import report_files, write_report
+                from pixsim.report.study import write_report
                 from pixsim.studies.engine import Workers, workers_here
                 from pixsim.studies.preparation import fitting_jobs
 
-                check_replaceable(folder, report_files(prepared.study))
                 with interruption_says_what_is_kept(folder):
                     result = sweep.run_prepared(prepared, folder, progress=stage, **run_options)
                     stage("report")
