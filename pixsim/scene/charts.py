@@ -49,9 +49,10 @@ def csf_frequency_lp_per_mm(x: ArrayLike, highest_lp_per_mm: float = MAX_FREQUEN
 
 
 def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: float) -> Callable[[ArrayLike], Array] | None:
-    """Return the frequency in lp/mm as a function of x in [0, 1] across a picture of the CSF chart; None for another scene.
+    """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a function; None for another scene.
 
-    The chart fills the die. It begins at 2.7 cycles across the die, and ends at `max_lp_per_mm` or at 90.5 cycles.
+    The chart of Chen et al. (2000) fills the die. It begins at 2.7 cycles across the die, and ends at `max_lp_per_mm` or at 90.5
+    cycles.
 
     header : of the irradiance
     width_mm : of the picture on the sensor
@@ -187,6 +188,8 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
 
     content : everything that the texels depend on, as JSON; the name of the file is its hash
     make : returns the texels, (H, W) relative luminance
+
+    Raises PixsimError if the file cannot be written.
     """
     name = f"{content_hash([content, cache.version_fingerprint()])}.exr"
     path = cache.folder() / "charts" / name
