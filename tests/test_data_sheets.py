@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.tiny import tiny_toml, toml_of
+from helpers.tiny import rows, tiny_toml, toml_of
 
 import pixsim
 from pixsim.base.config import read_toml
@@ -20,6 +20,8 @@ from pixsim.cli.options import SceneOptions
 from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import sheet_disagreements
+from pixsim.sensor.technology import technology_of
+from pixsim.studies.study import check_pitches, load_study
 
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
@@ -112,10 +114,10 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
     values["pitch"] |= {"min_um": 30.0 / 4, "max_um": 30.0 * 4}  # as a sheet sets them; the render is for the largest
     del values["technologies"]
     pixsim.study(Study.model_validate(values), tmp_path / "record", jobs=1)
-    rows = {path.parent.name: path.read_bytes() for path in tmp_path.glob("*/results.csv")}
-    assert len(rows) == 8
-    for name, text in rows.items():
-        assert text == rows["file"], name
+    texts = {path.parent.name: path.read_bytes() for path in tmp_path.glob("*/results.csv")}
+    assert len(texts) == 8
+    for name, text in texts.items():
+        assert text == texts["file"], name
 
 
 def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
@@ -226,3 +228,66 @@ def test_sheet_disagreements_of_published_sheets_are_none() -> None:
     for path in SHEETS.glob("*.toml"):
         found = sheet_disagreements(SceneOptions([path]).settings().pixel)
         assert not found, (path.name, found)
+
+
+# --- Several sensors ----------------------------------------------------------------------------------------------------
+
+OTHER: dict[str, Any] = SHEET | {"pitch_um": 20.0, "full_well_e": 30000.0, "bits": 14}
+# As many samples, whichever sensor comes first.
+ONE_RENDER: dict[str, Any] = {
+    "pitch": {"min_um": 10.0, "max_um": 60.0, "values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}, "render_noise": 1000.0
+}  # fmt: skip
+
+
+def numbers(folder: Path, technology: str | None = None) -> list[list[str]]:
+    """Rows without key and technology."""
+    return [list(row.values())[2:] for row in rows(folder) if technology in (None, row["technology"])]
+
+
+def test_study_of_data_sheets_gives_curves_of_each_alone(tmp_path: Path) -> None:
+    """Each scaled from its own pitch, under the stem of its file; an option replaces a value of both."""
+    for name, pixel in (("one", SHEET), ("other", OTHER)):
+        file_of(tmp_path / f"{name}.toml", pixel)
+    plan = tmp_path / "own.toml"
+    plan.write_text(tiny_toml(technologies=["one.toml", "other.toml"], **ONE_RENDER), encoding="utf-8")
+    code, out, err = command(f"study {plan} --jobs 1 --pixel.bits 11 --out {tmp_path / 'both'}")
+    assert code == 0, err
+    assert [line.partition(":")[0] for line in out.splitlines()[:2]] == ["one", "other"]
+    alone = tmp_path / "alone.toml"
+    alone.write_text(tiny_toml(**ONE_RENDER), encoding="utf-8")
+    for name in ("one", "other"):
+        path = tmp_path / f"{name}.toml"
+        pixsim.study(alone, tmp_path / name, config=path, pixel={"bits": 11}, jobs=1)
+        expected = numbers(tmp_path / name)
+        assert len(expected) == 10
+        assert numbers(tmp_path / "both", str(path)) == expected
+    wells_e = [float(row["full_well_e"]) for row in rows(tmp_path / "both") if row["pitch_um"] == "30.0"]
+    assert wells_e == pytest.approx([12000.0] * 2 + [30000.0 * (30 / 20) ** 2] * 2)
+    page = (tmp_path / "both/report.html").read_text(encoding="utf-8")
+    assert all(f"pixel of {name}" in page for name in ("one", "other"))
+
+
+def test_study_of_data_sheets_range_and_messages(tmp_path: Path) -> None:
+    for name, pixel in (("one", SHEET), ("other", OTHER), ("same", SHEET)):
+        file_of(tmp_path / f"{name}.toml", pixel)
+    (tmp_path / "half.toml").write_text("[pixel]\npitch_um = 6\nfull_well_e = 12000\n[camera]\nf_number = 2\n", encoding="utf-8")
+
+    def study_of(*names: str, more: str = "") -> Study:
+        plan = tmp_path / "plan.toml"
+        plan.write_text(f'name = "x"\ntechnologies = {json.dumps(list(names))}\n{more}', encoding="utf-8")
+        return load_study(plan)
+
+    study = study_of("one.toml", "other.toml")
+    assert (study.pitch.min_um, study.pitch.max_um) == (5.0, 120.0), "a quarter of the smaller, four times the larger"
+    with pytest.raises(pixsim.PixsimError, match="same data sheet; allowed: each data sheet once"):
+        check_pitches(study_of("one.toml", "same.toml"))
+    with pytest.raises(pixsim.PixsimError, match=r"give pitch\.min_um, or pitch\.values_um"):
+        study_of("one.toml", "0.35um")
+    mixed = study_of("one.toml", "0.35um", more="[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n")
+    assert [technology_of(mixed, name).name for name in mixed.technologies] == ["none", "0.35um"]
+    with (
+        pytest.warns(UserWarning, match=r"only \[pixel\] is used of a sensor among technologies, not \[camera\]"),
+        pytest.warns(UserWarning, match=r"technology 0\.35um assumed, without read_noise_e, dark_current_e_per_s, quantum_effic"),
+    ):
+        half = study_of("half.toml")
+    assert technology_of(half, half.technologies[0]).name == "0.35um"

@@ -258,8 +258,7 @@ def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
     return {
         "spp": [step(f"{n} spp", n, n / plan.spp, spp=n) for n in sorted({*SAMPLES, plan.spp}) if n <= depth.spp],
         "film": [
-            step(f"{n} wide", n, (n / width) ** 2, of=scene if n == width else scene.with_parameters(resolution=n))
-            for n in sorted(films)
+            step(f"{n} wide", n, (n / width) ** 2, of=scene if n == width else scene.with_resolution(n)) for n in sorted(films)
         ],
         "methods": [method for method in methods if method.work < LONG_WORK],
         "bands": [step(f"{planned} bands, as planned", planned), *map(equal_bands, depth.bands)],

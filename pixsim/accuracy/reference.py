@@ -71,7 +71,7 @@ def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, sh
     """Irradiance of the chart's formula, and its description: exact cell means, bands of 1 nm, the lens's fall-off."""
     plan = make_render_plan(scene, camera, setup.pixel, band_count=REFERENCE_BANDS)
     picture = FORMULAS[name](*shape)
-    job = Renderer(scene.with_parameters(resolution=shape[1]), camera, plan, 0)
+    job = Renderer(scene.with_resolution(shape[1]), camera, plan, 0)
     pictures = [np.repeat(picture[:, :, None], len(light.fit.pulses), axis=2) for light in plan.lights]
     description = f"analytic, the formula of the {name} chart: {shape[1]} × {shape[0]} exact cell means, bands of 1 nm"
     return job.image(pictures, 0), description
@@ -83,7 +83,7 @@ def rendered_reference(
     """A render with other seeds, no pruning, at least `work` times the samples and, if possible, a finer film; its description."""
     width = Renderer(scene, camera, plan, 0).size[1]
     free = "resolution" in scene.names
-    finer = scene.with_parameters(resolution=2 * width) if free else scene
+    finer = scene.with_resolution(2 * width) if free else scene
     full = make_render_plan(finer, camera, setup.pixel, full=True)
     cells = 4 if free else 1
     spp = 1 << max(4, math.ceil(math.log2(work * plan.spp * plan.passes / (full.passes * cells))))

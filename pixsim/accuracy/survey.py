@@ -22,7 +22,7 @@ from pixsim.report.run import summary_of, write_all
 from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import Scene, load_scene
+from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe, without_warnings
@@ -36,7 +36,6 @@ FINER = 2  # film of the analytic reference, relative to the scene's
 MIN_WORK = 4.0  # of a reference, relative to the default settings
 MIN_FILM = 64  # width of the smallest part of a scene, if the reference of the whole would take too long
 MIN_DOTS = 8
-CHART_HALF_WIDTH = "chart_half_width"  # parameter of the packaged charts; fixed, so that a part of the die shows a part of them
 
 
 def first_picture(scene: Scene, camera: Camera, plan: Plan, display: Display) -> tuple[SpectralImage, dict[str, float]]:
@@ -99,9 +98,11 @@ def survey(
     start = time.perf_counter()
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
     camera = scene.camera(settings.camera)
+    if settings.resolution:
+        scene = scene.with_resolution(settings.resolution)
     plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e)
     if plan.resolution:
-        scene = scene.with_parameters(resolution=plan.resolution)
+        scene = scene.with_resolution(plan.resolution)
     stages = {"parse": time.perf_counter() - start}
     setup = Setup.of(settings, camera)
     image, seconds = first_picture(scene, camera, plan, setup.display)
@@ -161,9 +162,12 @@ def with_reference(subject: Subject, depth: Depth, progress: Stage) -> Subject:
 def middle_of(subject: Subject, parts: int) -> Subject:
     """The middle of the die, with fewer samples, pixels and dots of the same size."""
     scene, given, setup = subject.scene, subject.camera, subject.setup
-    chart_size = {CHART_HALF_WIDTH: given.chart_half_width_m} if CHART_HALF_WIDTH in scene.names - scene.parameters.keys() else {}
-    scene = scene.with_parameters(resolution=subject.image.shape[1] // parts, **chart_size)
-    camera = given.model_copy(update={"die_mm": given.die_mm / parts})
+    # The chart keeps its size, so that a part of the die shows a part of it.
+    free = scene.names - scene.parameters.keys()
+    chart_size = {name: value for name, value in chart_parameters(given).items() if name in free}
+    scene = scene.with_parameters(**chart_size).with_resolution(subject.image.shape[1] // parts)
+    height_mm = None if given.die_height_mm is None else given.die_height_mm / parts
+    camera = given.model_copy(update={"die_mm": given.die_mm / parts, "die_height_mm": height_mm})
     display = setup.display.model_copy(update={"dots": max(MIN_DOTS, setup.display.dots // parts)})
     setup = replace(setup, camera=camera, display=display)
     plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)

@@ -159,6 +159,9 @@ def settings_layer(path: Path) -> Layer:
     if isinstance(pixel, dict):
         resolved = {name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel}
         table = {**table, "pixel": pixel | resolved}
+    scene = table.get("scene")
+    if isinstance(scene, dict) and "chart" in scene:
+        table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
     return Layer(table, str(path))
 
 
@@ -177,7 +180,7 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
 
 
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
-    """Layers of a study: its own table, then the sensor files, then the options, which may give a sensor too.
+    """Layers of a study: its own table, then the sensor files, then the options.
 
     A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, whose sizes go from a
     quarter to four times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is
@@ -185,34 +188,40 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
 
     options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
 
-    Raises PixsimError if a file is invalid, or if an option sets a pitch that the study does not use.
+    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
+
+    Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
     """
-    options = options or {}
+    options = dict(options or {})
     files = [settings_layer(path) for path in paths]
     warn_of_mixed_sensors(files)
+    pixel_options = options.get("pixel", {})
     sensor = [*files, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
-    settings: Run = checked(Run, sensor)  # so that errors name the fields as they are in the file
+    settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
     given = set(merged(sensor).get("pixel", {}))
     derived: dict[str, Any] = {}
-    if settings.pixel.technology == NO_TECHNOLOGY:
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    if sheet:
         derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": {"own_um": settings.pixel.pitch_um}}
     elif "technology" in given:
         derived = {"technologies": [settings.pixel.technology], "paper": False}
-    elif settings.pixel.assumption and given & {*DATA_SHEET, *STANDS_FOR} and "pitch_um" in given:
+    elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
         names = ", ".join(map(str, study.table.get("technologies", Study.model_fields["technologies"].default)))
         missing = ", ".join(missing_of_data_sheet(given))
         warnings.warn(
             f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}", stacklevel=2
         )
-    if "pitch_um" in given and given & set(SCALED_WITH_AREA) and "data_sheet_pitch_um" not in given:
+    scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
+    if "pitch_um" in given and scaled:
         derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
-    if settings.camera.pixels:
-        derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
-    if "pitch_um" in options.get("pixel", {}) and settings.pixel.technology != NO_TECHNOLOGY and "pixel" not in derived:
-        got, expected = f"'{options['pixel']['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
+    if "pitch_um" in pixel_options and not (scaled or sheet):
+        got, expected = f"'{pixel_options['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
         raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
+    if settings.camera.pixels:  # the die of the sheet's own pitch, whatever the pitch of the study
+        derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
+    source = files[-1].source if files else ""
     overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
-    overrides += [Layer(_without_sensor_only(options)), Layer(derived, files[-1].source if files else "")]
+    overrides += [Layer(derived, source), Layer(_without_sensor_only(options))]
     overriding = merged(overrides)
     table = _with_range(study.table, overriding)
     if overriding.get("scene", {}).get("file") is not None:  # the parameters of the study are those of its own scene
@@ -222,7 +231,8 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
         table["quick"] = _without(_with_range(quick, overriding), overriding)
     if isinstance(sources := table.get("sources"), dict):
         table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
-    return [Layer(table, study.source), *overrides]
+    layers = [Layer(table, study.source), *overrides]
+    return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
 
 
 def _without_parameters(table: Any) -> Any:
@@ -242,10 +252,47 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
     return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
 
 
+def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
+    """Layers of a study with the data sheets among its technologies: TOML files with a table [pixel], each a sensor of its own.
+
+    Options of the pixel replace values of each sheet, and the study's [pixel] has what a sheet leaves open. If all technologies are
+    data sheets, the pitches go from a quarter of the smallest to four times the largest, unless the study sets a range.
+
+    Raises PixsimError if a sheet is invalid.
+    """
+    study = merged(layers)
+    quick = study.get("quick")
+    listed = [
+        part["technologies"] for part in (study, quick) if isinstance(part, dict) and isinstance(part.get("technologies"), list)
+    ]
+    sheets: dict[str, Layer] = {}
+    for name in dict.fromkeys(name for names in listed for name in names if isinstance(name, str)):
+        if (
+            name.endswith(".toml")
+            and Path(name).is_file()
+            and isinstance((layer := settings_layer(Path(name))).table.get("pixel"), dict)
+        ):
+            sheets[name] = layer
+    if not sheets:
+        return layers
+    sensors = {}
+    for name, layer in sheets.items():
+        if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
+            warnings.warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}", stacklevel=3)
+        below = [Layer({"pixel": study.get("pixel", {})})]
+        settings: Run = checked(
+            Run, [*below, Layer({"pixel": layer.table["pixel"]}, layer.source), Layer({"pixel": pixel_options})]
+        )
+        if settings.pixel.assumption:
+            warnings.warn(f"{name}: {settings.pixel.assumption}", stacklevel=3)
+        sensors[name] = settings.pixel.model_dump()
+    return [*layers, Layer({"sensors": sensors})]
+
+
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
     """Settings without what a study has in other fields: pitch, technology, and the pixels that make the die."""
     left = dict(table)
-    for name, removed in (("pixel", set(SET_BY_STUDY)), ("camera", {"pixels"})):
+    for name, removed in (("pixel", SET_BY_STUDY), ("camera", ("pixels",))):
         if isinstance(values := table.get(name), dict):
             left[name] = {key: value for key, value in values.items() if key not in removed}
     return left

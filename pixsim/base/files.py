@@ -35,9 +35,20 @@ def cache_folder() -> Path:
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
 
 
+def missing(path: Path) -> str:
+    """The name of a file that is not there, for a message, with the outermost of its folders that does not exist."""
+    folder = next((str(folder) for folder in reversed(path.parents) if not os.path.lexists(folder)), None)
+    return f"'{path}', which does not exist" if folder is None else f"'{path}' (folder '{folder}' does not exist)"
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path to write to; it replaces `path` on success and is removed on failure."""
+    """A temporary path to write to; it replaces `path` on success and is removed on failure.
+
+    Raises PixsimError if its folder does not exist.
+    """
+    if not os.path.lexists(path.parent):
+        raise invalid("output file", missing(path), "a path that can be written", f"Make it first: mkdir -p '{path.parent}'")
     partial = path.with_name(f".{path.name}.part")
     try:
         yield partial
@@ -236,7 +247,7 @@ def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
-        raise invalid(name, f"'{path}', which does not exist", expected) from None
+        raise invalid(name, missing(path), expected) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
         raise invalid(name, f"'{path}' ({getattr(error, 'strerror', None) or error})", expected) from None
     status = os.fstat(descriptor)

@@ -510,6 +510,11 @@ class Camera(Record):
         """Half the width of a chart that fills the die, in the plane in focus."""
         return self.die_mm / 2 * self.object_distance_m / self.image_distance_mm
 
+    @property
+    def chart_half_height_m(self) -> float:
+        """Half the height of a chart that fills the die, in the plane in focus."""
+        return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
+
     def window(self, width_mm: float | None) -> Camera:
         """The same lens on a central part of the die, of `width_mm`; the camera itself for None.
 
@@ -563,11 +568,12 @@ class CameraOptions(Record):
     transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
     def over(self, camera: Camera) -> Camera:
-        """The camera with the fields that are set here replaced. Raises ValueError for `pixels` without a die (`with_die`)."""
+        """The camera with the fields that are set here replaced.
+
+        Raises PixsimError for `pixels` without a die (`with_die`).
+        """
         if self.pixels is not None and self.die_mm is None:
-            raise ValueError(
-                f"camera.pixels = {list(self.pixels)} without a pitch; give pixel.pitch_um, or die_mm and die_height_mm"
-            )
+            raise invalid("camera.pixels", list(self.pixels), "pixels together with pixel.pitch_um, or die_mm and die_height_mm")
         return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
 
     def with_die(self, pitch_um: float | None) -> CameraOptions:
@@ -625,7 +631,7 @@ class Display(Record):
 
 
 class Effort(Record):
-    """What a result may cost: error tolerances, the time limit, and the part of the die."""
+    """What a result may cost: error tolerances, the film, the time limit, and the part of the die."""
 
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
         1e-3, description="largest relative error of the mean electrons from simplifications of the render"
@@ -636,6 +642,9 @@ class Effort(Record):
     )
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
+    )
+    resolution: Annotated[int, Field(ge=1, le=16384)] | None = Field(
+        None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
     )
     max_seconds: Seconds = Field(
         120.0, description="longest render time; a render that reaches it stops with a warning that states its noise"
@@ -689,7 +698,11 @@ class Study(Effort):
     title: str = Field("", description="title of the report")
     seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        ("0.35um",), description="packaged technologies or paths of TOML files; each gives one curve"
+        ("0.35um",),
+        description="packaged technologies, or paths of TOML files with a technology or a data sheet ([pixel]); each gives a curve",
+    )
+    sensors: dict[str, Pixel] = Field(
+        default_factory=dict, description="the data sheets among the technologies, path -> its pixel, as read from the files"
     )
     process: dict[str, dict[str, float]] = Field(
         default_factory=dict, description="changes to technologies: name -> entry of its file -> value, in the unit of the file"
@@ -758,9 +771,20 @@ class Study(Effort):
         return self
 
     @property
+    def own_pitches_um(self) -> tuple[float, ...]:
+        """Pitches of the sensors whose data sheets the study has; none for a study of technologies."""
+        if NO_TECHNOLOGY in self.technologies:
+            own = self.pitch.own_um or self.pixel.data_sheet_pitch_um
+            return () if own is None else (own,)
+        sheets = [self.sensors[name] for name in self.technologies if name in self.sensors]
+        if len(sheets) < len(self.technologies) or any(pixel.technology != NO_TECHNOLOGY for pixel in sheets):
+            return ()
+        return tuple(pixel.pitch_um for pixel in sheets)
+
+    @property
     def own_um(self) -> float | None:
-        """Pitch of the sensor whose data sheet the study has; None for a study of technologies."""
-        return (self.pitch.own_um or self.pixel.data_sheet_pitch_um) if NO_TECHNOLOGY in self.technologies else None
+        """The smallest of `own_pitches_um`; None for a study of technologies."""
+        return min(self.own_pitches_um, default=None)
 
     @property
     def open_range_um(self) -> tuple[float | None, float]:
@@ -771,14 +795,20 @@ class Study(Effort):
         low, high = self.pitch.min_um, self.pitch.max_um
         if self.own_um is None:
             return low, high
-        return low or self.own_um / PITCH_RATIO, high if "max_um" in self.pitch.model_fields_set else self.own_um * PITCH_RATIO
+        largest_um = max(self.own_pitches_um) * PITCH_RATIO
+        return low or self.own_um / PITCH_RATIO, high if "max_um" in self.pitch.model_fields_set else largest_um
+
+    def options_of(self, technology: str) -> PixelOptions:
+        """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
+        return self.sensors.get(technology, self.pixel)
 
     @cached_property
     def quickened(self) -> Study:
-        """This study with its `quick` table applied; `process` keeps only technologies that remain."""
+        """This study with its `quick` table applied; `process` and `sensors` keep only technologies that remain."""
         table = merge(self.model_dump(exclude={"quick"}, exclude_unset=True, mode="json"), self.quick)
         technologies = table.get("technologies", self.technologies)
-        table["process"] = {name: values for name, values in table.get("process", {}).items() if name in technologies}
+        for part in ("process", "sensors"):
+            table[part] = {name: values for name, values in table.get(part, {}).items() if name in technologies}
         return Study.model_validate(table)
 
 
@@ -802,4 +832,8 @@ class Run(Effort):
 
 def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
     """Pixel of a study in a technology, by name or path, at a pitch."""
-    return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
+    sensor = study.sensors.get(technology)
+    if sensor is None:
+        return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
+    measured_um = sensor.data_sheet_pitch_um or sensor.pitch_um
+    return Pixel.model_validate(sensor.model_dump() | {"pitch_um": pitch_um, "data_sheet_pitch_um": measured_um})

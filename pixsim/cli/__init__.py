@@ -42,7 +42,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
     warnings.showwarning = lambda message, *_, **__: verbosity.note(f"warning: {message}")
     try:
         with collected_notes():  # also of the settings, before a result collects its own
-            app(arguments, exit_on_error=False, print_error=False)
+            app(with_each_format(arguments), exit_on_error=False, print_error=False)
     except (PixsimError, ValidationError) as error:
         end(explain(error), INVALID_INPUT)
     except CycloptsError as error:
@@ -59,6 +59,15 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except Exception as error:
         end(f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows where it occurred.", UNEXPECTED)
     sys.exit(OK)
+
+
+def with_each_format(arguments: Sequence[str]) -> list[str]:
+    """Write `--raw tiff png` as `--raw tiff --raw png`: a list that takes all that follows would take the scene too."""
+    written: list[str] = []
+    for argument in arguments:
+        in_list = argument in commands.RAW_FORMATS and written[-2:-1] == ["--raw"]
+        written += ["--raw", argument] if in_list else [argument]
+    return written
 
 
 def command() -> NoReturn:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
@@ -20,6 +20,7 @@ from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder
 from pixsim.base.notes import collected_notes
+from pixsim.base.parameters import Run
 from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, given, show, stages
 
@@ -28,13 +29,19 @@ if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
 
 
+RawFormat = Literal["tiff", "png", "npz"]
+RAW_FORMATS = get_args(RawFormat)
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
 
 
 @app.command
 def run(
     scene: Annotated[
-        str, Parameter(help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen by the camera.")
+        str,
+        Parameter(
+            help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen by the camera.",
+            completer=common.complete_picture,
+        ),
     ],
     *,
     options: SceneOptions = common.NO_OPTIONS,
@@ -45,10 +52,12 @@ def run(
     full: common.Full = False,
     sensor: common.SensorId = None,
     variant: common.Variant = None,
-    units: Annotated[str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.")] = None,
+    units: Annotated[
+        str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.", metavar="UNIT")
+    ] = None,
     raw: Annotated[
-        list[Literal["tiff", "png", "npz"]] | None,
-        Parameter(help="Also write the raw frame in this format.", consume_multiple=False),
+        list[RawFormat] | None,
+        Parameter(help="Also write the raw frame in these formats, as --raw tiff png.", consume_multiple=False),
     ] = None,
     irradiance: Annotated[
         Literal["reduced", "full", "factors", "none"],
@@ -93,7 +102,7 @@ def run(
 
 @app.command
 def plan(
-    scene: Annotated[str, Parameter(help=SCENE_HELP)],
+    scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
     *,
     options: SceneOptions = common.NO_OPTIONS,
     tolerance_e: common.Tolerance = None,
@@ -111,8 +120,11 @@ def plan(
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = load_scene(scene, variant=variant, sensor=sensor, **chosen.scene)
-    render_options: dict[str, Any] = {"exposure": chosen.exposure, "tolerance_e": chosen.tolerance_e, "full": full}
-    made = make_plan(loaded, loaded.camera(chosen.camera), chosen.pixel, **render_options)
+    camera = loaded.camera(chosen.camera)
+    if chosen.resolution:
+        loaded = loaded.with_resolution(chosen.resolution)
+    render_options: dict[str, Any] = {"exposure": chosen.exposure, "display": chosen.display}
+    made = make_plan(loaded, camera, chosen.pixel, tolerance_e=chosen.tolerance_e, full=full, **render_options)
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_WIDTH
     assumed = chosen.pixel.assumption
     show(
@@ -149,7 +161,11 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
 @app.command
 def study(
     study: Annotated[
-        str, Parameter(help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.")
+        str,
+        Parameter(
+            help="A TOML file, or the name of a packaged study: pixel-size, chen2000, chen2000-sensitivity, modern.",
+            completer=common.complete_study,
+        ),
     ],
     *,
     scene: Annotated[str | None, Parameter(help=f"{SCENE_HELP} [default: that of the study]")] = None,
@@ -161,7 +177,7 @@ def study(
     quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Annotated[
-        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.")
+        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
     ] = None,
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
@@ -180,7 +196,7 @@ def study(
     Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
     command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
-    from pixsim.report.wording import budget_lines, optimum_line, sensitivity_lines, study_view_line
+    from pixsim.report.wording import budget_lines, film_words, optimum_line, sensitivity_lines, study_view_line
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
@@ -235,6 +251,7 @@ def study(
                 summary = result.as_dict()
                 warned = set(result.warned)  # they are on stderr
                 lines = [*map(optimum_line, result.curves), *study_view_line(result)]
+                lines += [film_words(summary["film"])] if "film" in summary else []
                 lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
@@ -254,7 +271,7 @@ def interruption_says_what_is_kept(folder: Path) -> Iterator[None]:
 
 @app.command
 def accuracy(
-    scene: Annotated[str, Parameter(help=SCENE_HELP)],
+    scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
     *,
     quick: Annotated[bool, Parameter(help="Fewer steps, about a minute in all.")] = False,
     options: SceneOptions = common.NO_OPTIONS,
@@ -292,6 +309,7 @@ def datasheet(
         str | None,
         Parameter(
             name="PIXEL",
+            completer=common.complete_technology,
             help="A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a "
             "table [pixel]. If left out, the options define the pixel.",
         ),
@@ -301,7 +319,7 @@ def datasheet(
     pixel: common.PixelTable = None,
     exposure: common.ExposureTable = None,
     wavelength_nm: Annotated[float | None, Parameter(help="Wavelength of the light [default: peak of the response].")] = None,
-    seed: Annotated[str | None, Parameter(help="Seed of the sensor and its noise [default: 0].")] = None,
+    seed: Annotated[str | None, common.field_option(Run, "seed", help="Seed of the sensor and its noise [default: 0].")] = None,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -352,7 +370,10 @@ def sfr(
         float | None, Parameter(help="Black level, which affects the contrast only [default: from the file, or 0].")
     ] = None,
     region: Annotated[
-        str | None, Parameter(help="Region of the edge, x0,y0,x1,y1 in pixels from the upper left; x1 and y1 are excluded.")
+        str | None,
+        Parameter(
+            help="Region of the edge, x0,y0,x1,y1 in pixels from the upper left; x1 and y1 are excluded.", metavar="X0,Y0,X1,Y1"
+        ),
     ] = None,
     out: Out = None,
     json: Json = False,
@@ -393,24 +414,45 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
 
 @app.command
 def chart(
-    kind: Annotated[str, Parameter(help="csf, flat, siemens_star or slanted_edge.")],
+    kind: Annotated[str, Parameter(help="csf, flat, siemens_star, slanted_edge; or a picture: PNG, JPEG, TIFF, HDR, EXR.")],
     *,
     output: Annotated[Path, Parameter(name=["-o", "--output"], help="Linear float32 EXR; row 0 is the top.")],
     width: Annotated[int | None, Parameter(help="Width in texels.")] = None,
     height: Annotated[int | None, Parameter(help="Height in texels.")] = None,
     die_mm: Annotated[float | None, Parameter(help="Width of the die that the chart fills (csf) [default: 2.7136].")] = None,
+    linear: Annotated[bool, Parameter(help="The picture is linear in light, not sRGB.")] = False,
+    aspect: Annotated[
+        float | None, Parameter(help="Width over height of the die for a picture; a grey border fills the rest [default: 1].")
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Make a chart texture for -D chart=FILE.
+    """Make a chart texture for -D chart=FILE, also from a picture.
 
     Example: pixsim chart siemens_star -o star.exr
-    """
-    from pixsim.scene import charts
 
-    texels = charts.make_chart(kind, width, height, die_mm)
+    Example: pixsim chart picture.png -o picture.exr
+
+    A picture becomes its luminance, linear in light: 0.2126 R + 0.7152 G + 0.0722 B of decoded sRGB. -D chart=picture.png does
+    the same.
+    """
+    from pixsim.scene import charts, own_chart
+
+    share = 0.0
+    if Path(kind).suffix.lower() in own_chart.SUFFIXES:
+        if not (width is height is die_mm is None):
+            got = f"with the picture '{kind}'"
+            raise invalid("--width, --height, --die-mm", got, "the charts of pixsim; pictures keep their size")
+        if aspect is not None and not 1e-3 <= aspect <= 1e3:
+            raise invalid("--aspect", f"{aspect:g}", "0.001 to 1000")
+        texels, share = own_chart.with_border(own_chart.read_luminance(kind, linear), 1.0 if aspect is None else aspect)
+    elif linear or aspect is not None:
+        raise invalid("--linear, --aspect", f"with the chart {kind}", "a picture")
+    else:
+        texels = charts.make_chart(kind, width, height, die_mm)
     charts.write_chart(output, texels)
-    result = {"file": str(output), "kind": kind, "width": texels.shape[1], "height": texels.shape[0]}
-    show(result, json, f"{result['width']} × {result['height']} texels in {output}")
+    result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
+    border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""
+    show(result, json, f"{result['width']} × {result['height']} texels in {output}{border}")
 
 
 @app.command

@@ -5,19 +5,32 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, is_dataclass, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin
 
 from cyclopts import App, Parameter
 
 from pixsim.base import progress
-from pixsim.base.config import checked, settings_layer, warn_of_mixed_sensors
+from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import cache_folder
-from pixsim.base.parameters import CameraOptions, Display, Exposure, Layer, PitchRange, Pixel, Record, Run
+from pixsim.base.parameters import (
+    DATA_SHEET,
+    NO_TECHNOLOGY,
+    Camera,
+    CameraOptions,
+    Display,
+    Exposure,
+    Layer,
+    PitchRange,
+    Pixel,
+    Record,
+    Run,
+)
 from pixsim.base.progress import Stage
 from pixsim.base.version import VERSION
 
@@ -76,26 +89,109 @@ def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
         verbosity.note("\n".join(f"{name}: {duration_s:.2f} s" for name, duration_s in durations_s.items()))
 
 
-def described(name: str) -> str:
-    """Help text of a field of `Run`."""
-    field = Run.model_fields[name]
-    return f"{field.description}" + ("" if field.default is None else f" [default: {field.default:g}]")
+OF_A_TECHNOLOGY = "from the technology"
+FROM_TECHNOLOGY = (*DATA_SHEET, "reset_noise_factor", "prnu", "dsnu", "offset_fpn", "column_fpn")
+NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
+
+
+def value_name(annotation: Any) -> str:
+    """Name of the values of a field in the help: FLOAT, INT, TEXT, or the choices, as mosis|paper.
+
+    A table of pairs is given as a FILE, a pair of numbers as INTxINT.
+    """
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return value_name(inner[0])
+    if origin is Literal:
+        return "|".join(map(str, inner))
+    if origin in (Union, UnionType):
+        return "|".join(dict.fromkeys(value_name(kind) for kind in inner if kind is not type(None)))
+    if origin is tuple:
+        return "FILE" if inner[-1] is Ellipsis else "x".join(map(value_name, inner))
+    return NAMES.get(annotation, "TEXT")
+
+
+def choices_of(annotation: Any) -> tuple[str, ...]:
+    """The texts that a field allows, if they are a list."""
+    if get_origin(annotation) is Literal:
+        return tuple(map(str, get_args(annotation)))
+    return tuple(choice for inner in get_args(annotation) if get_origin(inner) for choice in choices_of(inner))
+
+
+def field_option(record: type[Record], name: str, **more: Any) -> Parameter:
+    """How the help and the completion show an option that is text, and that a field of a record validates."""
+    info = record.model_fields[name]
+    default: Any = None if info.is_required() else info.default
+    if default is None and not info.is_required() and "absent" not in (info.description or ""):
+        of_scene = record is CameraOptions and name in Camera.model_fields
+        default = "that of the scene" if of_scene else OF_A_TECHNOLOGY if name in FROM_TECHNOLOGY else "none"
+    shown = f" [default: {default:g}]" if isinstance(default, float) else f" [default: {default}]" if default is not None else ""
+    choices = choices_of(info.annotation)
+    how = {"help": f"{info.description or ''}{shown}".strip(), "metavar": value_name(info.annotation), "show_default": False}
+    if choices:
+        how["completer"] = lambda _: choices
+    return Parameter(**{**how, **more})
+
+
+def packaged_or_files(names: Callable[[], Iterable[str]], *suffixes: str) -> Callable[[Any], list[str]]:
+    """A completer that offers packaged names, and the files and folders that a path may go on to.
+
+    names : returns the packaged names; it is called when a shell asks
+    """
+
+    def complete(context: Any) -> list[str]:
+        started = str(context.incomplete)
+        folder, separator, start = started.rpartition("/")
+        there = Path(folder or separator or ".")
+        entries = sorted(there.iterdir()) if there.is_dir() else []
+        paths = [f"{folder}{separator}{path.name}{'/' * path.is_dir()}" for path in entries if path.name.startswith(start)]
+        return [*names(), *(path for path in paths if path.endswith(("/", *suffixes)) and not path.startswith("."))]
+
+    return complete
+
+
+def scene_names() -> Iterable[str]:
+    from pixsim.scene.scene import packaged_scenes
+
+    return packaged_scenes()
+
+
+def variant_names() -> Iterable[str]:
+    from pixsim.scene.variant import VARIANTS
+
+    return VARIANTS
+
+
+complete_scene = packaged_or_files(scene_names, ".xml")
+complete_picture = packaged_or_files(scene_names, ".xml", ".exr", ".npz", ".hdr")
+complete_study = packaged_or_files(lambda: packaged("data/studies"), ".toml")
+complete_technology = packaged_or_files(lambda: packaged("data/technologies"), ".toml")
+complete_sensor = packaged_or_files(lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml")
 
 
 Config = Annotated[list[Path] | None, Parameter(help="TOML file with tables [camera], [pixel], …; later files take precedence.")]
 Define = Annotated[
-    list[str] | None, Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False)
+    list[str] | None,
+    Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False, metavar="NAME=VALUE"),
 ]
-Tolerance = Annotated[str | None, Parameter(help=described("tolerance_e"))]
+Linear = Annotated[bool, Parameter(help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear).")]
+Tolerance = Annotated[str | None, field_option(Run, "tolerance_e")]
 Full = Annotated[bool, Parameter(help="Render without simplifications.")]
-SensorId = Annotated[str | None, Parameter(help="Id of the sensor, if the scene has several.")]
-Seed = Annotated[str | None, Parameter(help="Seed of the render, the sensor and its noise [default: 0].")]
+SensorId = Annotated[str | None, Parameter(help="Id of the sensor, if the scene has several.", metavar="ID")]
+Seed = Annotated[str | None, field_option(Run, "seed")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
 DryRun = Annotated[
     bool, Parameter(help="Show what would be done, with an estimate of time and memory; nothing is rendered or written.")
 ]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
-Variant = Annotated[str | None, Parameter(help="Mitsuba variant [default: the fastest available].")]
+Variant = Annotated[
+    str | None,
+    Parameter(
+        help="Mitsuba variant: llvm_ad_spectral, cuda_ad_spectral or scalar_spectral [default: the fastest available].",
+        metavar="NAME",
+        completer=lambda _: variant_names(),
+    ),
+]
 
 
 def option_table(record: type[Record], name: str, inside: str = "") -> Any:
@@ -110,8 +206,8 @@ def option_table(record: type[Record], name: str, inside: str = "") -> Any:
         if records:
             fields.append((key, option_table(records[0], key.replace("_", "-"), name), field(default=None)))
             continue
-        default = "" if info.is_required() or info.default is None else f" [default: {info.default}]"
-        how = Parameter(help=f"{info.description or ''}{default}".strip(), allow_leading_hyphen=True, show_default=False)
+        more = {"completer": complete_sensor, "metavar": "NAME|FILE"} if key == "technology" else {}
+        how = field_option(record, key, allow_leading_hyphen=True, **more)
         fields.append((key, Annotated[str | None, how], field(default=None)))
     table = make_dataclass(f"{record.__name__}Table", fields, frozen=True)
     table.__module__ = __name__  # otherwise cyclopts treats the class as a builtin
@@ -139,6 +235,7 @@ class SceneOptions:
 
     config: Config = None
     define: Define = None
+    linear: Linear = False
     camera: CameraTable = None
     pixel: PixelTable = None
     exposure: ExposureTable = None
@@ -147,7 +244,7 @@ class SceneOptions:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
         values = {**vars(self), **others}
         files = [settings_layer(path) for path in values.pop("config") or []]
-        options = given({"scene": definitions(values.pop("define")), **values})
+        options = given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
         warn_of_mixed_sensors(files)
         settings: Run = checked(Run, [*files, Layer(options)])
         return settings
@@ -160,18 +257,20 @@ class SceneOptions:
         """
         values = {**vars(self), **others}
         del values["config"]
-        return given({"scene": given({"file": scene, "parameters": definitions(values.pop("define"))}) or None, **values})
+        parameters = definitions(values.pop("define"), values.pop("linear"))
+        return given({"scene": given({"file": scene, "parameters": parameters}) or None, **values})
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Effort:
-    """Options of run and study: error tolerances, time limit and window, as text that the record validates."""
+    """Options of run and study: error tolerances, film, time limit and window, as text that the record validates."""
 
-    tolerance_delta_e: Annotated[str | None, Parameter(help=described("tolerance_delta_e"))] = None
-    render_noise: Annotated[str | None, Parameter(help=described("render_noise"))] = None
-    max_seconds: Annotated[str | None, Parameter(help=described("max_seconds"))] = None
-    window_mm: Annotated[str | None, Parameter(name="--window", help=described("window_mm"))] = None
+    tolerance_delta_e: Annotated[str | None, field_option(Run, "tolerance_delta_e")] = None
+    render_noise: Annotated[str | None, field_option(Run, "render_noise")] = None
+    resolution: Annotated[str | None, field_option(Run, "resolution")] = None
+    max_seconds: Annotated[str | None, field_option(Run, "max_seconds")] = None
+    window_mm: Annotated[str | None, field_option(Run, "window_mm"), Parameter(name="--window")] = None
 
 
 NO_OPTIONS, NO_EFFORT = SceneOptions(), Effort()
@@ -182,9 +281,9 @@ def given(options: dict[str, Any]) -> dict[str, Any]:
     return {name: given(vars(value)) if is_dataclass(value) else value for name, value in options.items() if value is not None}
 
 
-def definitions(pairs: list[str] | None) -> dict[str, str] | None:
-    """A table from name=value pairs; None if there are none."""
-    table = {}
+def definitions(pairs: list[str] | None, linear: bool = False) -> dict[str, str] | None:
+    """A table of scene parameters from name=value pairs and --linear; None if there are none."""
+    table = {"chart_linear": "1"} if linear else {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not (name and equals):

@@ -36,6 +36,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "f_number": 2.8, "integration_s": 0.02,
     "white_cd_per_m2": 1000.0,
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
+    "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},
     "sources": {"pixel.bits": "data sheet, page 3"}, "quick": {"repeats": 4},
 }  # fmt: skip
 # Fields that are not commented out.

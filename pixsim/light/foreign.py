@@ -19,7 +19,7 @@ from pixsim.base.arrays import Array, read_arrays
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import read_bytes, size_of
 from pixsim.light.exr import read_channels, read_header
-from pixsim.light.spectral import LIGHT_SPEED_M_PER_S
+from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, bands_last_hint
 
 IRRADIANCE_UNIT = "W.m^-2.nm^-1"  # of pixsim's files, as the layout of Fichet et al. spells it
 ALLOWED_UNITS = (
@@ -196,7 +196,7 @@ def _channel_nm(match: re.Match[str]) -> float:
 
 
 def read_npz(path: Path) -> Cube:
-    """Read the arrays that `write_npz` writes; pickled objects are not loaded."""
+    """Read the arrays that `write_npz` writes, `data` as (rows, columns, bands); pickled objects are not loaded."""
     arrays: dict[str, Any] = read_arrays(path, "npz file", "a readable file from numpy.savez without pickled objects")
     if {"data", "wavelength_nm"} - set(arrays) or set(arrays) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
         allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
@@ -208,7 +208,9 @@ def read_npz(path: Path) -> Cube:
     data, nm = arrays.pop("data"), arrays.pop("wavelength_nm")
     if data.ndim != 3 or data.dtype.kind not in "iuf" or nm.ndim != 1 or nm.dtype.kind not in "iuf":
         got = f"data {data.dtype} {data.shape}, wavelength_nm {nm.dtype} {nm.shape}"
-        raise invalid(f"arrays in '{path}'", got, "real numbers: data (H, W, B) and wavelength_nm (B,)")
+        raise invalid(f"arrays in '{path}'", got, "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)")
+    if data.shape[2] != nm.size and (hint := bands_last_hint(data.shape, nm.size)):
+        raise invalid(f"data in '{path}'", f"{data.shape} for {nm.size} wavelengths", "(rows, columns, bands)", hint)
     return Cube(data, nm.astype(float), str(arrays.pop("units", "")), **arrays)
 
 

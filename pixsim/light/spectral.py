@@ -60,6 +60,16 @@ def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array
     return LUMINOUS_EFFICACY_LM_PER_W * photopic_efficiency(wavelength_nm) * np.asarray(band_width_nm, float)
 
 
+def bands_last_hint(shape: tuple[int, ...], bands: int) -> str:
+    """Return the line of Python that turns a cube whose bands are not its last axis; empty if no axis has their number.
+
+    >>> bands_last_hint((31, 480, 640), 31)
+    'Its bands are axis 0: data = np.moveaxis(data, 0, 2)'
+    """
+    axes = [axis for axis in (0, 1) if len(shape) == 3 and shape[axis] == bands != shape[2]]
+    return f"Its bands are axis {axes[0]}: data = np.moveaxis(data, {axes[0]}, 2)" if axes else ""
+
+
 class SpectralImage:
     """Spectral irradiance on the sensor plane before diffraction.
 
@@ -107,7 +117,8 @@ class SpectralImage:
         else:
             self.data = np.ascontiguousarray(data, np.float32)
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
-                raise invalid("data", self.data.shape, f"(H, W, {self.wavelength_nm.size})")
+                hint = bands_last_hint(self.data.shape, self.wavelength_nm.size)
+                raise invalid("data", self.data.shape, f"(rows, columns, bands), here (H, W, {self.wavelength_nm.size})", hint)
         positive = (self.wavelength_nm > 0) & (self.band_width_nm > 0)
         if not (self.pitch_um > 0 and positive.size and positive.all()):
             got = f"pitch {pitch_um} µm, bands {self.band_width_nm} nm at {self.wavelength_nm} nm"

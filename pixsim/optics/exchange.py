@@ -114,7 +114,7 @@ def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str
 def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
     """Write an `.npz` file that `read_irradiance` reads back bit for bit; it is moved into place when complete.
 
-    Its arrays are `data` (H, W, B) float32, `wavelength_nm` and `band_width_nm` (B,), `units`, `pitch_um`, and
+    Its arrays are `data` (rows, columns, bands) float32, `wavelength_nm` and `band_width_nm` (B,), `units`, `pitch_um`, and
     `white_cd_per_m2` if the image has a white luminance. Factors and header are not written; `write_exr` keeps them.
 
     path : must end in .npz for `read_irradiance`

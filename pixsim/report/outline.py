@@ -12,6 +12,7 @@ from pixsim.base.parameters import Camera, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import view_words
 from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.preparation import (
@@ -54,8 +55,9 @@ def run_outline(
         outline["film"] = {"samples": list(light.irradiance.shape), "pitch_um": light.irradiance.pitch_um}
     else:
         scene, camera, settings, chosen = prepared_run(source, settings, sensor, variant)
-        plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e, full=full)
-        outline["film"] = film_of(scene, camera, plan)
+        options: dict[str, Any] = {"display": settings.display, "tolerance_e": settings.tolerance_e, "full": full}
+        plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
+        outline["film"] = film_of(scene, camera, plan, plan.resolution)
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
         cost = render_cost(plan, math.prod(outline["film"]["samples"]), processors().usable)
     frame = frame_cost(camera, pitch_um, settings.display)
@@ -72,11 +74,13 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     jobs : processes; None means as many as it would take
     asked : the study before it was prepared, for the window that would take less than a minute
     """
-    from pixsim.scene.plan import make_render_plan
+    from pixsim.scene.plan import decide_oversampling, make_render_plan
 
     study, scene, camera = prepared.study, prepared.scene, prepared.camera
     plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
-    film = film_of(scene, camera, plan)
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
+    film = film_of(scene, camera, plan, decide_oversampling(scene, plan, camera, finest, study.display, full=False)[0])
     cells = math.prod(film["samples"])
     cost = study_cost(study, camera, plan, cells, jobs)
     sensors = []
@@ -115,13 +119,13 @@ def common(
     } | ({"window_mm": settings.window_mm} if settings.window_mm else {})
 
 
-def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
-    """Return the film of a plan: its samples, rows and columns, their pitch, and the rays of each."""
-    from pixsim.scene.scene import film_size, sensor_node
+def film_of(scene: Scene, camera: Camera, plan: Plan, resolution: int | None) -> dict[str, Any]:
+    """Return the film of a plan: its samples, rows and columns, their pitch, and the rays of each.
 
-    chosen = scene.with_parameters(resolution=plan.resolution) if plan.resolution else scene
-    state = chosen.for_camera(camera)
-    height, width = film_size(state, sensor_node(state, scene.sensor_id)[1])
+    resolution : chosen for the pixels, the lens and the display; None for that of the scene
+    """
+    chosen = scene.with_resolution(resolution) if resolution else scene
+    height, width = chosen.film_shape(camera, chosen.for_camera(camera))
     return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
 
 

@@ -25,7 +25,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_notes, score_line, view_words
+from pixsim.report.wording import budget_lines, dark_notes, film_words, score_line, view_words
 from pixsim.sensor.integration import check_pixel_count, pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
@@ -106,6 +106,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "die_mm": (width_mm, height_mm),
         "camera": camera,
         "well": float(score.frame.mean_e.max()) / physics.saturation_e,
+        "limit": "the full well" if physics.full_well_e <= physics.adc_range_e else "the range of the ADC",
         "ideal": shown_picture(folder / "ideal.png", score.ideal, "ideal image"),
         "image": shown_picture(folder / "image.png", score.image, f"{physics.pitch_um:g} µm pixels"),
         "reduced": factor_for(score.ideal),
@@ -116,6 +117,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         "statistics": [(MEANINGS[key], value) for key, value in statistics.items()],
         "notes": summary["notes"],
         "blur": blur_words(irradiance, camera, physics, display),
+        "film": film_words(summary["film"]) if "film" in summary else "",
         "budget": budget_lines(summary),
         "light": light,
         "settings": [
@@ -185,8 +187,9 @@ def run_and_write(
     prepared: Callable[[], Light]
     with collected_notes() as notes:
         if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-            if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.window_mm:
-                options = "-D, --sensor, --variant, --tolerance-delta-e, --window"
+            only_of_scenes = settings.tolerance_delta_e or settings.resolution or settings.window_mm
+            if settings.scene or sensor or variant or only_of_scenes:
+                options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
                 raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
             prepared = partial(light_of_picture, source, settings, units)
         else:
@@ -284,6 +287,7 @@ def prepared_run(
     check_pixel_count([pixels_along(length_um, pitch_um) for length_um in die_um(camera)], pitch_um)
     dot_edges_um(die_um(camera), pitch_um, settings.display, pitch_um)
     chosen = {"camera": CameraOptions.model_validate(whole.model_dump()), "display": view.display(settings.display)}
+    scene = scene.with_resolution(settings.resolution) if settings.resolution else scene
     return view.scene(scene), camera, settings.model_copy(update=chosen | {"scene": view.parameters(settings.scene)}), view
 
 
@@ -291,46 +295,69 @@ def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
 ) -> Callable[[], Light]:
     """Check everything that can be checked before a render, and return the function that renders."""
-    from pixsim.scene.convergence import render_until
-    from pixsim.scene.plan import make_plan
+    from pixsim.scene.convergence import RenderNoise, render_until
+    from pixsim.scene.plan import Plan, make_plan
     from pixsim.scene.scene import packaged_scenes
+    from pixsim.sensor.pixel import derive
+    from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
 
     scene, camera, settings, view = prepared_run(source, settings, sensor, variant)
     named = source if source in packaged_scenes() else str(scene.path)
     kept = settings.model_copy(update={"scene": scene_table(scene.path.parent, settings.scene)})
     settled: Settled | None = None
+    free = False
     if settings.tolerance_delta_e:
         from pixsim.studies.budget import Setup, settle
 
         progress("calibrate")
+        free = scene.resolution is None
         settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
         chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
         scene, settings = settled.scene, settings.model_copy(update=chosen)
-    plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e, full=full)
+    tolerance_delta_e = settings.tolerance_delta_e
+
+    def plan_of(scene: Scene) -> Plan:
+        display = None if settled else settings.display
+        options: dict[str, Any] = {"display": display, "tolerance_e": settings.tolerance_e, "full": full}
+        return make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
+
+    plan = plan_of(scene)
     for note in plan.warnings:
         warnings.warn(note, stacklevel=2)
-    if plan.resolution:
-        scene = scene.with_parameters(resolution=plan.resolution)
 
-    def render() -> Light:
+    def render_with(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
         limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
         fixed = scene, camera, plan, [settings.pixel], settings.exposure, settings.seed
-        image, noise = render_until(*fixed, progress=progress("render"), keep=True, **limits)
-        more: dict[str, Any] = {"render_noise": asdict(noise), "plan": plan.as_dict(), "chosen": view.as_dict()}
-        more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
+        return render_until(*fixed, progress=progress("render"), keep=True, **limits)
+
+    def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": tolerance_delta_e}
+        return cached_film_error(image, camera, [derive(settings.pixel)], settings.exposure, settings.display, **given)
+
+    def render() -> Light:
+        made = render_on_film(
+            scene,
+            camera,
+            plan,
+            render=render_with,
+            plan_of=plan_of,
+            measure=measure,
+            fixed="" if scene.resolution is None else "chosen for the tolerance" if free else "set by --resolution",
+            max_seconds=limit_of_time(settings),
+        )
+        more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
+        more |= {"chosen": view.as_dict()} | ({"window_mm": settings.window_mm} if settings.window_mm else {})
         repeated = kept
-        if noise.ended_by == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
-            film = {"resolution": settled.choice.width} if settled and "resolution" in scene.parameters else {}
-            fixed_settings: dict[str, Any] = {
-                "render_noise": noise.fraction,
-                "max_seconds": NO_TIME_LIMIT_S,
-                "tolerance_delta_e": None,
-            }
-            fixed_settings |= {"tolerance_e": settings.tolerance_e, "scene": kept.scene | film}
-            repeated = kept.model_copy(update=fixed_settings)
+        if limit_of_time(settings) is not None:  # the clock may have chosen the film
+            repeated = kept.model_copy(update={"resolution": made.image.shape[1]})
+        if made.noise.ended_by == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
+            same: dict[str, Any] = {"render_noise": made.noise.fraction, "max_seconds": NO_TIME_LIMIT_S, "tolerance_delta_e": None}
+            same |= {"tolerance_e": settings.tolerance_e, "resolution": made.image.shape[1]}
+            repeated = kept.model_copy(update=same)
         if settled:
-            more["error_budget"] = settled.budget(noise, plan.bound_e if plan.bounded else None, settled.choice.sensors)
-        return Light(image, camera, named, settings, more, repeated)
+            bound_e = made.plan.bound_e if made.plan.bounded else None
+            more["error_budget"] = settled.budget(made.noise, bound_e, settled.choice.sensors)
+        return Light(made.image, camera, named, settings, more, repeated)
 
     return render
 

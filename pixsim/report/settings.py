@@ -65,6 +65,8 @@ def scene_rows(
     for name, value in parameters.items():
         shown = Path(value).name if isinstance(value, str) else value
         rows.append((name, shown, "parameter of the scene", sources.get(f"scene.parameters.{name}", default)))
+    if "film" in header:
+        rows.append(("film", " × ".join(str(side) for side in reversed(header["film"])), "samples of the rendered film", ""))
     scene_white = header.get("luminance_cd_per_m2")
     if isinstance(scene_white, int | float) and scene_white != light.white_cd_per_m2:
         rows.append(("luminance_cd_per_m2", f"{scene_white:.4g}", "white of the scene, which is not shown as display white", ""))

@@ -12,13 +12,13 @@ import numpy as np
 
 from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
-from pixsim.base.parameters import NO_TECHNOLOGY, Study
+from pixsim.base.parameters import Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
 from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import alike_words, study_view_line
+from pixsim.report.wording import film_words, no_difference_words, study_view_line
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -30,6 +30,7 @@ from pixsim.studies.evaluations import DELTA_E_STATISTICS
 from pixsim.studies.result import (
     Curve,
     StudyResult,
+    alike_words,
     curve_table,
     delta_e_against_pitch,
     interval_columns,
@@ -177,7 +178,7 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
     if len(result.curves) > 1:
         plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
-        processes = all(curve.technology != NO_TECHNOLOGY for curve in result.curves)
+        processes = not any(curve.data_sheet for curve in result.curves)
         if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
             plates.append(optimum_against_technology(result))
     if not result.study.paper:
@@ -251,9 +252,11 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     page = {
         "study": study,
         "interval": interval_words,
-        "alike": alike_words,
+        "no_difference": no_difference_words,
         "shown": study_view_line(result),
         "within": within_words,
+        "alike": alike_words,
+        "film": film_words(result.film.as_dict()) if result.film else "",
         "curves": [(curve, curve.as_dict(), light_of([curve])) for curve in result.curves],
         "blurs": [(curve, blur_of(curve)) for curve in result.curves],
         "plates": shown,
@@ -266,8 +269,8 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
         "header": result.irradiance.header,
         "settings": settings(result, light_of(result.curves)),
         "filled": FILLED,
-        "sheets": NO_TECHNOLOGY in study.technologies,
-        "technologies": [technology_rows(study, name) for name in study.technologies if name != NO_TECHNOLOGY],
+        "sheets": any(curve.data_sheet for curve in result.curves),
+        "technologies": [technology_rows(study, curve.technology) for curve in result.curves if not curve.data_sheet],
         "provenance": {"versions": versions(), "seconds": seconds},
     }
     write_page(folder / "report.html", "report.html.j2", page)
@@ -276,9 +279,19 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
 def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row]]]:
     """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
     study = result.study
-    records = {"camera": result.camera, "pixel": study.pixel, "exposure": study.exposure, "display": study.display}
-    sheets = all(name == NO_TECHNOLOGY for name in study.technologies)
+    records: dict[str, Record] = {
+        "camera": result.camera,
+        "pixel": study.pixel,
+        "exposure": study.exposure,
+        "display": study.display,
+    }
+    sheets = all(curve.data_sheet for curve in result.curves)
+    if all(name in study.sensors for name in study.technologies):
+        del records["pixel"]  # each sensor has its own
     tables = [(name, record_rows(name, record, sheets, study.sources)) for name, record in records.items()]
+    for curve in result.curves:
+        if sensor := study.sensors.get(curve.technology):
+            tables.append((f"pixel of {curve.label}", record_rows("pixel", sensor, curve.data_sheet, {})))
     return [("scene", scene_rows(result.irradiance, study.scene.parameters, light, study.sources)), *tables]
 
 

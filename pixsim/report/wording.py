@@ -6,7 +6,7 @@ from typing import Any
 
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_along
-from pixsim.studies.result import NO_VISIBLE_DELTA_E, interval_words, within_words
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, within_words
 from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
@@ -25,10 +25,12 @@ def sensitivity_lines(outcome: Any) -> list[str]:
 
 
 def optimum_line(curve: Any) -> str:
-    """Return the optimum of a curve with its interval and the sizes within 1 % of its error.
+    """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
 
     Where a wide range of sizes shows no visible difference, that range comes first.
     """
+    if curve.alike_um:
+        return f"{curve.label}: {alike_words(curve)}; least mean ΔE {curve.mean().min():.3f}"
     best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"
     text = f"optimal pixel size {best.pitch_um:.2f} µm {interval}"
     if not best.inside:
@@ -37,18 +39,18 @@ def optimum_line(curve: Any) -> str:
             f"the error is smallest at {best.pitch_um:.2f} µm, the end of the range {interval}"
         )
     within = within_words(best.within_1_percent_um, curve)
-    if words := alike_words(curve):
+    if words := no_difference_words(curve):
         size = "" if best.inside else ", the end of the range"
         least = f"least {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm{size} {interval}"
         return f"{curve.label}: {words}; mean ΔE is {least}; within 1 % of it: {within}"
     return f"{curve.label}: {text}, mean ΔE {best.mean_delta_e:.3f}; within 1 % of it: {within}"
 
 
-def alike_words(curve: Any) -> str:
+def no_difference_words(curve: Any) -> str:
     """Return the range of sizes that look alike, as text; empty if it is narrow."""
-    if curve.alike_um is None:
+    if curve.no_difference_um is None:
         return ""
-    low, high = curve.alike_um
+    low, high = curve.no_difference_um
     whole = ", all sizes tried" if (low, high) == (curve.pitch_um[0], curve.pitch_um[-1]) else ""
     return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) from {low:.3g} to {high:.3g} µm{whole}"
 
@@ -68,8 +70,17 @@ def score_line(result: dict[str, Any]) -> str:
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
     pixels += "".join(f", {words}" for words in view_words(result["display"], result, columns))
+    film = f"; {film_words(result['film'])}" if "film" in result else ""
     assumed = f"; {result['assumption']}" if result["assumption"] else ""
-    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{assumed}"
+    return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{film}{assumed}"
+
+
+def film_words(film: dict[str, Any]) -> str:
+    """Return the film of a result, the largest error of mean ΔE that it may cause, and why it is not finer if that is too large."""
+    error = "unknown" if film["delta_e"] is None else f"at most {film['delta_e']:.1g} ΔE"
+    height, width = film["shape"]
+    too_large = "" if film["met"] else f", more than the {min(film['tolerated_delta_e']):.2g} tolerated: {film['limit']}"
+    return f"film of {width} × {height} samples, its error {error}{too_large}"
 
 
 def view_words(display: dict[str, Any], result: dict[str, Any], columns: float | None = None) -> list[str]:

@@ -189,7 +189,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     content : everything that the texels depend on, as JSON; the name of the file is its hash
     make : returns the texels, (H, W) relative luminance
 
-    Raises PixsimError if the file cannot be written.
+    Raises PixsimError if it cannot be written.
     """
     name = f"{content_hash([content, cache.version_fingerprint()])}.exr"
     path = cache.folder() / "charts" / name

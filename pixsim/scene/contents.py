@@ -13,7 +13,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.files import judge_picture
+from pixsim.base.files import judge_picture, missing
 from pixsim.base.parameters import Camera
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
@@ -448,7 +448,9 @@ def _file_of(node: Any, folder: Path) -> Path:
     name = str(node.props["filename"])
     file = next((path for path in (folder / name, Path(name)) if os.path.lexists(path)), None)
     if file is None:
-        raise invalid("texture", f"'{name}', which does not exist", f"a file, relative to '{folder}' or to the working directory")
+        has_folder = any(path.parent.is_dir() for path in (folder / name, Path(name)))
+        got = f"'{name}', which does not exist" if has_folder else missing(Path(name))
+        raise invalid("texture", got, f"a file, relative to '{folder}' or to the working directory")
     judge_asset(file, "texture")
     return file
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
@@ -30,6 +31,12 @@ def import_mitsuba(variant: str) -> Any:
     if dr.thread_count() < 2:
         dr.set_thread_count(2)  # Mitsuba 3.9 blocks for ever on an EXR texture with one thread
     return mi
+
+
+def read_bitmap(path: Path, variant: str) -> NDArray[Any]:
+    """Read a picture as stored, (H, W, channels). Raises PixsimError if Mitsuba cannot."""
+    with speaking_mitsuba(variant, path.parent) as mi:
+        return np.array(mi.Bitmap(str(path)), copy=True)
 
 
 @contextmanager

@@ -9,16 +9,17 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.parameters import Camera, Exposure, Pixel
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import photons_per_joule, photopic_efficiency
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.thin_lens import field_factor
-from pixsim.scene import bands as spectral_bands, rules
+from pixsim.scene import bands as spectral_bands, film, rules
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces
+from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
-from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
+from pixsim.scene.scene import Scene, sample_count, sensor_node
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
@@ -53,7 +54,7 @@ class Plan:
     chart : an emissive chart that is alone and fills the film, or None
     tolerance_e : relative error of the mean electrons that the plan may cause
     warnings : possible problems of the scene
-    resolution : a coarser film that is sufficient, if the scene leaves the resolution open
+    resolution : samples across the film that this plan is for, if they differ from those of the scene
     sampler : plugin of Mitsuba
     """
 
@@ -78,6 +79,11 @@ class Plan:
     def passes(self) -> int:
         """Number of passes over all lights."""
         return sum(len(light.fit.passes) for light in self.lights)
+
+    @property
+    def planes(self) -> int:
+        """Number of pictures that a render holds in memory, one for each pulse of each lamp."""
+        return sum(len(light.fit.pulses) for light in self.lights)
 
     @property
     def bound_e(self) -> float:
@@ -136,7 +142,7 @@ def make_render_plan(
     camera = camera or scene.camera()
     state = scene.for_camera(camera)
     sensor = sensor_node(state, scene.sensor_id)[1]
-    height, width = (max(1, side) for side in film_size(state, sensor))  # the renderer checks the size
+    height, width = (max(1, side) for side in scene.film_shape(camera, state))  # the renderer checks the size
     bodies = find_bodies(state, sensor)
     lamps = checked_lamps(find_lamps(state, scene.choice.variant))
     surfaces = find_surfaces(state, scene.choice.variant)
@@ -248,7 +254,6 @@ def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list
     return f"{lit} × {len(surfaces.spectra)} surface spectra ({len(met)} with interreflections): {pulses} determine all bands"
 
 
-GREEN_NM = 550.0
 UNIFORM_RESOLUTION = 64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
 
 
@@ -258,6 +263,7 @@ def make_plan(
     pixel: Pixel | None = None,
     *,
     exposure: Exposure | None = None,
+    display: Display | None = None,
     tolerance_e: float = TOLERANCE_E,
     full: bool = False,
 ) -> Plan:
@@ -269,6 +275,7 @@ def make_plan(
     camera : None takes the camera of the file
     pixel : None takes the default pixel
     exposure : None takes the default; its longest time sets the charge at which a photodiode saturates
+    display : chooses a film fine enough for its dots, as `resolution` of the plan; None keeps the scene's film
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out
 
@@ -281,39 +288,66 @@ def make_plan(
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
     physics = derive(pixel)
-    plan = make_render_plan(scene, camera, pixel, tolerance_e=tolerance_e, full=full)
-    state = scene.for_camera(camera)
-    _, width = film_size(state, sensor_node(state, scene.sensor_id)[1])
-    free = "resolution" in scene.names and "resolution" not in scene.parameters
+    options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full}
+    plan = make_render_plan(scene, camera, pixel, **options)
+    resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
+    if resolution:
+        plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
     exposure = exposure or Exposure()
     longest_s = exposure.integration_s or exposure.max_integration_s
-    resolution, sampling = decide_oversampling(plan, camera, physics, max(1, width), full, free)
     more = sampling, decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full)
     return replace(plan, resolution=resolution, decisions=(*plan.decisions, *more))
 
 
 def decide_oversampling(
-    plan: Plan, camera: Camera, physics: PixelPhysics, width: int, full: bool, free: bool
+    scene: Scene, plan: Plan, camera: Camera, physics: PixelPhysics, display: Display | None, full: bool
 ) -> tuple[int | None, Decision]:
-    """Choose a coarser film for a scene without detail; compare the film of others with the lens and the photodiode."""
-    pitch_um = 1e3 * camera.die_mm / width
-    nyquist = 1e3 / (2 * pitch_um)
-    cutoff = float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
-    left = float(diffraction_otf(nyquist, GREEN_NM, camera.effective_f_number))
-    sampling = (
-        f"{width} samples of {pitch_um:.3g} µm across, {physics.photodiode_side_um / pitch_um:.2g} per photodiode side; "
-        f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
-    )
-    uniform = plan.chart is not None and plan.chart.uniform
+    """Choose the film's samples across the die, and describe them; None keeps the scene's film.
+
+    A scene without detail takes a coarser film than the XML's. Every other film has at least two samples for each detail that
+    matters on the display, within its limits, if the display is given; the XML's film is the least.
+    """
+    height, width = (max(1, side) for side in scene.film_shape(camera, scene.for_camera(camera)))
+    uniform, free = plan.chart is not None and plan.chart.uniform, scene.resolution is None
+    given = not free or "resolution" in scene.parameters
     # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width squared, so halve the samples.
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
     n = UNIFORM_RESOLUTION
     middle, parts = (field_factor((side, side), 1e3 * camera.die_mm / side, *lens) for side in (n, 2 * n))
     error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
-    if uniform and not full and free and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
+    if uniform and not full and not given and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
         reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across resolve the fall-off of the lens"
         return UNIFORM_RESOLUTION, Decision("oversampling", False, reason, f"{UNIFORM_RESOLUTION}² of {width}² samples", error)
-    return None, Decision("oversampling", True, sampling)
+    if display is None or full or uniform:
+        return None, Decision("oversampling", True, _sampling(camera, physics, width))
+    details, name = film.details_across(
+        camera, physics.photodiode_side_um, display, physics.pitch_um, plan.chart.details if plan.chart else None
+    )
+    words = f"{details:.4g} {name} across the die"
+    if not free:
+        return None, Decision("oversampling", True, f"{_sampling(camera, physics, width)}; {words}; as set by --resolution")
+    most = film.largest_film(height / width, plan.planes)
+    needed = film.SAMPLES_PER_DETAIL * details
+    if width >= min(needed, most):
+        return None, Decision("oversampling", True, f"{_sampling(camera, physics, width)}; {words}")
+    chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
+    limit = (
+        f", the limit for {plan.planes} picture{'s' * (plan.planes > 1)} ({film.MAX_ACROSS} across, 2 GiB)" if needed > most else ""
+    )
+    sampling = _sampling(camera, physics, chosen)
+    return chosen, Decision("oversampling", True, f"{sampling}, not {width} as in the scene: {words}{limit}")
+
+
+def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
+    """Compare the samples of a film with the lens and the photodiode."""
+    pitch_um = 1e3 * camera.die_mm / width
+    nyquist = 1e3 / (2 * pitch_um)
+    cutoff = float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
+    left = float(diffraction_otf(nyquist, GREEN_NM, camera.effective_f_number))
+    return (
+        f"{width} samples of {pitch_um:.3g} µm across, {physics.photodiode_side_um / pitch_um:.2g} per photodiode side; "
+        f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
+    )
 
 
 def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:

@@ -22,7 +22,7 @@ from pixsim.scene.bands import Pulse
 from pixsim.scene.mitsuba import children, nodes_of, plain, speaking_mitsuba
 from pixsim.scene.plan import Light, Plan, make_render_plan
 from pixsim.scene.rules import irregular_tables
-from pixsim.scene.scene import Scene, film_size, hash_of_tree, sensor_node
+from pixsim.scene.scene import Scene, hash_of_tree, sensor_node
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 
@@ -82,7 +82,8 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
         lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
     settings = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
     tree, version = hash_of_tree(state, scene.path.parent), cache.version_fingerprint("mitsuba", "drjit")
-    return content_hash([tree, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
+    size = scene.film_shape(camera, state)
+    return content_hash([tree, size, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
 
 
 class CachedRenders:
@@ -174,7 +175,7 @@ class Renderer:
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
         state = scene.for_camera(camera)
         node = sensor_node(state, scene.sensor_id)[1]
-        self.size = film_size(state, node)
+        self.size = scene.film_shape(camera, state)
         sides = [("resolution", side, ALLOWED_RESOLUTION) for side in (max(self.size), min(self.size))]
         for name, value, (low, high) in (*sides, ("spp", plan.spp, ALLOWED_SPP)):
             if not low <= value <= high:
@@ -266,7 +267,7 @@ class Renderer:
         if not any(picture.any() for picture in pictures):
             hint = "Check that the chart faces the camera and is lit, and that hide_emitters is off: area lights are one-sided."
             raise invalid("rendered picture", "a black picture", "some light", hint)
-        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | more
+        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored = np.empty((len(planes), *self.size), np.float32)
@@ -319,7 +320,7 @@ def _checked(values: Array, channels: int) -> Array:
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
     """Return the provenance of an irradiance; equal inputs give equal files."""
     decisions = [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions]
-    header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": dict(scene.parameters)}
+    header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": scene.shown_parameters}
     header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": scene.choice.variant, "plan": decisions}
     header |= {"bound_e": plan.bound_e if plan.bounded else None, "diffraction": plan.diffraction, "pixsim": VERSION}
     spectra = [light.lamp.spectrum for light in plan.lights]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +27,8 @@ TRIED_CELLS = 1024  # random cells on which sampling is tested
 REFERENCE_SAMPLES = 16  # along each side of a cell
 TRIED_SIDE = 2048  # samples of a part of the film; its three transforms need 0.1 GiB
 BORDER = 64  # samples of a part that reflection at its sides may change
+RESOLVED = 0.999  # of the variance of a chart, in the frequencies that a film has to resolve
+SPECTRUM_LINES = 128  # of a texture, whose spectrum is computed
 DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to this
 
 
@@ -58,6 +61,24 @@ class Chart:
             low, high = np.take(running, index, axis), np.take(running, index + 1, axis)
             values = np.diff(low + over * (high - low), axis=axis) * (count / covered)
         return values
+
+    @cached_property
+    def details(self) -> float:
+        """Half periods of the chart's finest detail across the film: frequencies up to it have `RESOLVED` of the variance."""
+        if self.texels is None or self.uniform:
+            return 1.0
+        found = []
+        for axis, n in enumerate(self.texels.shape):
+            lines = np.moveaxis(self.texels, axis, 1)
+            lines = lines[:: max(1, len(lines) // SPECTRUM_LINES)]
+            # Mirrored, so that the ends meet; the frequency of index k is k/2 periods per length.
+            power = (np.abs(np.fft.rfft(np.concatenate([lines, lines[:, ::-1]], axis=1))) ** 2).sum(axis=0)[1:]
+            if not power.sum() > 0:
+                continue
+            halves = 1 + int(np.searchsorted(np.cumsum(power) / power.sum(), RESOLVED))
+            samples = n / self.texels_per_sample[axis]  # that the whole texture would cover
+            found.append(halves / samples * self.shape[1])
+        return max(found, default=1.0)
 
     @property
     def uniform(self) -> bool:

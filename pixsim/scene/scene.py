@@ -15,14 +15,18 @@ import numpy as np
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.files import missing
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
 from pixsim.scene import charts, variant as variants
-from pixsim.scene.contents import check_textures, check_transforms, find_lamp, texture_files
+from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, texture_files
 from pixsim.scene.files import judge_scene, judge_tree
+from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.mitsuba import children, nodes_of, parse, plain
+from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
 
+CHART, CHART_LINEAR = "chart", "chart_linear"
+CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
-CHART, CHART_HALF_WIDTH = "chart", "chart_half_width"
 LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
@@ -41,6 +45,8 @@ class Scene:
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
     shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
+    own_chart : a picture that takes the place of the parameter `chart`, which names it
+    resolution : film samples across the die, in place of the film's width in the XML
     """
 
     path: Path
@@ -49,19 +55,24 @@ class Scene:
     sensor_id: str | None
     choice: variants.Choice
     white_cd_per_m2: float | None = None
+    own_chart: OwnChart | None = None
+    resolution: int | None = None
     shows_csf: bool = False
 
     def parse(self, **more: object) -> Any:
         """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
         given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
+        if self.own_chart:
+            given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
         return parse(self.path, self.choice.variant, given)
 
     def camera(self, options: CameraOptions | None = None) -> Camera:
         """Return the camera of the file, overridden by the options.
 
         A Mitsuba scene does not state the die. If its lens is given by numbers, a die option scales the focal length; if the
-        lens is given by parameters, the focal length stays and the field of view changes.
+        lens is given by parameters, the focal length stays and the field of view changes. The die has the shape of the film,
+        unless an option gives its height.
 
         Raises PixsimError if the lens is invalid.
         """
@@ -71,23 +82,58 @@ class Scene:
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
         height, width = film_size(state, sensor)
-        return options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+        camera = options.over(read_camera(sensor, die_mm, width / max(height, 1)))
+        if options.die_height_mm is None and height != width and height > 0:
+            camera = camera.model_copy(update={"die_height_mm": camera.die_mm * height / width})
+        return camera
 
     def for_camera(self, camera: Camera) -> Any:
         """Return the parser state with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
-        lens[CHART_HALF_WIDTH] = camera.chart_half_width_m
-        more = {name: repr(value) for name, value in lens.items() if name in self.names}
+        named = {name: repr(value) for name, value in lens.items() if name in self.names}
+        shown = camera
+        if camera.die_height_mm is not None:  # whole cells of the film may end a little beyond the die
+            height, width = self.film_shape(camera, self.parse(**named))
+            shown = camera.model_copy(update={"die_height_mm": camera.die_mm * height / max(width, 1)})
+        named |= {name: repr(value) for name, value in chart_parameters(shown).items() if name in self.names}
+        if self.own_chart:
+            # Where the chart follows the height of the die, the picture's border does so too.
+            height_mm = shown.height_mm if CHART_HALF_HEIGHT in self.names else shown.die_mm
+            named[CHART] = str(self.own_chart.texture(shown.die_mm / height_mm, warn=True))
         if charts.MAX_LP_PER_MM in self.parameters:
             width_mm = camera.die_mm
             if CHART_HALF_WIDTH in self.parameters:
                 width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
-            more[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
-        return self.parse(**more)
+            named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
+        return self.parse(**named)
+
+    def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
+        """Return (height, width) of the film in samples; the renderer checks their range.
+
+        The width is `resolution`, or else that in the XML. The height follows the die's shape, rounded up; without a
+        `die_height_mm` it follows the shape of the film in the XML.
+        """
+        height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
+        if self.resolution is None and camera.die_height_mm is None:
+            return height, width
+        ratio = height / max(width, 1) if camera.die_height_mm is None else camera.height_mm / camera.die_mm
+        across = width if self.resolution is None else self.resolution
+        return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
+
+    def with_resolution(self, resolution: int) -> Scene:
+        """Return the scene on a film of that many samples across."""
+        return replace(self, resolution=resolution)
 
     def with_parameters(self, **more: object) -> Scene:
         """Return the scene with other values of some parameters, `more`."""
         return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
+
+    @property
+    def shown_parameters(self) -> dict[str, str]:
+        """The parameters for a header: files by their name, without the folder."""
+        files = {name: Path(value).name for name, value in self.parameters.items() if os.sep in value}
+        linear = {CHART_LINEAR: "1"} if self.own_chart and self.own_chart.linear else {}
+        return self.parameters | files | linear
 
     @property
     def content_hash(self) -> str:
@@ -97,6 +143,19 @@ class Scene:
     def __repr__(self) -> str:
         given = "".join(f", {k}={v}" for k, v in self.parameters.items())
         return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
+
+
+def chart_parameters(camera: Camera) -> dict[str, float]:
+    """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in the plane in focus."""
+    width, height = camera.chart_half_width_m, camera.chart_half_height_m
+    shorter = min(width, height)
+    return {
+        "chart_half_width": width,
+        "chart_half_height": height,
+        "chart_half_side": max(width, height),
+        "chart_ratio_x": width / shorter,
+        "chart_ratio_y": height / shorter,
+    }
 
 
 def packaged_scenes() -> dict[str, Path]:
@@ -118,7 +177,8 @@ def load_scene(
     variant : Mitsuba variant; None takes the fastest that works on this machine
     sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
-        in a scene with a parameter `emitter_scale`, `max_lp_per_mm` the highest frequency on the sensor of the CSF chart
+        in a scene with a parameter `emitter_scale`; `max_lp_per_mm` the highest frequency on the sensor of the CSF chart;
+        `chart` may name a picture (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
     one, the sensor is not a thin lens, or LLVM is too old.
@@ -131,14 +191,17 @@ def load_scene(
         hint = f"To use a parameter file: pixsim run csf --config {path}"
         raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
     if not os.path.lexists(path) or path.is_dir():
-        known = packaged_scenes()
-        raise invalid("scene", f"'{scene}'", f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
+        known, is_path = packaged_scenes(), path.parent != Path() and not path.is_dir()
+        got = missing(path) if is_path else f"'{scene}'"
+        raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
     highest = parameters.pop(charts.MAX_LP_PER_MM, None)
+    linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     given = {name: str(value) for name, value in parameters.items()}
     text = judge_scene(path, given)
     names = frozenset(text.names)
-    settable = {name for name, needed in ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE)) if needed in names | text.defaults.keys()}
+    also = ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE), (CHART_LINEAR, CHART))
+    settable = {name for name, needed in also if needed in names | text.defaults.keys()}
     shows_csf = CHART in names and CHART not in given and Path(text.defaults.get(CHART, "")).name == "csf.exr"
     settable |= {charts.MAX_LP_PER_MM} if shows_csf else set()
     allowed = names | settable
@@ -156,7 +219,8 @@ def load_scene(
     display_white = file_white if white is None else white
     choice = variants.choose(variant)
     shown_white = None if display_white is None else _positive(WHITE, display_white)
-    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf)
+    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf)
+    loaded = _with_own_chart(loaded, linear)
     state = loaded.parse()
     judge_tree([list(children(node, state).values()) for node in state.nodes])
     sensor_of_scene = sensor_node(state, sensor)[1]
@@ -173,12 +237,33 @@ def load_scene(
     return loaded
 
 
+def _with_own_chart(scene: Scene, linear: bool) -> Scene:
+    """Return the scene with the picture that its parameter `chart` names, where the scene takes neutral textures there."""
+    name = scene.parameters.get(CHART, "")
+    file = next((path for path in (scene.path.parent / name, Path(name)) if path.is_file()), None) if name else None
+    own = file is not None and is_own_chart(file)
+    if own:
+        textures = [node for _, node in nodes_of(scene.parse(), "Texture") if str(node.props.get("filename", "")) == name]
+        own = any(map(is_neutral, textures))
+    if linear and (not own or (file and file.suffix.lower() in LINEAR_SUFFIXES)):
+        got = f"1 (--linear) with the chart '{Path(name).name}'" if name else "1 (--linear) without a chart"
+        raise invalid(CHART_LINEAR, got, "a PNG, JPEG or TIFF as -D chart=FILE; other charts are linear already")
+    return replace(scene, own_chart=OwnChart(file, linear)) if own and file else scene
+
+
+def _flag(name: str, value: object) -> bool:
+    words = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}  # TOML's true may come as 1.0
+    if str(value).lower() not in words:
+        raise invalid(name, repr(value), "1 or 0")
+    return words[str(value).lower()]
+
+
 def _with_luminance(scene: Scene, luminance: object) -> Scene:
     value = _positive(LUMINANCE, luminance)
     if EMITTER_SCALE not in scene.names:
         got = f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}"
         raise invalid(LUMINANCE, got, f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>')
-    unit = parse(scene.path, scene.choice.variant, {**scene.parameters, EMITTER_SCALE: "1"})
+    unit = scene.with_parameters(**{EMITTER_SCALE: "1"}).parse()
     lamp = find_lamp(unit, scene.choice.variant)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
         raise invalid(LUMINANCE, f"{value:g}, but the luminance of the emitters is unknown", "emitters of one spectrum, above 0")
@@ -303,7 +388,11 @@ def hash_of_tree(state: Any, folder: Path) -> str:
     """Return a hash of a parsed tree and its textures, 16 hexadecimal digits. Raises PixsimError if a file is missing."""
     tree = []
     for node in state.nodes:
-        values = sorted((name, in_full(value)) for name, value in plain(node, numbers_only=False))
+        # Not the folder of a file, such as the cache of charts: the bytes of the files follow.
+        values = sorted(
+            (name, Path(str(value)).name if name == "filename" and os.path.isabs(str(value)) else in_full(value))
+            for name, value in plain(node, numbers_only=False)
+        )
         tree.append([node.type.name, node.props.plugin_name(), values, sorted(children(node, state).items())])
     digests = []
     for path in texture_files(state, folder):

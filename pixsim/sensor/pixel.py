@@ -622,7 +622,10 @@ def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> l
 
 
 def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) -> None:
-    """Warn of each of the `sheet_disagreements`, on behalf of the public function that calls this one."""
+    """Warn of each of the `sheet_disagreements`, on behalf of the public function that calls this one.
+
+    Raises PixsimError as `derive` does.
+    """
     for text in sheet_disagreements(pixel, technology):
         warnings.warn(text, stacklevel=3)
 
@@ -648,6 +651,7 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Arra
 
     Raises PixsimError as `technology_of` does.
     """
-    process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
-    fill_factor = study.pixel.fill_factor or np.maximum(fill_factor_law(pitch_um, process), MIN_FRACTION)
+    options = study.options_of(technology)
+    process = with_fill_factor_law(technology_of(study, technology), options.fill_factor_law)
+    fill_factor = options.fill_factor or np.maximum(fill_factor_law(pitch_um, process), MIN_FRACTION)
     return np.asarray(np.sqrt(fill_factor) * pitch_um)

@@ -91,11 +91,11 @@ def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generato
     return values
 
 
-def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 1.0) -> Sensor:
+def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | None = None) -> Sensor:
     """Make a sensor that fills the camera's die, with its fixed pattern drawn from the seed.
 
     seed : 0 or more; equal seeds give equal sensors
-    aspect : width over height of the film: 1 for the packaged scenes with a square die
+    aspect : width over height of the film; None means the shape of the camera's die
 
     Raises PixsimError if the pitch is too small for the technology, larger than the die, or gives too many pixels.
 
@@ -105,6 +105,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float = 
     warn_of_disagreements(pixel)
     if seed < 0:
         raise invalid("seed", seed, "an integer of 0 or more")
+    aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
     if not 0 < aspect < math.inf:
         raise invalid("aspect", aspect, "width over height, a finite number above 0")
     physics, die_um = derive(pixel), 1e3 * camera.die_mm

@@ -7,7 +7,7 @@ A short calibration renders a scene twice at its own settings and changes each s
 * spectral quadrature: the plan bounds the error of mean electrons; scaling all electrons by 1 % gives its effect on ΔE.
 * oversampling: film cells averaged 2 × 2 and 4 × 4 are the cells of coarser films; their differences give the order of
   convergence. The extrapolated error is multiplied by a factor of safety, which is larger if the order is unreliable
-  (Roache, J. Fluids Eng. 116 (1994) 405).
+  (Roache, J. Fluids Eng. 116 (1994) 405), and a film without two samples for each detail counts what it may miss (`film_error`).
 * seeds: the scatter of sensors.
 * display raster: a display of twice the dots at the same angle.
 * display interpolation: the next higher order between pixel centres; cubic is compared with the quintic spline.
@@ -31,8 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import TypeAdapter
-from scipy.special import ndtr
-from scipy.stats import t as student_t
+from scipy.special import ndtr, stdtrit
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
@@ -41,8 +40,10 @@ from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run, Study, content_hash, pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
+from pixsim.scene.film import SAMPLES_PER_DETAIL, details_across, dots_across, largest_film
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
+from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics, derive, pitch_for_fill_factor_um
 from pixsim.sensor.technology import Technology, load_technology, technology_of, with_fill_factor_law
@@ -276,8 +277,11 @@ SENSORS, PITCHES = 5, 5  # of the calibration: five sensors give their scatter t
 SCALED_BY = 1e-2
 MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of convergence of cell means: at edges, and where the picture is smooth
 SAFE, UNSURE = 1.25, 3.0  # factors of safety for an order within these bounds, and outside them
+LEFT = 0.05  # of the change between the coarser films
+MISSED, ENOUGH_PER_DETAIL = 0.05, 1.95  # of mean ΔE for each sample that a detail lacks
+UNSEEN, ENOUGH_PER_DOT = 0.4, 0.99  # of mean ΔE, over the samples per dot
 NORMAL_95 = 1.96
-STUDENT_95 = float(student_t.ppf(0.975, SENSORS - 1))  # for a scatter estimated from so few sensors: 2.8
+STUDENT_95 = float(stdtrit(SENSORS - 1, 0.975))  # for a scatter estimated from so few sensors: 2.8
 MAX_DOTS = 4096
 MIN_CELLS = 4
 OF_DISPLAY = ("display raster", "display interpolation")
@@ -347,7 +351,8 @@ class Calibration:
 def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibration:
     """Return the calibration, measured or from the cache."""
     key = content_hash(
-        [scene.content_hash, scene.parameters, scene.sensor_id, scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
+        [scene.content_hash, scene.parameters, scene.resolution, scene.sensor_id,
+         scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
          setup.technology.content, setup.exposure.model_dump(),
          setup.display.model_dump(), setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
          plan.passes, cache.version_fingerprint("mitsuba", "drjit")]
@@ -372,7 +377,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibrat
     one, other = halves
     mean = replace(one, delta_e=(one.delta_e + other.delta_e) / 2, sweep_delta_e=(one.sweep_delta_e + other.sweep_delta_e) / 2)
     coarse = [probe(coarser(image, factor), setup) for factor in (2, 4) if merges(image.shape, factor)]
-    films, order = film_errors(base, coarse)
+    films, order = film_errors(base, coarse, FilmSampling.of(job.size[1], camera, setup.physics(), setup.display, plan.chart))
     optima = [minimum_um(sensors.pitch_um, delta_e) for delta_e in sensors.sweep_delta_e.T]
     finer_setup = replace(setup, display=finer(setup.display, 2 * setup.display.dots))
     fits = setup.display.raster == "fixed_size" and finer_setup.display.dots <= MAX_DOTS
@@ -401,19 +406,59 @@ def difference_of(one: Probe, other: Probe) -> Effect:
     return Effect(math.sqrt(float(np.mean(gaps**2))), abs(one.optimum_um - other.optimum_um))
 
 
-def film_errors(base: Probe, coarse: list[Probe]) -> tuple[tuple[Effect, ...], float]:
-    """Return the errors of the coarser films and of the film itself, and their order, by Richardson extrapolation."""
+@dataclass(frozen=True)
+class FilmSampling:
+    """How finely a film samples: samples for each detail that matters (`scene.film.details_across`), and for each dot."""
+
+    per_detail: float
+    per_dot: float
+
+    @classmethod
+    def of(cls, width: int, camera: Camera, physics: PixelPhysics, display: Display, chart: Chart | None) -> FilmSampling:
+        of_chart = chart.details if chart else None
+        details, _ = details_across(camera, physics.photodiode_side_um, display, physics.pitch_um, of_chart)
+        dots = min(dots_across(camera, display, physics.pitch_um), details)
+        return cls(width / details, width / dots)
+
+
+FINE = FilmSampling(math.inf, math.inf)
+
+
+def film_errors(base: Probe, coarse: list[Probe], sampling: FilmSampling = FINE) -> tuple[tuple[Effect, ...], float]:
+    """Return the errors of the coarser films and of the film itself, and their order, by `film_error`."""
     if not coarse:
         return (NOT_KNOWN,), MIN_ORDER
     near = difference_of(coarse[0], base)
-    order, safety = MIN_ORDER, UNSURE
-    if len(coarse) > 1 and near.delta_e > 0:
-        far = difference_of(coarse[1], coarse[0])
-        observed = math.log2(far.delta_e / near.delta_e) if far.delta_e > 0 else -math.inf
-        order = min(max(observed, MIN_ORDER), MAX_ORDER)
-        safety = SAFE if order == observed else UNSURE
-    last = near.times(safety / (2**order - 1))
-    return (*(difference_of(film, base).plus(last) for film in reversed(coarse)), last), order
+    far = difference_of(coarse[1], coarse[0]) if len(coarse) > 1 else Effect(0.0, 0.0)
+    delta_e = film_error(near.delta_e, far.delta_e, base.mean_delta_e, sampling)
+    last = Effect(delta_e, film_error(near.optimum_um, far.optimum_um))
+    return (*(difference_of(film, base).plus(last) for film in reversed(coarse)), last), order_of(near.delta_e, far.delta_e)
+
+
+def order_of(near: float, far: float) -> float:
+    """Return the order of convergence from a film's changes with half of its samples across, and from there to a quarter."""
+    return min(max(math.log2(far / near), MIN_ORDER), MAX_ORDER) if near > 0 and far > 0 else MIN_ORDER
+
+
+def film_error(near: float, far: float, mean_delta_e: float = 0.0, sampling: FilmSampling = FINE) -> float:
+    """Return an upper limit of a film's error from its own picture.
+
+    It is the largest of Richardson's extrapolation with a factor of safety, and a part of the change between the coarser films,
+    since the last step may be small by chance. A film with fewer than two samples for each detail misses detail that its
+    picture cannot show, so a part of mean ΔE is added; with less than one sample for each dot, up to all of it. The numbers
+    are fitted to pictures with edges and textures (`tests/studies/test_oversampling.py`).
+
+    near, far : changes of mean ΔE (or another result) with half of the samples across, and from there to a quarter
+    """
+    order = order_of(near, far)
+    converges = near > 0 and far >= near * 2**MIN_ORDER
+    last = near * (SAFE / (2**order - 1) if converges else UNSURE)
+    last = max(last, LEFT * far)
+    if sampling.per_detail < ENOUGH_PER_DETAIL:
+        last += MISSED * (SAMPLES_PER_DETAIL - sampling.per_detail) * mean_delta_e
+    if sampling.per_dot < ENOUGH_PER_DOT:
+        last = max(last, UNSEEN / sampling.per_dot * mean_delta_e)
+    return last
 
 
 def interpolation_effect(image: SpectralImage, setup: Setup, base: Probe) -> Effect:
@@ -477,9 +522,7 @@ def total(budget: dict[str, Effect]) -> Effect:
     return reduce(Effect.plus, (effect for name, effect in budget.items() if name not in OF_DISPLAY), Effect(0.0, 0.0))
 
 
-MAX_WIDTH = 8192
 MAX_SENSORS = 1024  # about a minute of computation
-MAX_VALUES = 1 << 27  # of a film in all bands or pulses: 0.5 GB in the image, four times that while rendering
 # Work in film samples (45 ns each, by `pixsim accuracy csf`): per film cell for the lens and the ideal image, and per dot
 # for one sensor's frame and its ΔE.
 CELL_WORK, DOT_WORK = 6.0, 8.0
@@ -502,13 +545,13 @@ class Choice:
     met: bool = False
 
 
-def choose(calibration: Calibration, tolerance_delta_e: float, *, film_is_free: bool) -> Choice:
-    """Return the settings of least work whose total error is within the tolerance.
+def choose(calibration: Calibration, tolerance_delta_e: float, *, film_is_free: bool, least_width: int = 0) -> Choice:
+    """Return the settings of least work whose total error is within the tolerance, on a film of at least `least_width`.
 
     Work is counted, not timed, so that the choice is reproducible. If no settings meet the tolerance, take the finest film,
     with the other sources within the tolerance: a longer render cannot correct the film's error.
     """
-    widths = [width for width in widths_of(calibration) if film_is_free or width == calibration.width]
+    widths = [width for width in widths_of(calibration) if width == calibration.width or (film_is_free and width >= least_width)]
     left_delta_e = {width: tolerance_delta_e - calibration.film(width).delta_e for width in widths}
     options = [choice for width in widths for choice in options_of(calibration, width, left_delta_e[width])]
     if met := [choice for choice in options if choice.expected_delta_e <= tolerance_delta_e]:
@@ -520,7 +563,7 @@ def choose(calibration: Calibration, tolerance_delta_e: float, *, film_is_free: 
 def widths_of(calibration: Calibration) -> list[int]:
     """Return film widths in powers of two, from the coarsest calibrated to the largest that fits in memory."""
     widths = [int(calibration.width * 2.0**k) for k in range(1 - len(calibration.films), 4)]
-    largest = min(MAX_WIDTH, math.sqrt(MAX_VALUES / (calibration.planes * calibration.cells)) * calibration.width)
+    largest = largest_film(calibration.cells / calibration.width**2, calibration.planes)
     return [width for width in widths if width <= max(largest, calibration.width)]
 
 
@@ -597,13 +640,14 @@ def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float)
     """Calibrate, or read the cached calibration, and choose the settings. Warns if none meet the tolerance."""
     plan = make_render_plan(scene, camera, setup.pixel)
     calibration = calibrate(scene, camera, plan, setup)
-    free = "resolution" in scene.names and "resolution" not in scene.parameters
-    choice = choose(calibration, tolerance_delta_e, film_is_free=free)
+    free = scene.resolution is None
+    least = calibration.width if "resolution" in scene.parameters else 0
+    choice = choose(calibration, tolerance_delta_e, film_is_free=free, least_width=least)
     if not choice.met:
-        hint = "" if free else "; the scene's resolution is fixed: leave it unset"
+        hint = "" if free else "; the film is fixed: leave --resolution unset"
         error, asked = told_apart(choice.expected_delta_e, tolerance_delta_e)
         warnings.warn(f"no settings meet --tolerance-delta-e {asked}: smallest error {error}{hint}", stacklevel=3)
-    chosen = scene.with_parameters(resolution=choice.width) if free else scene
+    chosen = scene.with_resolution(choice.width) if free else scene
     return Settled(chosen, tolerance_delta_e, calibration, choice)
 
 
@@ -615,9 +659,7 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     border_um = study.pitch.largest_um
     setup = Setup(camera, pixel, study.exposure, study.display, study.seed, at_optimum=True, border_um=border_um, process=process)
     settled = settle(scene, camera, setup, study.tolerance_delta_e)
-    choice, parameters = settled.choice, dict(study.scene.parameters)
-    if "resolution" in settled.scene.parameters:
-        parameters["resolution"] = int(settled.scene.parameters["resolution"])
+    choice = settled.choice
     repeats = min(max(MIN_REPEATS, choice.sensors), max(MIN_REPEATS, study.max_repeats))
     chosen = {"render_noise": choice.render_noise, "tolerance_e": choice.tolerance_e, "repeats": repeats}
-    return study.model_copy(update=chosen | {"scene": study.scene.model_copy(update={"parameters": parameters})}), settled
+    return study.model_copy(update=chosen | {"resolution": settled.scene.resolution}), settled

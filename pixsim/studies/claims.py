@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import NO_TECHNOLOGY, Pixel, Study
+from pixsim.base.parameters import Pixel, Study
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.pixel import derive, fill_factor_law, physics_of
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
@@ -302,7 +302,7 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
 
 def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     """Return the rows of section 5, from the largest to the smallest process, by `rise`; none for a single process."""
-    curves = sorted((curve for curve in curves if curve.technology != NO_TECHNOLOGY), key=lambda curve: -curve.feature_size_um)
+    curves = sorted((curve for curve in curves if not curve.data_sheet), key=lambda curve: -curve.feature_size_um)
     if len(curves) < 2:
         return []
     names = [f"{curve.feature_size_um:g}" for curve in curves]

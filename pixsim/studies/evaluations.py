@@ -172,7 +172,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         return pitches
     (low, high), source = study.open_range_um, "pitch.min_um"
     if low is None:
-        process = with_fill_factor_law(technology_of(study, technology), study.pixel.fill_factor_law)
+        process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= high:
@@ -291,7 +291,8 @@ class Fingerprints:
     def scene(self, technology: str) -> str:
         """Return the hash of the light that all pitches of a technology share."""
         process = technology_of(self.study, technology).content
-        return content_hash([self.imaging, self.display, process, self.study.pixel.model_dump()])
+        pixel = self.study.options_of(technology).model_dump(exclude={"technology"})  # a path is no content
+        return content_hash([self.imaging, self.display, process, pixel])
 
     def pixel(self, technology: str, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
@@ -326,11 +327,13 @@ class Fingerprints:
     @cached_property
     def frames_fit_in_cache(self) -> bool:
         """Whether all frames of the study fit in the cache without displacing most of it."""
-        study, die_um = self.study, 1e3 * self.camera.die_mm
-        code_bytes = np.min_scalar_type(2**study.pixel.bits - 1).itemsize
+        study, die_um = self.study, (1e3 * self.camera.height_mm, 1e3 * self.camera.die_mm)
+        bits = max(study.options_of(technology).bits for technology in study.technologies)
+        code_bytes = np.min_scalar_type(2**bits - 1).itemsize
         sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
         pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
-        return cache.has_room(sum(pixels_along(die_um, pitch_um) ** 2 for pitch_um in pitches) * code_bytes * sensors_per_pitch)
+        pixels = sum(math.prod(pixels_along(length_um, pitch_um) for length_um in die_um) for pitch_um in pitches)
+        return cache.has_room(pixels * code_bytes * sensors_per_pitch)
 
 
 def first_sampling(study: Study) -> Sampling:

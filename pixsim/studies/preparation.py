@@ -18,7 +18,8 @@ from pixsim.base.machine import memory
 from pixsim.base.parameters import Camera, Display, PitchRange, Study
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
-from pixsim.scene.plan import GREEN_NM, Plan
+from pixsim.scene.film import GREEN_NM
+from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along
 from pixsim.studies.engine import workers_here

@@ -31,6 +31,7 @@ from pixsim.studies.evaluations import (
     scores_of,
 )
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve, mean_and_ci95
+from pixsim.studies.oversampling import FilmError
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.score import SceneCache, Score, clip_words, clips_dark, dark_clip
 
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
-ALIKE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
+WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class Curve:
     statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
     fit : the fitted curve with its minimum
     label : the technology's name for readers, unique in a study
+    data_sheet : whether the sensor is described by its data sheet only, without a process
+    alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
     """
 
     technology: str
@@ -63,6 +66,8 @@ class Curve:
     statistics: dict[str, Array] = field(repr=False)
     fit: FittedCurve = field(repr=False)
     label: str = ""
+    data_sheet: bool = False
+    alike_um: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -76,7 +81,7 @@ class Curve:
     @property
     def optimum_features(self) -> float | None:
         """The optimum in units of the feature size; None for a sensor given by its data sheet, which has no process."""
-        return None if self.technology == NO_TECHNOLOGY else self.optimum.pitch_um / self.feature_size_um
+        return None if self.data_sheet else self.optimum.pitch_um / self.feature_size_um
 
     @property
     def optimum(self) -> Optimum:
@@ -93,11 +98,11 @@ class Curve:
         return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
 
     @cached_property
-    def alike_um(self) -> tuple[float, float] | None:
+    def no_difference_um(self) -> tuple[float, float] | None:
         """Range of tested pitches around the best whose mean ΔE differ by less than 0.05, uncertainty included; None if narrow.
 
         The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²). The range is the widest of
-        neighbouring pitches with the best of them; one of a ratio below `ALIKE_RATIO` is narrow, as around any smooth minimum.
+        neighbouring pitches with the best of them; one of a ratio below `WIDE_RATIO` is narrow, as around any smooth minimum.
         """
         mean, ci95 = mean_and_ci95(self.delta_e)
         apart = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
@@ -107,7 +112,7 @@ class Curve:
                 differ = apart[first : last + 1, first : last + 1].copy()
                 np.fill_diagonal(differ, 0.0)
                 ratio = float(self.pitch_um[last] / self.pitch_um[first])
-                if differ.max() < NO_VISIBLE_DELTA_E and ratio >= ALIKE_RATIO and (widest is None or ratio > widest[1] / widest[0]):
+                if differ.max() < NO_VISIBLE_DELTA_E and ratio >= WIDE_RATIO and (widest is None or ratio > widest[1] / widest[0]):
                     widest = float(self.pitch_um[first]), float(self.pitch_um[last])
         return widest
 
@@ -127,9 +132,10 @@ class Curve:
         return {
             "technology": self.technology,
             "optimum": self.optimum.as_dict(),
-            "no_visible_difference_um": self.alike_um,
+            "no_visible_difference_um": self.no_difference_um,
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
+            "alike_um": self.alike_um,
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
             "fill_factor": self.fill_factor.tolist(),
@@ -146,6 +152,7 @@ class StudyResult:
     curves : one for each technology
     irradiance : on the sensor plane, from which all frames are simulated
     camera : with which it was rendered
+    film : error of the film of its irradiance
     budget : error budget of the first curve, if a tolerance of ΔE was requested
     view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.View`)
     settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
@@ -156,6 +163,7 @@ class StudyResult:
     curves: tuple[Curve, ...]
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
+    film: FilmError | None = None
     budget: dict[str, Any] | None = None
     view: dict[str, Any] = field(default_factory=dict)
     settings_toml: str = field(default="", repr=False)
@@ -163,7 +171,10 @@ class StudyResult:
 
     def __post_init__(self) -> None:
         labels = labels_of([curve.technology for curve in self.curves])
-        labelled = tuple(replace(curve, label=label) for curve, label in zip(self.curves, labels, strict=True))
+        labelled = tuple(
+            replace(curve, label=label, alike_um=self.film.alike_um(curve.pitch_um, curve.mean()) if self.film else None)
+            for curve, label in zip(self.curves, labels, strict=True)
+        )
         object.__setattr__(self, "curves", labelled)
 
     @cached_property
@@ -183,7 +194,8 @@ class StudyResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
-        more = {"error_budget": self.budget, "chosen": self.view, "window_mm": self.study.window_mm}
+        more: dict[str, Any] = {"error_budget": self.budget, "film": self.film and self.film.as_dict(), "chosen": self.view}
+        more["window_mm"] = self.study.window_mm
         return {name: value for name, value in more.items() if value} | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "irradiance": self.irradiance.header,
@@ -249,6 +261,7 @@ class StudyResult:
         for curve in self.curves:
             best, ends = curve.optimum, f"{curve.pitch_um.min():.4g} and {curve.pitch_um.max():.4g}"
             size = f"{best.pitch_um:.2f}" if best.inside else f"none between {ends}"
+            size = alike_words(curve) if curve.alike_um else size
             within = within_words(best.within_1_percent_um, curve)
             rows.append((curve.label, size, interval_words(curve), f"{best.mean_delta_e:.3f}", within))
         head = ("technology", "optimal pixel size (µm)", "95 % interval", "mean ΔE", "within 1 % of it")
@@ -258,14 +271,15 @@ class StudyResult:
         words = []
         for curve in self.curves:
             best = curve.optimum
-            if curve.alike_um is not None:
-                low, high = curve.alike_um
+            if curve.no_difference_um is not None and not curve.alike_um:
+                low, high = curve.no_difference_um
                 words.append(f"{curve.label}: no visible difference from {low:.3g} to {high:.3g} µm, ΔE {best.mean_delta_e:.3f}")
                 continue
             text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
             if not best.inside:
                 ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
                 text = f"no optimum between {ends}, ΔE is least at {best.pitch_um:.2f} µm"
+            text = alike_words(curve) if curve.alike_um else text
             words.append(f"{curve.label}: {text}")
         return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
 
@@ -284,7 +298,15 @@ def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:
             values[index, int(row["repeat"])] = float(row[name])
         fill_factor[index] = float(row["fill_factor"])
     fit = fit_curve(pitches, statistics["mean_delta_e"], partial(photodiode_widths_um, study, technology))
-    return Curve(technology, technology_of(study, technology).feature_size_um, pitches, fill_factor, statistics, fit)
+    process = technology_of(study, technology)
+    sheet = process.name == NO_TECHNOLOGY
+    return Curve(technology, process.feature_size_um, pitches, fill_factor, statistics, fit, data_sheet=sheet)
+
+
+def alike_words(curve: Any) -> str:
+    """Return why no optimum is named: the pitches that the film cannot tell apart."""
+    low_um, high_um = curve.alike_um
+    return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
 
 
 def interval_words(curve: Any) -> str:
@@ -435,8 +457,9 @@ def target_notes(result: Any) -> list[str]:
 
 def study_dark_notes(result: Any) -> list[str]:
     """Return a note for each curve whose black level clips dark noise, with the number of pixel sizes and the worst of them."""
-    pixel, notes = result.study.pixel.model_dump(), []
+    notes = []
     for curve in result.curves:
+        pixel = result.study.options_of(curve.technology).model_dump()
         table = result.dark(curve)
         clips = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
         clipped = [place for place, clip in enumerate(clips) if clips_dark(clip)]

@@ -16,9 +16,8 @@ from pixsim.base.config import SETTINGS_FILE, packaged, settings_text, whole_pat
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.base.notes import collected_notes
-from pixsim.base.parameters import Camera, PitchRange, Record, Study, content_hash, merge
+from pixsim.base.parameters import PitchRange, Record, Study, content_hash, merge
 from pixsim.base.progress import Progress, Stage
-from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.technology import load_technology
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Column, Plate, write_figures, write_page
@@ -26,7 +25,7 @@ from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, refer
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import ResultsFile
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
-from pixsim.studies.study import check_pitches, check_technologies, load_study, prepare, render_for, sweep_pitches
+from pixsim.studies.study import Light, check_pitches, check_technologies, load_study, prepare, render_for, sweep_pitches
 
 
 class Setting(Record):
@@ -230,19 +229,19 @@ def run_sensitivity(
     for name in names:
         ResultsFile(Path(out) / "cases" / f"{name}.csv").check_replaceable()
     stage = progress or (lambda _: lambda *_: None)
-    renders: dict[str, tuple[SpectralImage, Camera]] = {}
+    renders: dict[str, Light] = {}
+    of_light = {"scene", "camera", "seed", "tolerance_e", "tolerance_delta_e", "render_noise", "resolution", "max_seconds", "pitch"}
 
-    def render(study: Study) -> tuple[SpectralImage, Camera]:
-        light = study.model_dump(mode="json", include={"scene", "camera", "seed", "tolerance_e", "render_noise", "max_seconds"})
-        key = content_hash(
-            [light, study.exposure.model_dump(), study.pixel.model_dump(), study.technologies[0], study.pitch.max_um]
-        )
+    def render(study: Study) -> Light:
+        light = study.model_dump(mode="json", include=of_light)
+        shown = study.display.raster, study.display.dots
+        key = content_hash([light, study.exposure.model_dump(), study.pixel.model_dump(), study.technologies, shown])
         if key not in renders:
             renders[key] = render_for(study, variant, stage("render"))
         return renders[key]
 
-    def run(study: Study, name: str, light: tuple[SpectralImage, Camera]) -> StudyResult:
-        result = sweep_pitches(study, *light, folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
+    def run(study: Study, name: str, light: Light) -> StudyResult:
+        result = sweep_pitches(study, *light[:2], folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
         return StudyResult(study, result.curves, *light)  # without prepared scenes, since many results stay in memory
 
     with collected_notes() as notes, workers_for(jobs, scheduler) as workers, output_folder(out) as folder:

@@ -12,17 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.files import output_folder
+from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes
-from pixsim.base.parameters import Camera, Layer, Study, content_hash
+from pixsim.base.parameters import Camera, Layer, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.scene import packaged_scenes
-from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.pixel import physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
+from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
 from pixsim.studies.preparation import View, choose_view, die_um, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import dot_edges_um, white_header
@@ -32,13 +33,16 @@ if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
     from pixsim.studies.budget import Settled
 
+Light = tuple[SpectralImage, Camera, FilmError]
+
 
 def read_study(name: str | os.PathLike[str]) -> Layer:
     """Return the table of a packaged study by name, or of a TOML file; the files that it names may lie next to it."""
     known = packaged("data/studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
-        raise invalid("study", f"'{name}'", f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
+        got = f"'{name}'" if path.parent == Path() else missing(path)
+        raise invalid("study", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
     table = read_toml(path)
     if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
         hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
@@ -58,6 +62,8 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
     for group, key in (("scene", "file"), ("pixel", "quantum_efficiency")):
         if isinstance(values := table.get(group), dict) and key in values:
             values[key] = resolve_file(path, values[key])
+    if isinstance(scene := table.get("scene"), dict) and isinstance(given := scene.get("parameters"), dict) and "chart" in given:
+        given["chart"] = resolve_file(path, given["chart"])
 
 
 def load_study(
@@ -149,17 +155,21 @@ def check_technologies(study: Study) -> None:
         if name not in study.technologies:
             raise invalid("process", f"'{name}'", f"technologies of the study: {', '.join(study.technologies)}")
     for name in study.technologies:
-        content = content_hash(technology_of(study, name).content)
+        sheet = study.sensors[name].model_dump() if name in study.sensors else None
+        content = content_hash([technology_of(study, name).content, sheet])
         if content in processes:
-            raise invalid("technologies", f"{name} and {processes[content]}, which are the same process", "each process once")
+            kind = "process" if sheet is None else "data sheet"
+            raise invalid("technologies", f"{name} and {processes[content]}, which are the same {kind}", f"each {kind} once")
         processes[content] = name
 
 
 def check_pitches(study: Study) -> None:
     """Raise PixsimError for an impossible pitch or limit, before anything is computed."""
     for technology in study.technologies:
-        for pitch_um in study_pitches_um(study, technology).tolist():
+        pitches_um = study_pitches_um(study, technology).tolist()
+        for pitch_um in pitches_um:
             physics_of(study, technology, pitch_um)
+        warn_of_disagreements(pixel_of(study, technology, pitches_um[-1]), technology_of(study, technology))
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
@@ -172,6 +182,7 @@ def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
 
     parameters: dict[str, Any] = dict(study.scene.parameters)
     scene = load_scene(study.scene.file, variant=variant, **parameters)
+    scene = scene.with_resolution(study.resolution) if study.resolution else scene
     return scene, scene.camera(study.camera).window(study.window_mm)
 
 
@@ -217,22 +228,51 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     return Prepared(study, scene, camera, view, variant)
 
 
-def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> tuple[SpectralImage, Camera]:
-    """Return the study's irradiance, and the camera that it was rendered with.
+def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> Light:
+    """Return the study's irradiance, the camera that it was rendered with, and the error of its film.
 
-    Its noise is adequate for the largest pixel that the study allows, the least noisy one. It does not depend on the pitches
-    chosen, so a row does not depend on the others.
+    Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
+    photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
     """
-    from pixsim.scene.convergence import render_until
-    from pixsim.scene.plan import make_render_plan
+    from pixsim.scene.convergence import RenderNoise, render_until
+    from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 
     scene, camera = scene_for(study, variant)
-    largest = [physics_of(study, study.technologies[0], study.pitch.max_um)]
-    plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
+    first = study.technologies[0]
+    largest = [physics_of(study, first, study.pitch.max_um)]
     limits: dict[str, Any] = {"render_noise": study.render_noise, "max_seconds": study.max_seconds}
-    image, _ = render_until(scene, camera, plan, largest, study.exposure, study.seed, progress=progress, keep=True, **limits)
-    image.header |= white_header(image, camera, study.display)
-    return image, camera
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
+    pitches_um = study_pitches_um(study, first)
+    tried = [physics_of(study, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
+
+    def plan_of(scene: Scene) -> Plan:
+        return make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
+
+    def render(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
+        return render_until(scene, camera, plan, largest, study.exposure, study.seed, progress=progress, keep=True, **limits)
+
+    def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": study.tolerance_delta_e}
+        return cached_film_error(image, camera, tried, study.exposure, study.display, **given)
+
+    plan = plan_of(scene)
+    resolution, _ = decide_oversampling(scene, plan, camera, finest, study.display, full=False)
+    if resolution:
+        scene = scene.with_resolution(resolution)
+        plan = plan_of(scene)
+    made = render_on_film(
+        scene,
+        camera,
+        plan,
+        render=render,
+        plan_of=plan_of,
+        measure=measure,
+        fixed="set by --resolution" if study.resolution else "",
+        max_seconds=limit_of_time(study),
+    )
+    made.image.header.update(white_header(made.image, camera, study.display))
+    return made.image, camera, made.film
 
 
 def sweep_pitches(
@@ -337,13 +377,14 @@ def run_prepared(
             from pixsim.studies.budget import settled_study
 
             chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
-        irradiance, camera = render_for(chosen, variant, stage("render"))
+        irradiance, camera, film = render_for(chosen, variant, stage("render"))
+        chosen = chosen.model_copy(update={"resolution": irradiance.shape[1]})
         results = folder / "results.csv"
         result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)
         for technology in chosen.technologies:
             light_of(chosen, result.scenes, technology)  # whose warnings a resumed study, with all rows, would miss
     noise = irradiance.header["render_noise"]
-    changes: dict[str, Any] = {"warned": tuple(notes), "settings_toml": repeated_settings(prepared, chosen, noise)}
+    changes: dict[str, Any] = {"warned": tuple(notes), "settings_toml": repeated_settings(prepared, chosen, noise), "film": film}
     if settled is not None:
         sensors = int(result.curves[0].sensors.min())
         changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)

@@ -300,7 +300,7 @@ def test_run_meets_tolerance_and_looser_is_cheaper(chart, tmp_path, monkeypatch)
 
 
 def test_run_fixed_film_reports_unmet_tolerance(tmp_path):
-    result = run("csf", "-D resolution=64 --tolerance-delta-e 0.001 --max-seconds 5", tmp_path / "out")
+    result = run("csf", "--resolution 64 --tolerance-delta-e 0.001 --max-seconds 5", tmp_path / "out")
     budget = result["error_budget"]
     assert (budget["met"], budget["settings"]["resolution"]) == (False, 64)
     assert budget["sources"]["oversampling"]["delta_e"] > 0.001
@@ -341,7 +341,7 @@ def test_commands_invalid_input_print_one_message(line, message, tmp_path, monke
 
 def test_run_scene_without_white_meets_tolerance(tmp_path):
     source = edited(tmp_path, "macbeth", ('<default name="white_cd_per_m2"', '<default name="unused_white"'))
-    result = run(source, "-D resolution=32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
+    result = run(source, "--resolution 32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
     assert "error_budget" in result
     assert result["err"].count("does not define its white") == 1
 

@@ -14,8 +14,9 @@ from helpers.tiny import tiny_toml
 import pixsim
 from pixsim.base.config import checked, study_layers
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Layer, Run, Study, pixel_of
+from pixsim.base.parameters import CameraOptions, Layer, Run, Study, pixel_of
 from pixsim.cli.options import SceneOptions
+from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import fill_factor_law
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.study import checked_study, load_study, read_study
@@ -147,7 +148,7 @@ def sheet(tmp_path: Path) -> Path:
 
 
 def test_run_command_data_sheet_sets_all_values(sheet: Path, tmp_path: Path) -> None:
-    small = "-D resolution=64 --display.dots 64 --json"
+    small = "--resolution 64 --display.dots 64 --json"
     code, out, err = command(f"run csf {small} --config", sheet, "--out", tmp_path / "out")
     assert code == 0, err
     score = json.loads(out)
@@ -283,7 +284,7 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
     ],
 )
 def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_path: Path) -> None:
-    film = "--irradiance none -D resolution=64 -D spp=4 --display.dots 64"
+    film = "--irradiance none --resolution 64 -D spp=4 --display.dots 64"
     sheet = "[pixel]\nbits = 10\n" if "technology" in options else SHEET
     path = written(tmp_path / "sensor.toml", sheet.replace("bits =", f"{options}\nbits ="))
     code, out, err = command(f"run csf --config {path} {film} --out {tmp_path / 'out'}")
@@ -295,7 +296,7 @@ def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_
     assert ("clips dark noise" in page) == bool(message)
     if message:
         assert message in notes[0]
-        assert notes[0] in page
+        assert notes[0].removeprefix("note: ") in page
     dark = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["dark"]
     assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(message)
 
@@ -334,3 +335,59 @@ def test_checked_misplaced_field_names_its_table() -> None:
         checked(Study, [Layer({"name": "a", "min_um": 2.8}, "a.toml")])
     with pytest.raises(PixsimError, match=r"pixl: unknown name; .* Did you mean 'pixel'\?"):
         checked(Run, [Layer({"pixl": {}})])
+
+
+# --- The die from its pixels --------------------------------------------------------------------------------------------
+
+
+def test_settings_pixels_and_pitch_give_the_die(tmp_path: Path) -> None:
+    """In one file, in two, or with options, as text too; pixels_along counts the same pixels."""
+    pixel, camera = "[pixel]\npitch_um = 3.45\n", "[camera]\npixels = [2448, 2048]\n"
+    one, other = written(tmp_path / "one.toml", pixel), written(tmp_path / "other.toml", camera)
+    both = written(tmp_path / "both.toml", pixel + camera)
+    for settings in (
+        SceneOptions([both]).settings(),
+        SceneOptions([one, other]).settings(),
+        SceneOptions([one]).settings(camera={"pixels": "2448x2048"}),
+        SceneOptions([other]).settings(pixel={"pitch_um": "3.45"}),
+    ):
+        assert (settings.camera.die_mm, settings.camera.die_height_mm) == (8.4456, 7.0656)
+        assert [pixels_along(1e3 * side, 3.45) for side in (8.4456, 7.0656)] == [2448, 2048]
+        camera_of_scene = settings.camera.over(pixsim.Camera())
+        assert (camera_of_scene.die_mm, camera_of_scene.height_mm) == (8.4456, 7.0656)
+    assert pixsim.Camera(die_mm=3.0).height_mm == 3.0
+
+
+@pytest.mark.parametrize(("die", "off_um"), [("die_mm", 1.7), ("die_mm", -1.8), ("die_height_mm", 1.7), ("die_height_mm", 1.8)])
+def test_settings_pixels_with_another_die_raises(die: str, off_um: float, tmp_path: Path) -> None:
+    """Half a pixel, 1.725 µm, is the limit; the given die then stands."""
+    given = {"die_mm": 8.4456, "die_height_mm": 7.0656}[die] + 1e-3 * off_um
+    text = f"[pixel]\npitch_um = 3.45\n[camera]\npixels = [2448, 2048]\n{die} = {given!r}\n"
+    path = written(tmp_path / "sensor.toml", text)
+    if abs(off_um) < 1.725:
+        assert getattr(SceneOptions([path]).settings().camera, die) == given
+    else:
+        with pytest.raises(PixsimError, match=rf"camera\.{die} = .* by more than half a pixel; give one of them"):
+            SceneOptions([path]).settings()
+
+
+def test_settings_pixels_without_pitch_raises(tmp_path: Path) -> None:
+    for pixels, message in (("[640, 480]", "needs the pitch of the sensor"), ("[640]", "pixels"), ('"640 by 480"', "integer")):
+        path = written(tmp_path / "sensor.toml", f"[camera]\npixels = {pixels}\n")
+        with pytest.raises(PixsimError, match=message):
+            SceneOptions([path]).settings()
+    with pytest.raises(PixsimError, match=r"camera\.pixels: got \[640, 480\]"):
+        CameraOptions(pixels=(640, 480)).over(pixsim.Camera())
+
+
+def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None:
+    """The die is that of the sheet's own pitch, whether a data sheet or a technology; and of the study's own [pixel]."""
+    for text in (SHEET.replace("die_mm = 2.0", "pixels = [500, 400]"), '[pixel]\ntechnology = "4t-bsi"\npitch_um = 4.0\n[camera]\n'
+                 "pixels = [500, 400]\n"):  # fmt: skip
+        study = study_of(text, tmp_path)
+        assert (study.camera.die_mm, study.camera.die_height_mm, study.camera.pixels) == (2.0, 1.6, None)
+    assert study.quickened.camera.die_height_mm == 1.6
+    table = {"name": "a", "pixel": {"data_sheet_pitch_um": 4.0}, "camera": {"pixels": [500, 400]}}
+    assert Study.model_validate(table).camera.die_height_mm == 1.6
+    with pytest.raises(ValueError, match="needs the pitch of the sensor"):
+        Study.model_validate(table | {"pixel": {}})

@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ RUN_FILES = {
     "settings.toml", "provenance.json",
     "report.html",
 }  # fmt: skip
-SMALL = "-D resolution=64 --display.dots 64"
+SMALL = "--resolution 64 --display.dots 64"
 SHEET = "[pixel]\npitch_um = 4\nfull_well_e = 12000\nread_noise_e = 2.5\ndark_current_e_per_s = 8\nquantum_efficiency = 0.6\n"
 
 
@@ -149,7 +150,7 @@ INVALID = {
     "doctor --limit-s 0": ["--limit-s: got 0; allowed: a number above 0"],
     "template lens": ["kind: got 'lens'; allowed: sensor or study"],
     "template sensor -o key.toml": ["key.toml", "exists already"],
-    "template sensor -o gone/a.toml": ["gone/a.toml", "cannot be written"],
+    "template sensor -o gone/a.toml": ["gone/a.toml", "can be written"],
     "template sensor -o a.txt": ["a.txt", ".toml"],
     "chart sphere -o x.exr": ["sphere", "csf, flat"],
     "chart flat -o gone/x.exr": ["gone/x.exr", "can be written"],
@@ -207,7 +208,7 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pixsim.write_chart(folder / "quadrants.exr", np.kron(QUADRANTS, np.ones((32, 32))).astype(np.float32))
     ideal = " ".join(f"--pixel.{name} 0" for name in ("prnu", "dsnu", "offset-fpn", "column-fpn", "dark-current-e-per-s"))
     code, out, err = command(
-        f"run csf -D chart={folder / 'quadrants.exr'} -D resolution=128 --display.dots 128 --seed 7 --json "
+        f"run csf -D chart={folder / 'quadrants.exr'} --resolution 128 --display.dots 128 --seed 7 --json "
         f"--pixel.pitch-um 8 --pixel.bits 12 --pixel.black-level-dn 64 --pixel.full-well-e 40000 {ideal} --out {folder / 'out'}"
     )
     assert (code, err) == (0, "")
@@ -299,8 +300,11 @@ def test_run_is_reproducible_on_one_core_and_elsewhere(desk: Path, tmp_path_fact
 def test_run_config_precedence(desk: Path) -> None:
     Path("first.toml").write_text("seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution = 32")
     Path("second.toml").write_text("[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4")
-    code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
+    with warnings.catch_warnings(action="always"):
+        code, out, err = command("run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64 --json")
     assert code == 0, err
+    mixture = "[pixel] is a mixture of 2 files. first.toml: bits; second.toml: pitch_um, prnu"
+    assert mixture in err
     score = json.loads(out)
     pixel, irradiance = score["pixel"], score["irradiance"]
     assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"]) == (10, 0, 12)  # option, second file, first file

@@ -21,7 +21,7 @@ from pixsim.base.parameters import Run, Study
 from pixsim.cli import options
 from pixsim.cli.options import app
 
-SMALL = "-D resolution=64 --display.dots 64"
+SMALL = "--resolution 64 --display.dots 64"
 
 
 def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:

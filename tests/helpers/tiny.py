@@ -16,7 +16,8 @@ TINY: dict[str, Any] = {
     "name": "tiny",
     "repeats": 2,
     "iso_delta_e": 1.0,
-    "scene": {"file": "csf", "parameters": {"resolution": 96, "spp": 4, "luminance_cd_per_m2": 100.0}},
+    "resolution": 384,
+    "scene": {"file": "csf", "parameters": {"spp": 4, "luminance_cd_per_m2": 100.0}},
     "pitch": {"values_um": PITCHES_UM},
     "display": {"dots": 96, "samples_per_deg": 10.0},
 }

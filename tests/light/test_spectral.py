@@ -457,8 +457,8 @@ def test_spectral_image_factors_equal_their_data():
     [
         ({}, "give either data or factors, not both or neither"),
         ({"data": np.ones((2, 2, 1)), "factors": (np.ones(1), np.ones((1, 2, 2)))}, "not both or neither"),
-        ({"data": np.ones((2, 2))}, r"data: got \(2, 2\); allowed: \(H, W, 1\)"),
-        ({"data": np.ones((2, 2, 3))}, r"data: got \(2, 2, 3\); allowed: \(H, W, 1\)"),
+        ({"data": np.ones((2, 2))}, r"data: got \(2, 2\); allowed: \(rows, columns, bands\), here \(H, W, 1\)"),
+        ({"data": np.ones((2, 2, 3))}, r"data: got \(2, 2, 3\); allowed: \(rows, columns, bands\), here \(H, W, 1\)"),
         ({"factors": (np.ones((2, 1)), np.ones((1, 2, 2)))}, r"factors: got \(2, 1\) and \(1, 2, 2\)"),
         ({"data": np.ones((2, 2, 1)), "pitch_um": 0.0}, "positive pitch"),
         ({"data": np.ones((2, 2, 1)), "band_width_nm": -1.0}, "positive pitch and band widths"),

@@ -14,7 +14,8 @@ from spectral.io import envi
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.foreign import parse_light_unit
-from pixsim.light.spectral import SpectralImage
+from pixsim.light.spectral import SpectralImage, bands_last_hint
+from pixsim.optics.exchange import read_irradiance
 
 UNIT = "W.m^-2.nm^-1"
 RADIANCE = "W.m^-2.sr^-1.nm^-1"
@@ -376,7 +377,7 @@ def test_read_npz_numeric_types_are_converted(tmp_path):
     [{"data": np.ones((4, 5))}, {"data": np.ones((4, 5, 3), complex)}, {"data": np.full((4, 5, 3), "a")}, {"wavelength_nm": 500.0}],
 )
 def test_read_npz_wrong_arrays_raise(tmp_path, arrays):
-    refused(npz(tmp_path / "a.npz", **arrays), "real numbers: data (H, W, B) and wavelength_nm (B,)")
+    refused(npz(tmp_path / "a.npz", **arrays), "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)")
 
 
 def test_read_npz_wrong_names_raise(tmp_path):
@@ -514,3 +515,28 @@ def test_read_envi_missing_raw_file_or_spy_raises(tmp_path, monkeypatch):
     refused(path, "an ENVI header with its raw file in the same folder")
     monkeypatch.setitem(__import__("sys").modules, "spectral", None)
     refused(path, "SPy is not installed", "pip install 'pixsim[envi]'")
+
+
+@pytest.mark.parametrize(("shape", "axis"), [((3, 8, 9), 0), ((8, 3, 9), 1), ((3, 3, 9), 0)])
+def test_cube_bands_not_last_raises_with_line_that_turns_it(shape, axis, tmp_path):
+    """From a file and in Python; the line of the message works."""
+    nm, data, path = np.array([450.0, 550.0, 650.0]), np.ones(shape), tmp_path / "cube.npz"
+    more = {"wavelength_nm": nm, "units": "W.m^-2.nm^-1", "pitch_um": 5.0}
+    np.savez(path, data=data, **more)
+    with pytest.raises(PixsimError, match="rows, columns, bands") as of_file:
+        read_irradiance(path)
+    with pytest.raises(PixsimError, match="rows, columns, bands") as of_image:
+        SpectralImage(nm, 100.0, 5.0, data=data)
+    for raised in (of_file, of_image):
+        line = str(raised.value).rpartition(": ")[2]
+        assert line == f"data = np.moveaxis(data, {axis}, 2)"
+    np.savez(path, data=np.moveaxis(data, axis, 2), **more)
+    assert read_irradiance(path).data.shape[2] == 3
+
+
+def test_cube_without_axis_of_the_bands_gives_no_line(tmp_path):
+    np.savez(tmp_path / "cube.npz", data=np.ones((4, 5, 6)), wavelength_nm=[450.0, 550.0], units="W.m^-2.nm^-1", pitch_um=5.0)
+    with pytest.raises(PixsimError) as raised:
+        read_irradiance(tmp_path / "cube.npz")
+    assert "moveaxis" not in str(raised.value)
+    assert bands_last_hint((2, 5, 2), 2) == "", "the last axis fits"

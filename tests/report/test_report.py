@@ -131,7 +131,9 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
     best = curve.optimum
     low, high = best.interval_um
     assert f"0.35um: {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in repr(made[0])
-    sheet = replace(curve, technology="none", fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0)))
+    sheet = replace(
+        curve, technology="none", data_sheet=True, fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0))
+    )
     result = replace(made[0], curves=(sheet,))
     assert repr(result).endswith("data sheet: no optimum between 5.30 and 15.00 µm, ΔE is least at 15.00 µm>")
     assert sheet.as_dict()["optimum_features"] is None
@@ -149,7 +151,7 @@ def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_pat
     cells = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
     message = {cell[0]: cell[1:] for cell in cells}
     assert message["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
-    assert [message[name][0] for name in ("file", "resolution", "integration_s")] == ["csf.xml", "96", "100 ms"]
+    assert [message[name][0] for name in ("file", "film", "integration_s")] == ["csf.xml", "384 × 384", "100 ms"]
     brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
     write_report(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
     assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)

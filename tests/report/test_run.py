@@ -39,7 +39,7 @@ def scored(line: str) -> tuple[dict, str]:
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     """A run's folder and its score."""
     out = tmp_path_factory.mktemp("rendered")
-    line = f"run csf --variant scalar_spectral -D resolution=64 {LENS} {OPTIONS} --json --out {out}"
+    line = f"run csf --variant scalar_spectral --resolution 64 {LENS} {OPTIONS} --json --out {out}"
     return out, scored(line)[0]
 
 
@@ -253,7 +253,7 @@ def test_run_irradiance_option_sets_contents(tmp_path):
 
 # --- The page of one picture ---
 
-LINE = "run csf --variant scalar_spectral -D resolution=128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
+LINE = "run csf --variant scalar_spectral --resolution 128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
 
 
 @pytest.fixture(scope="module")
@@ -276,7 +276,7 @@ def test_run_page_matches_score_json(ran: Path) -> None:
     assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
     assert "display white is 1000 cd/m² in the scene; exposed for" in page
     assert "<td>white_cd_per_m2</td><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>" in page
-    assert "<td>resolution</td><td>128</td>" in page
+    assert "<td>film</td><td>128 × 128</td>" in page
     assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
     assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the MTF of the lens is 0.9" in page  # tests/studies/test_paper.py
 
@@ -341,7 +341,7 @@ def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
 
 
 def test_run_page_enlarges_small_picture(tmp_path: Path) -> None:
-    line = f"run csf --variant scalar_spectral -D resolution=64 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
+    line = f"run csf --variant scalar_spectral --resolution 64 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
     assert command(line)[0] == 0
     page = text_of(tmp_path)
     assert "--dots: 228px" in page  # 38 of 40 dots are shown

@@ -47,7 +47,7 @@ def test_greatest_blur_is_at_an_end_of_the_body():
 def test_blur_um_matches_mitsuba(tmp_path):
     """The second moment of a uniform disc is D²/8; those of convolved discs add up."""
     radius_m, depth_m = 6e-5, 0.07
-    small = ('x="$chart_half_width" y="$chart_half_width"', f'x="{radius_m}" y="{radius_m}"')
+    small = ('x="$chart_half_width" y="$chart_half_height"', f'x="{radius_m}" y="{radius_m}"')
     away = ('<translate z="$focus_distance"/>', f'<translate z="{depth_m}"/>')
     scene = load(edited(tmp_path, "flat", ('type="rectangle"', 'type="disk"'), small, away), resolution=48, spp=400)
     camera = pixsim.Camera(f_number=1.0, object_distance_m=0.1, die_mm=0.16)

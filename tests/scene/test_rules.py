@@ -20,7 +20,8 @@ from pixsim.scene.plan import make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 
 RULES = {"spectral rank", "bounces", "lens samples", "texture samples", "diffraction"}
-HALF, AWAY = 'x="$chart_half_width" y="$chart_half_width"', '<translate z="$focus_distance"/>'
+HALF, AWAY = 'x="$chart_half_width" y="$chart_half_height"', '<translate z="$focus_distance"/>'
+SIDE = 'x="$chart_half_side" y="$chart_half_side"'  # of the slanted edge
 PATH = '<integrator type="path"/>'
 DEPTH = '<integer name="max_depth" value="2"/>'
 RAW = '<boolean name="raw" value="true"/>'
@@ -28,9 +29,9 @@ BSDF = '<bsdf type="diffuse">\n            <spectrum name="reflectance" filename
 NEUTRAL_LAMP = '<spectrum name="{}" value="360:1, 830:1"/>'
 
 
-def bigger(times: float) -> tuple[str, str]:
+def bigger(times: float, half: str = HALF) -> tuple[str, str]:
     """Return an edit that makes the chart larger than the film."""
-    return HALF, f'x="{0.350145791 * times}" y="{0.350145791 * times}"'
+    return half, f'x="{0.350145791 * times}" y="{0.350145791 * times}"'
 
 
 def shape(kind: str, transform: str, inside: str = "") -> tuple[str, str]:
@@ -103,11 +104,11 @@ def shining(plugin: str, name: str = "radiance", more: str = "") -> str:
 
 # name: (scene, edits, the rules that must not fire)
 KEPT = {
-    "chart out of focus": ("slanted_edge", [moved_chart('<translate z="1.3"/>'), bigger(1.5)], RULES - ALONE),
+    "chart out of focus": ("slanted_edge", [moved_chart('<translate z="1.3"/>'), bigger(1.5, SIDE)], RULES - ALONE),
     "uniform chart out of focus": ("flat", [moved_chart('<translate z="0.9"/>')], RULES - ALONE),
     "tilted chart": ("flat", [moved_chart(f'<rotate x="1" angle="20"/>{FILM}'), bigger(1.5)], RULES - ALONE),
     "chart smaller than the film": ("flat", [bigger(0.9)], DETAIL),
-    "chart beside the axis": ("slanted_edge", [bigger(2), moved_chart(f'<translate x="0.3"/>{FILM}')], DETAIL),
+    "chart beside the axis": ("slanted_edge", [bigger(2, SIDE), moved_chart(f'<translate x="0.3"/>{FILM}')], DETAIL),
     "chart turned on its side": ("flat", [bigger(2), moved_chart(f'<rotate z="1" angle="30"/>{FILM}')], DETAIL),
     "repeated picture": ("slanted_edge", [('<scale y="-1"/>', '<scale x="8" y="-1"/>')], DETAIL),
     "shifted picture": ("slanted_edge", [('<translate y="1"/>', '<translate x="0.4" y="1"/>')], DETAIL),

@@ -11,9 +11,11 @@ from scipy.constants import c as light_speed, e as electron, h as planck, k as b
 from scipy.integrate import quad
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Pixel
+from pixsim.base.parameters import Exposure, Pixel, excluded_by, merge
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
 from pixsim.sensor import pixel as pixels
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.readout import capture_from_rates, frame_variance_dn2, integration_time_s, least_black_level_dn, sample_sensor
 from pixsim.sensor.technology import load_technology, with_fill_factor_law
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
@@ -275,3 +277,96 @@ def test_derive_pinned_photodiode_has_no_ktc(name, pitch_um, full_well_e):
     assert physics.quantum_efficiency([400.0, 557.0, 1100.0])[2] == 0
     peak = physics.quantum_efficiency(np.arange(360.0, 1000.0)).max()
     assert peak == pytest.approx(physics.technology.peak_quantum_efficiency, rel=1e-3)
+
+
+# --- A data sheet's own words -------------------------------------------------------------------------------------------
+
+SHEET = {"pitch_um": 4.0, "full_well_e": 10_000, "read_noise_e": 2.0, "dark_current_e_per_s": 5, "quantum_efficiency": 0.6}
+
+
+def sheet_with(**values: object) -> Pixel:
+    """The data sheet with values in place of those that state the same."""
+    return Pixel.model_validate(merge({"pixel": SHEET}, {"pixel": values})["pixel"])
+
+
+@pytest.mark.parametrize(
+    ("word", "value", "fields"),
+    [
+        ("saturation_capacity_e", 9000, {"full_well_e": 1e4}),
+        ("temporal_dark_noise_e", 3, {"read_noise_e": 2.0, "reset_noise_factor": 1.0}),
+        ("dark_current", {"e_per_s": 1, "at_c": 20}, {"dark_current_e_per_s": 5}),
+        ("prnu_percent", 1, {"prnu": 0.01}),
+        ("dsnu_e", 2, {"offset_fpn": 0.001, "column_fpn": 0.001}),
+    ],
+)
+def test_pixel_same_quantity_twice_raises(word: str, value: object, fields: dict[str, float]) -> None:
+    for name, other in fields.items():
+        with pytest.raises(ValueError, match=rf"{word} and {name} state the same quantity; give one of them"):
+            Pixel(**{word: value, name: other})
+    assert excluded_by([word]) == set(fields)
+    assert all(word in excluded_by([name]) for name in fields)
+
+
+def test_derive_words_of_data_sheet_closed_form() -> None:
+    """EMVA's numbers are what the pixel has, whatever the technology: σ_d includes the noise of its reset."""
+    for technology in ("none", "0.35um"):
+        words = {"temporal_dark_noise_e": 6.8, "prnu_percent": 0.5, "dsnu_e": 1.9}
+        physics = derive(sheet_with(pitch_um=6.5, technology=technology, **words))
+        assert (physics.noise_floor_e, physics.reset_noise_e, physics.prnu) == (6.8, 0.0, 0.005)
+        assert (physics.offset_fpn_e, physics.column_fpn_e) == (1.9, 0.0)
+        frame_e2 = frame_variance_dn2(1000.0, 0.0, physics) / physics.dn_per_e**2
+        assert frame_e2 == pytest.approx(1000 + 6.8**2 + (0.005 * 1000) ** 2 + 1.9**2 + 1 / 12 / physics.dn_per_e**2, rel=1e-12)
+
+
+@pytest.mark.parametrize(("at_c", "expected"), [(0.0, 1.0), (-50.0, 0.03), (9.884, 2.0)])
+def test_derive_dark_current_follows_temperature(at_c: float, expected: float) -> None:
+    """GSENSE400BSI: 1 e-/s at 0 °C and 0.03 at -50 °C double every 50 K / log2(1/0.03) = 9.884 K."""
+    law = {"e_per_s": 1.0, "at_c": 0.0, "doubling_k": 9.884}
+    physics = derive(sheet_with(dark_current=law, temperature_k=273.15 + at_c))
+    assert physics.dark_current_e_per_s == pytest.approx(expected, rel=1e-3)
+    assert physics.dark_doubling_k == 9.884
+    assert derive(sheet_with(dark_current={"e_per_s": 1.0, "at_c": 0.0})).dark_doubling_k == 8.0
+    assert derive(sheet_with(dark_current=law, data_sheet_pitch_um=2.0, temperature_k=273.15)).dark_current_e_per_s == 4.0
+    with pytest.raises(PixsimError, match=r"dark_current: got 1e\+18 e-/s at -100 °C.*at most 1e\+18"):
+        derive(sheet_with(dark_current={"e_per_s": 1e18, "at_c": -100}))
+
+
+@pytest.mark.parametrize(("gain_e_per_dn", "saturation_e"), [(2.0, 8190.0), (3.0, 10_000.0)])
+def test_derive_gain_saturates_at_the_lower_of_well_and_adc(gain_e_per_dn: float, saturation_e: float) -> None:
+    physics = derive(sheet_with(gain_e_per_dn=gain_e_per_dn, bits=12))
+    assert (physics.full_well_e, physics.saturation_e) == (10_000.0, saturation_e)
+    assert physics.dn_per_e == 1 / gain_e_per_dn
+    exposure = Exposure(max_integration_s=10.0, well_target=0.9)
+    time_s = integration_time_s(exposure, physics, 1e5)
+    assert time_s * (1e5 + 5) == pytest.approx(0.9 * saturation_e, rel=1e-12)
+    sensor = sample_sensor(physics, (64, 64), np.random.default_rng(0))
+    for share, saturated in ((0.9, 0.0), (1.2, 1.0)):
+        signal = np.full((64, 64), share * saturation_e)
+        frame = capture_from_rates(signal, sensor, Exposure(integration_s=1.0), np.random.default_rng(1))
+        assert frame.saturated_fraction == saturated
+        read = min(share * saturation_e, saturation_e) + 5 * (share < 1)  # dark charge
+        assert frame.dn.mean() == pytest.approx(read / gain_e_per_dn, rel=2e-3)
+    black = least_black_level_dn(physics, 0.0)
+    assert 6 * 2.0 / gain_e_per_dn < black <= 6 * 2.0 / gain_e_per_dn + 2
+    without = derive(sheet_with(bits=12))
+    assert without.adc_range_e == without.saturation_e == without.full_well_e == 10_000.0
+
+
+@pytest.mark.parametrize("pitch_um", [2.0, 4.0, 8.0])
+def test_derive_data_sheet_words_scale_with_area(pitch_um: float) -> None:
+    """Well, gain and dark current scale as the area, solved once for the sheet's own pitch; noise in electrons stays."""
+    words = {"saturation_capacity_e": 9000, "gain_e_per_dn": 2.5, "dsnu_e": 2.0, "bits": 14}
+    own = derive(sheet_with(**words))
+    physics = derive(sheet_with(**words, data_sheet_pitch_um=4.0, pitch_um=pitch_um))
+    area = (pitch_um / 4) ** 2
+    assert own.full_well_e == pytest.approx(9000 * 1.035, rel=0.01)
+    scaled = physics.full_well_e, physics.gain_e_per_dn, physics.dark_current_e_per_s
+    assert scaled == pytest.approx((own.full_well_e * area, 2.5 * area, 5 * area), rel=1e-12)
+    assert (physics.offset_fpn_e, physics.read_noise_e) == (2.0, 2.0)
+
+
+def test_saturation_capacity_of_a_soft_well_raises() -> None:
+    with pytest.raises(ValueError, match=r"well_limit = 'diode'.*Give full_well_e instead"):
+        Pixel(saturation_capacity_e=9000, well_limit="diode")
+    with pytest.raises(ValueError, match="missing: full_well_e, read_noise_e"):
+        Pixel(technology=None, dark_current_e_per_s=1, quantum_efficiency=0.5)

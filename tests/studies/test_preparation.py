@@ -32,7 +32,7 @@ from pixsim.studies.preparation import (
     study_cost,
     window_within,
 )
-from pixsim.studies.result import ALIKE_RATIO, NO_VISIBLE_DELTA_E, Curve
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve
 from pixsim.studies.study import load_study, prepare
 
 SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}
@@ -280,25 +280,25 @@ def curve_through(pitch_um: np.ndarray, mean: np.ndarray, scatter: float) -> Cur
     return Curve("none", 0.35, pitch_um, np.ones(pitch_um.size), statistics, fit_curve(pitch_um, delta_e))
 
 
-def test_alike_um_is_widest_range_within_a_twentieth() -> None:
+def test_no_difference_um_is_widest_range_within_a_twentieth() -> None:
     pitch_um = np.geomspace(1.0, 16.0, 9)
     mean = 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5])
-    assert curve_through(pitch_um, mean, 1e-6).alike_um == (pitch_um[2], pitch_um[6])
+    assert curve_through(pitch_um, mean, 1e-6).no_difference_um == (pitch_um[2], pitch_um[6])
     # An uncertainty of 0.01 of each size is √2 of that for a difference: 0.03 + 0.014 is within 0.05, and 0.04 + 0.014 not.
     wider = np.where(mean == 0.23, 0.24, mean)
-    assert curve_through(pitch_um, wider, 1e-6).alike_um == (pitch_um[2], pitch_um[6])
-    assert curve_through(pitch_um, wider, 0.02).alike_um == (pitch_um[3], pitch_um[6])
-    assert curve_through(pitch_um, mean, 0.2).alike_um is None, "nothing is known to be alike"
+    assert curve_through(pitch_um, wider, 1e-6).no_difference_um == (pitch_um[2], pitch_um[6])
+    assert curve_through(pitch_um, wider, 0.02).no_difference_um == (pitch_um[3], pitch_um[6])
+    assert curve_through(pitch_um, mean, 0.2).no_difference_um is None, "nothing is known to be alike"
 
 
-def test_alike_um_narrow_range_is_not_named() -> None:
+def test_no_difference_um_narrow_range_is_not_named() -> None:
     pitch_um = np.geomspace(4.0, 8.0, 9)
     mean = 1.0 + 5 * np.log(pitch_um / 5.6) ** 2
     curve = curve_through(pitch_um, mean, 1e-6)
-    assert curve.alike_um is None
+    assert curve.no_difference_um is None
     flatter = curve_through(pitch_um, 1.0 + (mean - 1.0) / 20, 1e-6)
-    low, high = flatter.alike_um
-    assert high / low >= ALIKE_RATIO
+    low, high = flatter.no_difference_um
+    assert high / low >= WIDE_RATIO
     assert np.ptp(flatter.mean()[(pitch_um >= low) & (pitch_um <= high)]) < NO_VISIBLE_DELTA_E
 
 

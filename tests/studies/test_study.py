@@ -22,6 +22,7 @@ from pixsim.base.config import packaged, read_toml
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import merge, pixel_of
 from pixsim.report.study import light_against_detail, report_files, write_report
+from pixsim.report.wording import optimum_line
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.budget import Setup
@@ -82,10 +83,8 @@ def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: t
     assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
     assert {f"figures/{name}" for name in figures} <= report_files(done[0].study)
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
-    best = done[0].curves[0].optimum
     message = (by_command / "stdout").read_text(encoding="utf-8")
-    low, high = best.interval_um
-    assert f"{best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)" in message
+    assert optimum_line(done[0].curves[0]) in message
     assert message.rstrip().endswith("report.html")
 
 
@@ -284,7 +283,7 @@ def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("pixel", "message"),
     [
-        ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: .*pitch\.values_um"),
+        ({"pitch_um": 3.0}, r"pixel\.pitch_um: got '3\.0' for a study; allowed: the pitch of a data sheet.*pitch\.values_um"),
         ({"response": "scald"}, r"pixel\.response: got 'scald'; allowed: 'scaled' or 'literal'"),
         ({"respons": "scaled"}, r"pixel\.respons: unknown name; .*Did you mean 'response'"),
     ],

@@ -1,0 +1,77 @@
+"""The film: how many samples across the die a pixel, a lens and a display need, and what a film takes of memory.
+
+The display shows nothing finer than its dots, and the lens passes nothing finer than half a period of its cut-off. What the
+photodiodes of smaller pixels see comes back, as aliasing, only down to half a dot. The film has two samples for the finest of
+these; its error is then measured in the rendered picture (`studies/oversampling.py`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from pixsim.base.parameters import Camera, Display
+from pixsim.optics.diffraction import cutoff_cy_per_mm
+
+GREEN_NM = 550.0
+SAMPLES_PER_DETAIL = 2
+DETAIL_PER_DOT = 2  # aliasing of finer detail than half a dot averages out over the dots
+MAX_ACROSS = 4096
+MAX_BYTES = 2 << 30
+BYTES_PER_CELL, BYTES_PER_VALUE = 48, 24  # float64 light, its transforms and integrals; each pulse in two halves and the result
+PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
+BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
+FILM_ROUNDING = 1e-6  # of a cell: the ratio of the die's sides is rounded
+WIDENED = 1 / 8  # by which a film may be wider than needed, to end where the die ends
+
+
+def dots_across(camera: Camera, display: Display, pitch_um: float) -> float:
+    """Return the display's dots across the die: its own, or with one_to_one the pixels."""
+    return 1e3 * camera.die_mm / pitch_um if display.raster == "one_to_one" else float(display.dots)
+
+
+def details_across(
+    camera: Camera, photodiode_side_um: float, display: Display, pitch_um: float, of_chart: float | None = None
+) -> tuple[float, str]:
+    """Return how many of the finest details that matter fit across the die, and what they are.
+
+    photodiode_side_um, pitch_um : of the smallest pixel
+    of_chart : details of a chart that fills the film; None if the scene may have any
+    """
+    die_um = 1e3 * camera.die_mm
+    dots = dots_across(camera, display, pitch_um)
+    finer = {
+        "photodiodes": die_um / photodiode_side_um,
+        "half periods of the lens's cut-off": 2 * float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)) * camera.die_mm,
+        "half dots of the display": DETAIL_PER_DOT * dots,
+    }
+    name = min(finer, key=lambda name: finer[name])
+    details, name = (finer[name], name) if finer[name] > dots else (dots, "dots of the display")
+    return (details, name) if of_chart is None or of_chart >= details else (of_chart, "details of the chart")
+
+
+def film_bytes(cells: float, planes: int) -> float:
+    """Return the memory that rendering and scoring a film take, estimated from its cells and its pictures (bands or pulses)."""
+    return PROGRAM_BYTES + cells * (BYTES_PER_CELL + BYTES_PER_VALUE * planes)
+
+
+def largest_film(height_over_width: float, planes: int) -> int:
+    """Return the widest film within `MAX_ACROSS` and `MAX_BYTES`; it depends on the settings only, not on the machine."""
+    cells = (MAX_BYTES - PROGRAM_BYTES) / (BYTES_PER_CELL + BYTES_PER_VALUE * planes)
+    return min(MAX_ACROSS, math.isqrt(int(cells / height_over_width)) // BLOCK * BLOCK)
+
+
+def fitting_width(height_over_width: float, width: float, most: int) -> int:
+    """Return the width, at least `width` if `most` allows it, whose whole cells end closest beyond the lower edge of the die.
+
+    On a square die that is the next multiple of `BLOCK`.
+    """
+    if height_over_width == 1:
+        return min(math.ceil(width / BLOCK) * BLOCK, most)
+    last = min(math.ceil(width * (1 + WIDENED)), most)
+    first = min(math.ceil(width), math.ceil(last / (1 + WIDENED)))
+
+    def beyond(across: int) -> float:
+        height = across * height_over_width
+        return math.ceil(height - FILM_ROUNDING) - height
+
+    return min(range(first, last + 1), key=beyond)

@@ -1,0 +1,202 @@
+"""A picture of the user as a chart: its luminance, linear in light, with a grey border that keeps its aspect on the die."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import warnings
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened
+from pixsim.light.exr import read_channels, read_header
+from pixsim.scene.charts import texture_file
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
+LINEAR_SUFFIXES = (".hdr", ".exr")  # these formats hold light
+ALLOWED = "an 8- or 16-bit PNG, JPEG, TIFF, Radiance HDR or EXR picture, grey or RGB"
+LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # of linear sRGB (Rec. ITU-R BT.709-6)
+GREY = 0.18  # of white: the border, as a photographer's grey card
+MAX_TEXELS = 1 << 27  # with the border: 512 MiB
+GREY_MODES, SIXTEEN_BIT_MODES = ("1", "L", "P", "RGB", "CMYK", "YCbCr"), ("I;16", "I;16B", "I;16L", "I")
+ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
+HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
+MAX_HDR_HEADER = 1 << 12
+
+
+@dataclass(frozen=True)
+class OwnChart:
+    """A picture file that becomes the chart of a scene.
+
+    linear : whether its numbers are proportional to light; else they are encoded as sRGB, but for HDR and EXR
+    """
+
+    path: Path
+    linear: bool = False
+
+    def texture(self, aspect: float, warn: bool = False) -> Path:
+        """Return the texture for a die of `aspect`, its width over its height, from the cache.
+
+        warn : of the grey border
+
+        Raises PixsimError if the picture cannot be read.
+        """
+        status = self.path.stat() if self.path.exists() else None
+        file, share = _texture(self, aspect, (status.st_mtime_ns, status.st_size) if status else (0, 0))
+        if warn and share > 0:
+            warnings.warn(
+                f"the picture '{self.path.name}' keeps its aspect: {100 * share:.3g} % of the chart is a grey border", stacklevel=2
+            )
+        return file
+
+
+@lru_cache(maxsize=16)
+def _texture(chart: OwnChart, aspect: float, _: tuple[int, int]) -> tuple[Path, float]:
+    picture = read_luminance(chart.path, chart.linear)
+    texels, share = with_border(picture, aspect)
+    digest = hashlib.blake2b(np.ascontiguousarray(texels).data, digest_size=16).hexdigest()
+    return texture_file(["picture", digest, list(texels.shape)], lambda: texels), share
+
+
+def is_own_chart(path: Path) -> bool:
+    """Return whether a file is a picture to convert; an EXR of one channel is a texture as it is.
+
+    Raises PixsimError for an EXR that cannot be read.
+    """
+    suffix = path.suffix.lower()
+    return suffix in SUFFIXES and (suffix != ".exr" or len(read_header(path)["channels"]) > 1)
+
+
+def read_luminance(path: str | os.PathLike[str], linear: bool = False) -> NDArray[np.float32]:
+    """Read a picture as relative luminance, (H, W), row 0 at the top; the largest code of 8 or 16 bits is 1.
+
+    path : PNG, JPEG or TIFF, decoded as sRGB (IEC 61966-2-1), or a Radiance HDR or EXR, which are linear
+    linear : take the numbers of a PNG, JPEG or TIFF as proportional to light
+
+    The luminance of linear RGB is 0.2126 R + 0.7152 G + 0.0722 B (Rec. ITU-R BT.709). Embedded colour profiles are not used.
+
+    Raises PixsimError if the file is missing, damaged, too large, transparent, or holds other values than light.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise invalid("chart picture", f"'{path}'", ALLOWED)
+    with opened(path, "chart picture", ALLOWED):
+        pass
+    if suffix == ".exr":
+        values = _of_exr(path)
+    elif suffix == ".hdr":
+        values = _luminance(_of_mitsuba(path))
+    else:
+        codes = _codes(path)
+        values = _luminance(codes if linear else srgb_decoded(codes))
+    if not (values.size and np.isfinite(values).all() and values.min() >= 0 and values.max() > 0):
+        got = f"values from {values.min():g} to {values.max():g}" if values.size else "no values"
+        raise invalid(f"chart picture '{path}'", got, "finite luminances of 0 or more, not all 0")
+    return values.astype(np.float32)
+
+
+def srgb_decoded(values: Array) -> Array:
+    """Return linear light from sRGB values in [0, 1], in their shape (IEC 61966-2-1).
+
+    >>> srgb_decoded(np.array([0.0, 0.04045, 0.5, 1.0])).round(6).tolist()
+    [0.0, 0.003131, 0.214041, 1.0]
+    """
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def with_border(picture: NDArray[np.float32], aspect: float) -> tuple[NDArray[np.float32], float]:
+    """Return a picture with a border of 18 % grey on two sides, so that width over height is `aspect`, and its share of the area.
+
+    Raises PixsimError if the result would be too large.
+    """
+    height, width = picture.shape
+    rows, columns = max(height, round(width / aspect)), max(width, round(height * aspect))
+    if rows * columns > MAX_TEXELS:
+        raise invalid("chart picture", f"{columns} × {rows} texels with its border", f"up to {MAX_TEXELS}", "Scale it down.")
+    above, left = (rows - height) // 2, (columns - width) // 2
+    margins = (above, rows - height - above), (left, columns - width - left)
+    return np.pad(picture, margins, constant_values=np.float32(GREY)), 1 - height * width / (rows * columns)
+
+
+def _luminance(values: Array) -> Array:
+    """Return the luminance of grey (H, W) or linear RGB (H, W, 3)."""
+    if values.ndim == 2:
+        return values
+    red, green, blue = (weight * values[:, :, index].astype(float) for index, weight in enumerate(LUMINANCE_OF_RGB))
+    return red + green + blue
+
+
+def _codes(path: Path) -> Array:
+    """Return the values of a PNG, JPEG or TIFF, in [0, 1], upright: (H, W) or (H, W, 3)."""
+    from PIL import Image, ImageOps
+
+    judge_picture(path)
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+            mode = image.mode
+            if mode in ALPHA_MODES or "transparency" in image.info:
+                low = image.convert("RGBA").getchannel("A").getextrema()[0]
+                if not isinstance(low, int | float) or low < 255:
+                    hint = "Flatten it onto a background."
+                    raise invalid(f"chart picture '{path}'", "transparent parts", "an opaque picture", hint)
+            if mode in SIXTEEN_BIT_MODES:
+                return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535
+            if mode not in (*GREY_MODES, *ALPHA_MODES):
+                raise invalid(f"chart picture '{path}'", f"values of mode {mode}", ALLOWED)
+            if image.format == "PNG" and _png_depth(path) == 16:  # in colour, which Pillow cuts to 8 bits
+                return np.asarray(_of_mitsuba(path)) / 65535
+            if 16 in np.atleast_1d(getattr(image, "tag_v2", {}).get(258, 8)):  # BitsPerSample
+                warnings.warn(f"'{path.name}' is read with 8 of its 16 bits; a PNG or EXR keeps them", stacklevel=2)
+            grey = mode in ("1", "L", "LA")
+            return np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(float) / 255
+    except PixsimError:
+        raise
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise invalid(f"chart picture '{path}'", error, "a readable picture") from None
+
+
+def _png_depth(path: Path) -> int:
+    """Return the bits of a channel of a PNG: a byte of its first chunk (ISO/IEC 15948)."""
+    with path.open("rb") as file:
+        return file.read(25)[24]
+
+
+def _of_exr(path: Path) -> Array:
+    """Return the luminance of an EXR: its channel Y or only channel, or that of R, G and B."""
+    channels = read_channels(path)[0]
+    names = {name.rpartition(".")[2].upper(): name for name in channels}
+    if {"R", "G", "B"} <= names.keys():
+        return _luminance(np.stack([channels[names[name]] for name in "RGB"], axis=2).astype(float))
+    if len(channels) == 1 or "Y" in names:
+        return channels[names["Y"] if "Y" in names else next(iter(channels))].astype(float)
+    raise invalid(f"chart picture '{path}'", f"channels {', '.join(sorted(channels)[:8])}", "R, G and B, or Y")
+
+
+def _of_mitsuba(path: Path) -> Array:
+    """Return the values of a picture that Pillow does not read in full: Radiance HDR, or a PNG of 16 bits in colour."""
+    from pixsim.scene import variant
+    from pixsim.scene.mitsuba import read_bitmap
+
+    if path.suffix.lower() == ".hdr":
+        with opened(path, "chart picture", ALLOWED) as file:
+            head = file.read(MAX_HDR_HEADER)
+            file.seek(0, os.SEEK_END)
+            stored = file.tell()
+        size = HDR_SIZE.search(head)
+        if not head.startswith(b"#?") or size is None:
+            raise invalid(f"chart picture '{path}'", "no Radiance header with -Y and +X", ALLOWED)
+        height, width = int(size[1]), int(size[2])
+        if not 1 <= width * height <= MAX_PICTURE:
+            raise invalid(f"chart picture '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in all")
+        check_compression(f"chart picture '{path}'", 4 * width * height, stored)
+    values: Any = read_bitmap(path, variant.choose().variant)
+    return np.asarray(values, float)[:, :, :3]

@@ -1,0 +1,291 @@
+"""The error of mean ΔE that a film causes, measured in its own picture; and the film that keeps it within a tolerance.
+
+Cells averaged 2 × 2 and 4 × 4 are the cells of coarser films, with the same samples. Their mean ΔE, of the same sensor with the
+same noise, shows how the error falls. Of a large picture 16 parts are measured, spread evenly over it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from pixsim.base import cache
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Camera, Display, Effort, Exposure, content_hash
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene.convergence import RenderNoise
+from pixsim.scene.film import BLOCK, fitting_width, largest_film
+from pixsim.scene.plan import Plan
+from pixsim.scene.rules import Chart
+from pixsim.scene.scene import Scene
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import integration_time_s
+from pixsim.studies.budget import FilmSampling, Setup, coarser, film_error, sensor_delta_e, without_warnings
+from pixsim.viewer.display import white_header
+from pixsim.viewer.score import chain_at_pitch, prepare_scene
+
+TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
+PARTS = 4  # down and across, of a large picture
+MEASURED = 1 << 21  # film cells, pixels or a quarter of the display's dots that are measured on one film
+MIN_PIXELS, MIN_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
+STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of the picture
+WORTH_WIDENING = 1.2
+
+
+@dataclass(frozen=True)
+class FilmError:
+    """Error of mean ΔE that a film causes.
+
+    shape : (height, width) of the film in samples
+    sample_um : side of a sample on the sensor
+    pitch_um : of the pixels that were measured
+    delta_e : for each of them, the largest error to expect; NaN if the film is too small to tell
+    tolerated_delta_e : for each of them
+    limit : why the film is not finer; empty if it is fine enough
+    """
+
+    shape: tuple[int, int]
+    sample_um: float
+    pitch_um: tuple[float, ...]
+    delta_e: tuple[float, ...]
+    tolerated_delta_e: tuple[float, ...]
+    limit: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the error is tolerated at every pitch."""
+        return all(error <= most for error, most in zip(self.delta_e, self.tolerated_delta_e, strict=True))
+
+    @property
+    def largest_delta_e(self) -> float:
+        return max(self.delta_e, key=lambda error: math.inf if math.isnan(error) else error)
+
+    def error_at(self, pitch_um: Array) -> Array:
+        """Return the error at other pitches, interpolated between those measured; infinite where it is unknown."""
+        known = np.where(np.isnan(self.delta_e), np.inf, self.delta_e)
+        if not np.isfinite(known).all():
+            return np.full(np.shape(pitch_um), np.inf)
+        return np.interp(np.log(pitch_um), np.log(self.pitch_um), known)
+
+    def alike_um(self, pitch_um: Array, mean_delta_e: Array) -> tuple[float, float] | None:
+        """Return the smallest and largest of the pitches of a study that this film cannot tell from the best; None if it can.
+
+        A film with a tolerated error can. Another one cannot if the gain is within the error, or if the best pixels are smaller
+        than its samples.
+
+        pitch_um, mean_delta_e : (pitches,) of the study
+        """
+        if self.met:
+            return None
+        best = int(np.argmin(mean_delta_e))
+        error = self.error_at(pitch_um)
+        alike = mean_delta_e - mean_delta_e[best] <= np.maximum(error, error[best])
+        if pitch_um[best] < self.sample_um:
+            alike |= pitch_um < self.sample_um
+        found = pitch_um[alike]
+        return (float(found.min()), float(found.max())) if found.size > 1 else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the error as in score.json and summary.json; `delta_e` is None if unknown."""
+        known = [None if math.isnan(error) else float(f"{error:.3g}") for error in self.delta_e]
+        largest = self.largest_delta_e
+        return {
+            "resolution": self.shape[1],
+            "shape": list(self.shape),
+            "sample_um": self.sample_um,
+            "delta_e": None if math.isnan(largest) else float(f"{largest:.3g}"),
+            "met": self.met,
+            "limit": self.limit,
+            "pitch_um": list(self.pitch_um),
+            "delta_e_at_pitch": known,
+            "tolerated_delta_e": [float(f"{most:.3g}") for most in self.tolerated_delta_e],
+        }
+
+
+def measure_film(
+    image: SpectralImage,
+    camera: Camera,
+    pixels: Sequence[PixelPhysics],
+    exposure: Exposure,
+    display: Display,
+    *,
+    chart: Chart | None = None,
+    tolerance_delta_e: float | None = None,
+) -> FilmError:
+    """Return the error of a film for each of some pixels, from its picture.
+
+    chart : that the film shows, if nothing else; its detail is known
+    tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
+    """
+    with without_warnings():  # of the white, which the run itself gives
+        image = _with_header(image, image.header | white_header(image, camera, display))
+        measured = [_error_of_pixel(image, camera, physics, exposure, display, chart) for physics in pixels]
+    if tolerance_delta_e is None:
+        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
+    else:
+        tolerated = [tolerance_delta_e] * len(measured)
+    pitches = tuple(physics.pitch_um for physics in pixels)
+    return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in measured), tuple(tolerated))
+
+
+def _error_of_pixel(
+    image: SpectralImage, camera: Camera, physics: PixelPhysics, exposure: Exposure, display: Display, chart: Chart | None
+) -> tuple[float, float]:
+    """Return the mean ΔE of one sensor and its error by the film."""
+    parts = list(parts_of(image, physics.pitch_um, display))
+    if min(parts[0][0].shape) < BLOCK * MIN_CELLS:
+        return math.nan, math.nan
+    films = [parts]
+    for _ in range(int(math.log2(BLOCK))):
+        films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
+    delta_e = np.array([_mean_delta_e(film, camera, physics, exposure) for film in films])  # (films, parts)
+    near, far = delta_e[1] - delta_e[0], delta_e[2] - delta_e[1]
+    spread = STANDARD_ERRORS / math.sqrt(near.size) if near.size > 1 else 0.0
+    sizes = [abs(float(step.mean())) + (spread * float(step.std(ddof=1)) if spread else 0.0) for step in (near, far)]
+    mean, sampling = float(delta_e[0].mean()), FilmSampling.of(image.shape[1], camera, physics, display, chart)
+    return mean, film_error(sizes[0], sizes[1], mean, sampling)
+
+
+def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterator[tuple[SpectralImage, Display]]:
+    """Yield the parts of a picture that are measured, whole blocks each, with displays that show them at the same scale."""
+    height, width = image.shape
+    pixels = height * width * (image.pitch_um / pitch_um) ** 2
+    dots = display.dots**2 * height / width if display.raster == "fixed_size" else pixels
+    thinner = math.sqrt(max(height * width, pixels, 4 * dots) / MEASURED)
+    shortest = min(height, width) / PARTS
+    fewest = max(BLOCK * MIN_CELLS, MIN_PIXELS * pitch_um / image.pitch_um, MIN_DOTS * width / display.dots)
+    thinner = min(thinner, shortest / fewest)
+    if thinner <= 1:
+        yield _part(image, slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK)), display
+        return
+    for row in range(PARTS):
+        for column in range(PARTS):
+            rows, columns = (_span(n, place, thinner) for n, place in ((height, row), (width, column)))
+            shown = display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
+            yield _part(image, rows, columns), shown
+
+
+def _span(count: int, place: int, thinner: float) -> slice:
+    """Return the cells of one part, in the middle of its share of `count` cells."""
+    size = int(count / PARTS / thinner) // BLOCK * BLOCK
+    first = round((place + 0.5) * count / PARTS - size / 2)
+    return slice(first, first + size)
+
+
+def _part(image: SpectralImage, rows: slice, columns: slice) -> SpectralImage:
+    content: dict[str, Any]
+    if image.factors:
+        content = {"factors": (image.factors[0], image.factors[1][:, rows, columns])}
+    else:
+        content = {"data": image.data[rows, columns]}
+    return SpectralImage(
+        image.wavelength_nm, image.band_width_nm, image.pitch_um, within=image.within, header=image.header, **content
+    )
+
+
+def _with_header(image: SpectralImage, header: dict[str, Any]) -> SpectralImage:
+    content: dict[str, Any] = {"factors": image.factors} if image.factors else {"data": image.data}
+    return SpectralImage(image.wavelength_nm, image.band_width_nm, image.pitch_um, within=image.within, header=header, **content)
+
+
+def _mean_delta_e(
+    parts: Sequence[tuple[SpectralImage, Display]], camera: Camera, physics: PixelPhysics, exposure: Exposure
+) -> Array:
+    """Return the mean ΔE of each part, (parts,), all exposed as long as the brightest of them allows."""
+    chains = [
+        chain_at_pitch(prepare_scene(part, camera, physics, display, border_um=physics.pitch_um), physics, exposure)
+        for part, display in parts
+    ]
+    time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
+    exposed = [replace(chain, exposure=Exposure(integration_s=time_s)) for chain in chains]
+    setup = Setup(camera, physics.pixel, exposure, parts[0][1])
+    return np.array([sensor_delta_e(chain, setup, physics.pitch_um, number) for number, chain in enumerate(exposed)])
+
+
+def limit_of_time(effort: Effort) -> float | None:
+    """Return the time limit of renders that may lower the film: none by default, so that the film does not depend on the time."""
+    return None if effort.max_seconds == Effort.model_fields["max_seconds"].default else effort.max_seconds
+
+
+def cached_film_error(
+    image: SpectralImage,
+    camera: Camera,
+    pixels: Sequence[PixelPhysics],
+    exposure: Exposure,
+    display: Display,
+    *,
+    chart: Chart | None = None,
+    tolerance_delta_e: float | None = None,
+) -> FilmError:
+    """Return `measure_film` of a render, measured or from the cache: its header states everything that it depends on."""
+    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in pixels]
+    settings = camera.model_dump(), exposure.model_dump(), display.model_dump(), tolerance_delta_e
+    key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
+
+    def measure() -> FilmError:
+        return measure_film(image, camera, pixels, exposure, display, chart=chart, tolerance_delta_e=tolerance_delta_e)
+
+    return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
+
+
+Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A picture on the film that was chosen for it, and how it was made."""
+
+    image: SpectralImage
+    noise: RenderNoise
+    plan: Plan
+    film: FilmError
+
+
+def render_on_film(
+    scene: Scene,
+    camera: Camera,
+    plan: Plan,
+    *,
+    render: Render,
+    plan_of: Callable[[Scene], Plan],
+    measure: Callable[[SpectralImage, Plan], FilmError],
+    fixed: str = "",
+    max_seconds: float | None = None,
+) -> Rendered:
+    """Render a scene on the film of its plan, and again on a film of twice the samples across while the error is too large.
+
+    The film depends on the settings only, not on the machine or the time, unless `max_seconds` is given.
+
+    plan : for `scene`, with `resolution` if its film is another one than the scene's
+    plan_of : returns the plan of the scene on another film
+    measure : returns the film's error
+    fixed : what sets the film, if it is not free
+    max_seconds : of the renders; a film that would take longer is not tried. None means no limit.
+    """
+    chosen = scene.with_resolution(plan.resolution) if plan.resolution else scene
+    while True:
+        start = time.perf_counter()
+        image, noise = render(chosen, plan)
+        seconds, film = time.perf_counter() - start, measure(image, plan)
+        width, ratio = image.shape[1], camera.height_mm / camera.die_mm
+        most = largest_film(ratio, plan.planes)
+        wider = fitting_width(ratio, 2 * width, most)
+        if film.met:
+            return Rendered(image, noise, plan, film)
+        if fixed:
+            limit = fixed
+        elif wider < WORTH_WIDENING * width:
+            limit = f"the limit of {most} samples across for {plan.planes} picture{'s' * (plan.planes > 1)}"
+        elif max_seconds is not None and seconds * (wider / width) ** 2 > max_seconds:
+            limit = "as --max-seconds allows"
+        else:
+            chosen = chosen.with_resolution(wider)
+            plan = plan_of(chosen)
+            continue
+        return Rendered(image, noise, plan, replace(film, limit=limit))

@@ -1,0 +1,170 @@
+"""The help of options that are text, lists of formats, completion, and folders that are missing."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import pytest
+from helpers.commands import assert_refused, command
+
+from pixsim.base.config import packaged
+from pixsim.base.parameters import CameraOptions, Display, Effort, Exposure, Pixel, Record, Run
+from pixsim.cli import with_each_format
+from pixsim.cli.options import app, choices_of, complete_study, value_name
+from pixsim.scene.scene import packaged_scenes
+
+
+def shown_help(name: str, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("COLUMNS", "300")
+    code, out, err = command(f"{name} --help")
+    assert code == 0, err
+    return out
+
+
+TABLES: list[tuple[str, type[Record]]] = [("camera", CameraOptions), ("pixel", Pixel), ("exposure", Exposure), ("display", Display)]
+
+
+def test_run_help_shows_type_choices_and_default_of_every_field(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = shown_help("run", monkeypatch)
+    fields = [(f"{table}.{name}", info) for table, record in TABLES for name, info in record.model_fields.items()]
+    options = [(f"--{name.replace('_', '-')}", info) for name, info in fields]
+    options += [(f"--{name.replace('_', '-')}", Run.model_fields[name]) for name in (*Effort.model_fields, "seed")]
+    lines = [line for line in text.splitlines() if line.startswith("│")]
+    for option, info in options:
+        if any(isinstance(kind, type) and issubclass(kind, Record) for kind in get_args(info.annotation)):
+            assert any(line.startswith(f"│ {option}.") for line in lines), "a table of options of its own"
+            continue
+        (line,) = (line for line in lines if re.match(rf"│\*? *{re.escape(option)} ", line))
+        kind = line.split(option, 1)[1].split()[0]
+        assert kind == ("NAME|FILE" if option == "--pixel.technology" else value_name(info.annotation)), option
+        assert not re.match(r"STR|CHOICE", kind), option
+        described = " ".join(part.strip("│ ") for part in text[text.index(line) :].split("│ --")[:2])
+        assert "[default: " in described or "absent" in described, option
+        for choice in choices_of(info.annotation):
+            assert choice in kind.split("|")
+
+
+@pytest.mark.parametrize("name", ["run", "study", "plan", "accuracy", "datasheet", "sfr", "chart", "template"])
+def test_help_names_no_value_str(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """STR says nothing of the value; every one has a name or a list of choices."""
+    text = shown_help(name, monkeypatch)
+    assert [line for line in text.splitlines() if re.search(r"-[\w.-]+ STR\b", line)] == []
+
+
+@pytest.mark.parametrize(
+    ("annotation", "name"),
+    [
+        (float, "FLOAT"),
+        (int | None, "INT"),
+        (Annotated[float, "above 0"] | None, "FLOAT"),
+        (Literal["a", "b"] | None, "a|b"),
+        (Annotated[float, 1] | tuple[tuple[float, float], ...], "FLOAT|FILE"),
+        (tuple[int, int] | None, "INTxINT"),
+        (str, "TEXT"),
+    ],
+)
+def test_value_name_of_annotation(annotation: object, name: str) -> None:
+    assert value_name(annotation) == name
+
+
+@pytest.mark.parametrize(
+    ("line", "formats"),
+    [
+        ("--raw tiff png", ["tiff", "png"]),
+        ("--raw tiff --raw png", ["tiff", "png"]),
+        ("--raw npz", ["npz"]),
+        ("--raw tiff png npz --seed 1", ["tiff", "png", "npz"]),
+    ],
+)
+def test_run_raw_takes_several_formats(line: str, formats: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before or behind the scene."""
+    taken = []
+
+    def run_and_write(*_: object, raw_suffixes: list[str], **__: object) -> None:
+        taken.append([suffix.removeprefix(".") for suffix in raw_suffixes])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pixsim.report.run.run_and_write", run_and_write)
+    assert command(f"run csf {line}")[0] == 130
+    assert command(f"run {line} csf")[0] == 130
+    assert taken == [formats, formats]
+
+
+def test_with_each_format_leaves_other_words() -> None:
+    words = ["run", "png", "--raw", "tiff", "csf", "npz", "--out", "png"]
+    assert with_each_format(words) == words
+
+
+# --- Completion ---
+
+
+def completed(*words: str) -> set[str]:
+    """What the shell's script is told at the last word."""
+    code, out, err = command("__complete", *words)
+    assert code == 0, err
+    return {line.split("\t")[0] for line in out.split("\x1fbegin\n", 1)[1].splitlines()}
+
+
+def test_completion_knows_scenes_studies_technologies_and_choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.xml").touch()
+    (tmp_path / "mine.toml").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder/other.toml").touch()
+    scenes, studies, technologies = set(packaged_scenes()), set(packaged("data/studies")), set(packaged("data/technologies"))
+    for name in ("run", "plan", "accuracy"):
+        assert scenes | {"mine.xml", "folder/"} <= completed(name, "")
+        assert "mine.toml" not in completed(name, "")
+    assert studies | {"mine.toml", "folder/"} <= completed("study", "")
+    assert "folder/other.toml" in completed("study", "folder/")
+    assert technologies | {"mine.toml"} <= completed("datasheet", "")
+    assert technologies | {"none"} <= completed("run", "csf", "--pixel.technology", "")
+    assert completed("run", "csf", "--display.interpolation", "") == {"linear", "nearest", "cubic"}
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_script_asks_for_names(shell: Literal["bash", "zsh", "fish"]) -> None:
+    script = app.generate_completion(prog_name="pixsim", shell=shell)
+    assert "__complete" in script
+    if program := shutil.which(shell):
+        subprocess.run([program, "-n"], input=script, text=True, check=True, capture_output=True)
+
+
+def test_complete_study_hidden_and_missing_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Context:
+        incomplete = "gone/"
+
+    monkeypatch.chdir(tmp_path)
+    assert set(complete_study(Context())) == set(packaged("data/studies"))
+
+
+# --- Missing folders ---
+
+
+@pytest.mark.parametrize(
+    ("line", "folder"),
+    [
+        ("run csf --config gone/far/a.toml", "gone"),
+        ("run gone/scene.xml", "gone"),
+        ("run gone/picture.exr", "gone"),
+        ("run gone/picture.npz", "gone"),
+        ("run csf -D chart=gone/a.png", "gone"),
+        ("run csf --pixel.technology gone/a.toml", "gone"),
+        ("run csf --pixel.quantum-efficiency gone/qe.csv", "gone"),
+        ("study gone/a.toml", "gone"),
+        ("study pixel-size --config here/gone/a.toml", "here/gone"),
+        ("sfr gone/raw.exr", "gone"),
+        ("datasheet gone/a.toml", "gone"),
+        ("chart csf --width 16 --height 16 -o gone/a.exr", "gone"),
+        ("chart gone/a.png -o a.exr", "gone"),
+        ("template sensor -o gone/far/a.toml", "gone"),
+    ],
+)
+def test_command_missing_folder_is_named(line: str, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "here").mkdir()
+    assert_refused(*command(line), [f"folder '{folder}' does not exist"])
