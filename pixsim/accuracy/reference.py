@@ -12,10 +12,10 @@ from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.scene.charts import SLANT_DEG, csf_contrast, csf_value
+from pixsim.scene.charts import MAX_LP_PER_MM, SLANT_DEG, csf_contrast, csf_value
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import Scene, packaged_scenes
+from pixsim.scene.scene import CHART, Scene, packaged_scenes
 from pixsim.studies.budget import Setup
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -63,7 +63,8 @@ def formula_of(scene: Scene, plan: Plan) -> str | None:
     """Name of the packaged chart that fills a scene's film; None for other scenes, and for files elsewhere of the same name."""
     name = scene.path.stem
     shipped = name in FORMULAS and scene.path.resolve() == packaged_scenes()[name].resolve()
-    return name if shipped and plan.chart is not None and "chart" not in scene.parameters else None
+    changed = scene.parameters.keys() & {CHART, MAX_LP_PER_MM}
+    return name if shipped and plan.chart is not None and not changed else None
 
 
 def analytic_reference(scene: Scene, camera: Camera, setup: Setup, name: str, shape: tuple[int, int]) -> tuple[SpectralImage, str]:

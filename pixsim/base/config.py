@@ -6,7 +6,7 @@ import inspect
 import re
 import tomllib
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from importlib import resources
 from pathlib import Path
@@ -148,7 +148,8 @@ def _names(title: str, path: list[str]) -> list[str]:
 # A data sheet states them for its pitch only.
 SCALED_WITH_AREA = ("full_well_e", "saturation_capacity_e", "gain_e_per_dn", "dark_current_e_per_s", "dark_current")
 SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
-PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
+# Fields of a range of pitches, and those of an earlier layer that they replace.
+REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
 
 
 def settings_layer(path: Path) -> Layer:
@@ -181,10 +182,11 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
     """Layers of a study: its own table, then the sensor files, then the options.
 
-    A data sheet, in files and options together (a sensor without a technology, by the rule of `Pixel`), becomes the only sensor of
-    the study, with pitches from a quarter to four times its own unless the study sets a range. A technology becomes the only one of
-    the study; the pitch of its file is not used. Values that a file or an option replaces are removed from the study's [quick] and
-    [sources].
+    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, whose sizes go from a
+    quarter to four times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is
+    not used. Values that a file or an option replaces are removed from the study's [quick] and [sources].
+
+    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
 
     options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
 
@@ -197,13 +199,10 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     sensor = [*files, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
     settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
     given = set(merged(sensor).get("pixel", {}))
-    defaults: dict[str, Any] = {}
     derived: dict[str, Any] = {}
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     if sheet:
-        derived = {"technologies": [NO_TECHNOLOGY], "paper": False}
-        ends_um = settings.pixel.pitch_um / PITCH_RATIO, settings.pixel.pitch_um * PITCH_RATIO
-        defaults = {"pitch": dict(zip(("min_um", "max_um"), ends_um, strict=True))}
+        derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": {"own_um": settings.pixel.pitch_um}}
     elif "technology" in given:
         derived = {"technologies": [settings.pixel.technology], "paper": False}
     elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
@@ -224,13 +223,33 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
     overrides += [Layer(derived, source), Layer(_without_sensor_only(options))]
     overriding = merged(overrides)
-    table = dict(study.table)
+    table = _with_range(study.table, overriding)
+    if overriding.get("scene", {}).get("file") is not None:  # the parameters of the study are those of its own scene
+        table = _without_parameters(table)
+        table |= {"quick": _without_parameters(table["quick"])} if "quick" in table else {}
     if isinstance(quick := table.get("quick"), dict):
-        table["quick"] = _without(quick, overriding)
+        table["quick"] = _without(_with_range(quick, overriding), overriding)
     if isinstance(sources := table.get("sources"), dict):
         table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
-    layers = [Layer(defaults), Layer(table, study.source), *overrides]
+    layers = [Layer(table, study.source), *overrides]
     return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
+
+
+def _without_parameters(table: Any) -> Any:
+    """A study's table without the parameters of its scene."""
+    scene = table.get("scene") if isinstance(table, dict) else None
+    if not isinstance(scene, dict):
+        return table
+    return table | {"scene": {name: value for name, value in scene.items() if name != "parameters"}}
+
+
+def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the fields of [pitch] that an overriding range makes void, such as a list of pitches."""
+    pitch, given = table.get("pitch"), overriding.get("pitch", {})
+    if not (isinstance(pitch, dict) and isinstance(given, dict)):
+        return dict(table)
+    void = {name for name, others in REPLACED_RANGE.items() if name not in given and any(other in given for other in others)}
+    return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
 
 
 def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
@@ -256,7 +275,7 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
             sheets[name] = layer
     if not sheets:
         return layers
-    sensors, own_um = {}, []
+    sensors = {}
     for name, layer in sheets.items():
         if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
             warnings.warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}", stacklevel=3)
@@ -267,10 +286,7 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
         if settings.pixel.assumption:
             warnings.warn(f"{name}: {settings.pixel.assumption}", stacklevel=3)
         sensors[name] = settings.pixel.model_dump()
-        own_um.append(settings.pixel.pitch_um)
-    ranges = {"min_um": min(own_um) / PITCH_RATIO, "max_um": max(own_um) * PITCH_RATIO}
-    defaults = {"pitch": ranges} if len(sheets) == len(study["technologies"]) else {}
-    return [Layer(defaults), *layers, Layer({"sensors": sensors})]
+    return [*layers, Layer({"sensors": sensors})]
 
 
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
@@ -293,3 +309,52 @@ def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
     inner = {name for name, value in table.items() if isinstance(value, dict) and isinstance(removed.get(name), dict)}
     left = {name: value for name, value in table.items() if name in inner or name not in removed}
     return left | {name: _without(table[name], removed[name]) for name in inner}
+
+
+SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
+
+
+def settings_text(record: Record, command: str, **changes: Any) -> str:
+    """TOML file of all settings of a result, from which a command makes the same numbers again, bit for bit.
+
+    command : that makes them, in the file's folder
+    changes : tables and fields in place of the record's
+
+    Values stand in it, not files; a technology or a scene with a file of its own is named by its whole path.
+    """
+    import tomli_w  # takes 10 ms
+
+    table = record.model_dump(mode="json", exclude_none=True, exclude={"quick"}) | changes
+    if isinstance(pixel := table.get("pixel"), dict) and "technology" in pixel:
+        table["pixel"] = pixel | {"technology": whole_path(pixel["technology"])}
+    if "technologies" in table:
+        table["technologies"] = [whole_path(name) for name in table["technologies"]]
+    if "process" in table:
+        table["process"] = {whole_path(name): numbers for name, numbers in table["process"].items()}
+    used = {name: value for name, value in table.items() if value not in (None, {}, "")}
+    return f"# The settings of this folder. The same numbers again, bit for bit:\n# {command}\n\n{tomli_w.dumps(used)}"
+
+
+def whole_path(name: str) -> str:
+    """The whole path of an existing file; any other name as it is."""
+    return str(Path(name).resolve()) if Path(name).is_file() else name
+
+
+def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of a scene for a settings file: numbers as such, and files of the working directory by their whole paths.
+
+    folder : of the scene, in which its own files lie
+    """
+    return {name: _scene_value(folder, value) for name, value in parameters.items()}
+
+
+def _scene_value(folder: Path, value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    for kind in (int, float):
+        try:
+            if str(kind(value)) == value:
+                return kind(value)
+        except ValueError:
+            pass  # not a number of this kind
+    return value if not value or (folder / value).exists() else whole_path(value)

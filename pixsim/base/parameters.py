@@ -515,6 +515,18 @@ class Camera(Record):
         """Half the height of a chart that fills the die, in the plane in focus."""
         return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
 
+    def window(self, width_mm: float | None) -> Camera:
+        """The same lens on a central part of the die, of `width_mm`; the camera itself for None.
+
+        Raises PixsimError if the window is wider than the die.
+        """
+        if width_mm is None:
+            return self
+        if width_mm > self.die_mm:
+            raise invalid("window_mm", f"{width_mm:g}", f"at most the width of the die, {self.die_mm:g}")
+        height_mm = None if self.die_height_mm is None else self.die_height_mm * width_mm / self.die_mm
+        return self.model_copy(update={"die_mm": width_mm, "die_height_mm": height_mm})
+
     @classmethod
     def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
         """Camera of a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
@@ -619,7 +631,7 @@ class Display(Record):
 
 
 class Effort(Record):
-    """Error tolerances, the film and the time limit of a result."""
+    """What a result may cost: error tolerances, the film, the time limit, and the part of the die."""
 
     tolerance_e: Annotated[float, Field(gt=0, lt=1)] = Field(
         1e-3, description="largest relative error of the mean electrons from simplifications of the render"
@@ -637,6 +649,17 @@ class Effort(Record):
     max_seconds: Seconds = Field(
         120.0, description="longest render time; a render that reaches it stops with a warning that states its noise"
     )
+    window_mm: DieWidth | None = Field(
+        None, description="width of a central part of the die: the same lens and pixels on a smaller die (absent: the whole die)"
+    )
+
+
+def _as_list(value: Any) -> Any:
+    """Split the text of an option, as 1.4,2.0,2.8."""
+    return value.replace(",", " ").split() if isinstance(value, str) else value
+
+
+PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
 
 
 class PitchRange(Record):
@@ -646,7 +669,14 @@ class PitchRange(Record):
     min_um: Pitch | None = Field(None, description="smallest pixel size, in place of min_fill_factor")
     max_um: Pitch = Field(15.0, description="largest pixel size")
     count: Annotated[int, Field(ge=5, le=1000)] = Field(24, description="number of pixel sizes")
-    values_um: tuple[Pitch, ...] | None = Field(None, description="list of pixel sizes, in place of min, max and count")
+    values_um: Annotated[tuple[Pitch, ...], BeforeValidator(_as_list)] | None = Field(
+        None, description="list of pixel sizes, in place of min, max and count"
+    )
+    own_um: Pitch | None = Field(
+        None,
+        description="pixel size of the sensor itself, from whose data sheet an open range, the display's dots and the chart follow "
+        "(absent: data_sheet_pitch_um)",
+    )
 
     @property
     def largest_um(self) -> float:
@@ -724,7 +754,8 @@ class Study(Effort):
 
     @model_validator(mode="after")
     def _paper_needs_its_scene(self) -> Self:
-        if self.paper and (self.scene.file != "csf" or "chart" in self.scene.parameters or "0.35um" not in self.technologies):
+        others = self.scene.parameters.keys() & {"chart", "max_lp_per_mm"}
+        if self.paper and (self.scene.file != "csf" or others or "0.35um" not in self.technologies):
             raise ValueError("paper = true compares with Chen et al. (2000): it needs scene.file = 'csf' and technology '0.35um'")
         return self
 
@@ -737,14 +768,35 @@ class Study(Effort):
             given = [name for name, value in self.pixel if value is not None]
             if missing := [*(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []), *missing_of_data_sheet(given)]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
-        sheets = [
-            name
-            for name in self.technologies
-            if name == NO_TECHNOLOGY or (name in self.sensors and self.sensors[name].technology == NO_TECHNOLOGY)
-        ]
-        if sheets and self.pitch.min_um is None and self.pitch.values_um is None:
-            raise ValueError("a data sheet has no fill factors: give pitch.min_um, or pitch.values_um")
         return self
+
+    @property
+    def own_pitches_um(self) -> tuple[float, ...]:
+        """Pitches of the sensors whose data sheets the study has; none for a study of technologies."""
+        if NO_TECHNOLOGY in self.technologies:
+            own = self.pitch.own_um or self.pixel.data_sheet_pitch_um
+            return () if own is None else (own,)
+        sheets = [self.sensors[name] for name in self.technologies if name in self.sensors]
+        if len(sheets) < len(self.technologies) or any(pixel.technology != NO_TECHNOLOGY for pixel in sheets):
+            return ()
+        return tuple(pixel.pitch_um for pixel in sheets)
+
+    @property
+    def own_um(self) -> float | None:
+        """The smallest of `own_pitches_um`; None for a study of technologies."""
+        return min(self.own_pitches_um, default=None)
+
+    @property
+    def open_range_um(self) -> tuple[float | None, float]:
+        """Ends of the range of pitches, where they are not set: of a data sheet from a quarter to four times its pitch.
+
+        None for the lower end of a technology, which follows from `min_fill_factor`.
+        """
+        low, high = self.pitch.min_um, self.pitch.max_um
+        if self.own_um is None:
+            return low, high
+        largest_um = max(self.own_pitches_um) * PITCH_RATIO
+        return low or self.own_um / PITCH_RATIO, high if "max_um" in self.pitch.model_fields_set else largest_um
 
     def options_of(self, technology: str) -> PixelOptions:
         """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
@@ -753,9 +805,10 @@ class Study(Effort):
     @cached_property
     def quickened(self) -> Study:
         """This study with its `quick` table applied; `process` and `sensors` keep only technologies that remain."""
-        table = merge(self.model_dump(exclude={"quick"}, mode="json"), self.quick)
+        table = merge(self.model_dump(exclude={"quick"}, exclude_unset=True, mode="json"), self.quick)
+        technologies = table.get("technologies", self.technologies)
         for part in ("process", "sensors"):
-            table[part] = {name: values for name, values in table[part].items() if name in table["technologies"]}
+            table[part] = {name: values for name, values in table.get(part, {}).items() if name in technologies}
         return Study.model_validate(table)
 
 

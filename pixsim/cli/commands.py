@@ -19,9 +19,10 @@ from cyclopts import Parameter
 from pixsim.base.config import checked, read_toml, study_layers
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder
+from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Run
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, definitions, given, show, stages
+from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, given, show, stages
 
 if TYPE_CHECKING:
     from pixsim.cli.doctor import Finding
@@ -65,6 +66,7 @@ def run(
             "(read back bit for bit), only the factors (spectra × pictures; bands in full where an image has none), or no file."
         ),
     ] = "reduced",
+    dry_run: common.DryRun = False,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -74,8 +76,8 @@ def run(
 
     Example: pixsim run picture.exr --units W.m^-2.sr^-1.nm^-1
 
-    Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json and
-    report.html.
+    Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json,
+    settings.toml and report.html. `pixsim run SCENE --config settings.toml` repeats it.
     """
     from pixsim.report.run import run_and_write
     from pixsim.report.wording import budget_lines, dark_notes, score_line
@@ -83,6 +85,12 @@ def run(
     chosen = options.settings(display=display, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     folder = out or DEFAULT_OUT / Path(scene).stem
     render_options: dict[str, Any] = {"full": full, "sensor": sensor, "variant": variant, "units": units}
+    if dry_run:
+        from pixsim.report.outline import outline_lines, run_outline
+
+        outline = run_outline(scene, chosen, **render_options)
+        show(outline, json, "\n".join(outline_lines(outline, folder)))
+        return
     files: dict[str, Any] = {"raw_suffixes": [f".{suffix}" for suffix in raw or []], "irradiance": irradiance}
     with stages() as stage:
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
@@ -160,10 +168,12 @@ def study(
         ),
     ],
     *,
-    config: common.Config = None,
-    define: common.Define = None,
-    linear: common.Linear = False,
-    pixel: common.PixelTable = None,
+    scene: Annotated[str | None, Parameter(help=f"{SCENE_HELP} [default: that of the study]")] = None,
+    options: SceneOptions = common.NO_OPTIONS,
+    display: common.DisplayTable = None,
+    pitch: common.PitchTable = None,
+    seed: common.Seed = None,
+    tolerance_e: common.Tolerance = None,
     quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Annotated[
@@ -171,6 +181,7 @@ def study(
     ] = None,
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
+    dry_run: common.DryRun = False,
     out: Out = None,
     json: Json = False,
 ) -> None:
@@ -180,51 +191,68 @@ def study(
 
     Example: pixsim study chen2000 --pixel.response scaled --out scaled
 
-    Writes results.csv, summary.json, figures (with a contact sheet), provenance.json and report.html. The same command
-    continues an interrupted study.
+    Example: pixsim study pixel-size --config my_sensor.toml --scene still_life --pitch.min-um 2 --quick
+
+    Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
+    command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
-    from pixsim.report.wording import budget_lines, film_words, optimum_line, sensitivity_lines
+    from pixsim.report.wording import budget_lines, film_words, optimum_line, sensitivity_lines, study_view_line
     from pixsim.studies import study as sweep
 
     table = sweep.read_study(study)
-    options = given({**vars(effort), "pixel": pixel})
-    if parameters := definitions(define, linear):
-        options["scene"] = {"parameters": parameters}
-    if "vary" in table.table and (config or define or linear or pixel):
+    tables = options.study_tables(scene, display=display, pitch=pitch, seed=seed, tolerance_e=tolerance_e, **vars(effort))
+    if "vary" in table.table and (tables or options.config):
         hint = "Copy the study that it varies, set them there, and name the copy as its base."
-        raise invalid("--config, -D, --pixel", f"with {study}, which varies another study", "studies of pixel sizes", hint)
-    layers = study_layers(table, config or [], options)
-    seconds: dict[str, float] = {}
-    suffix = "-quick" if quick else ""
-    run_options: dict[str, Any] = {"quick": quick, "jobs": jobs, "scheduler": scheduler, "variant": variant}
-    with stages(seconds) as stage:
-        if "vary" in table.table:
-            from pixsim.studies.sensitivity import FILES, Sensitivity, run_sensitivity, write_sensitivity_report
-
-            sensitivity: Sensitivity = checked(Sensitivity, layers)
-            folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
-            check_replaceable(folder, FILES)
-            with interruption_says_what_is_kept(folder):
-                outcome = run_sensitivity(sensitivity, folder, progress=stage, **run_options)
-                stage("report")
-                report = write_sensitivity_report(outcome, folder, seconds)
-            summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
-        else:
-            from pixsim.report.study import report_files, write_report
-            from pixsim.studies.engine import Workers, workers_here
+        got = f"{', '.join(tables) or '--config'}, with {study}, which varies another study"
+        raise invalid("options of settings", got, "studies of pixel sizes", hint)
+    with collected_notes():  # also of what is found before the study begins
+        layers = study_layers(table, options.config or [], tables)
+        seconds: dict[str, float] = {}
+        suffix = "-quick" if quick else ""
+        run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
+        if "vary" not in table.table:
+            from pixsim.report.outline import long_lines, outline_lines, study_outline
+            from pixsim.report.study import report_files
 
             plan = sweep.checked_study(layers)
             folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-            check_replaceable(folder, report_files(plan.quickened if quick else plan))
-            with interruption_says_what_is_kept(folder):
-                result = sweep.study(plan, folder, progress=stage, **run_options)
-                stage("report")
-                report = write_report(result, folder, seconds, workers_here(jobs) if scheduler is None else Workers())
-            summary = result.as_dict()
-            warned = set(result.warned)  # they are on stderr
-            lines = [*map(optimum_line, result.curves), *(f"note: {note}" for note in result.notes if note not in warned)]
-            lines += [film_words(summary["film"])] if "film" in summary else []
-            lines += budget_lines(summary)
+            prepared = sweep.prepare(plan, variant, quick)
+            outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
+            if dry_run:
+                show(outline, json, "\n".join(outline_lines(outline, folder)))
+                return
+            check_replaceable(folder, report_files(prepared.study))
+            for line in long_lines(outline):
+                common.verbosity.note(line)
+        elif dry_run:
+            raise invalid("--dry-run", f"with {study}, which varies another study", "studies of pixel sizes")
+        with stages(seconds) as stage:
+            if "vary" in table.table:
+                from pixsim.studies.sensitivity import FILES, Sensitivity, run_sensitivity, write_sensitivity_report
+
+                sensitivity: Sensitivity = checked(Sensitivity, layers)
+                folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
+                check_replaceable(folder, FILES)
+                with interruption_says_what_is_kept(folder):
+                    outcome = run_sensitivity(sensitivity, folder, progress=stage, quick=quick, variant=variant, **run_options)
+                    stage("report")
+                    report = write_sensitivity_report(outcome, folder, seconds)
+                summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
+            else:
+                from pixsim.report.study import write_report
+                from pixsim.studies.engine import Workers, workers_here
+                from pixsim.studies.preparation import fitting_jobs
+
+                with interruption_says_what_is_kept(folder):
+                    result = sweep.run_prepared(prepared, folder, progress=stage, **run_options)
+                    stage("report")
+                    drawing = workers_here(jobs or fitting_jobs(result.study, result.camera)) if scheduler is None else Workers()
+                    report = write_report(result, folder, seconds, drawing)
+                summary = result.as_dict()
+                warned = set(result.warned)  # they are on stderr
+                lines = [*map(optimum_line, result.curves), *study_view_line(result)]
+                lines += [film_words(summary["film"])] if "film" in summary else []
+                lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 
@@ -436,19 +464,26 @@ def template(
         ),
     ],
     *,
+    of: Annotated[
+        str | None, Parameter(help="For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity, modern).")
+    ] = None,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
     json: Json = False,
 ) -> None:
-    """Write a commented configuration file with every field, its unit, default and allowed range.
+    """Write a commented configuration file with every field, its unit, default and allowed range; or a packaged study.
 
     Example: pixsim template sensor -o my_sensor.toml
 
     Example: pixsim template study -o my_study.toml
+
+    Example: pixsim template study --of pixel-size -o my_study.toml
     """
     from pixsim.base.files import write_new
     from pixsim.cli import templates
 
-    text = templates.template(kind)
+    if of is not None and kind != "study":
+        raise invalid("--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`")
+    text = templates.template(kind) if of is None else templates.packaged_study(of)
     if output is None:
         show({"template": text}, json, text.rstrip())
         return

@@ -18,7 +18,19 @@ from pixsim.base import progress
 from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import cache_folder
-from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, Camera, CameraOptions, Display, Exposure, Layer, Pixel, Record, Run
+from pixsim.base.parameters import (
+    DATA_SHEET,
+    NO_TECHNOLOGY,
+    Camera,
+    CameraOptions,
+    Display,
+    Exposure,
+    Layer,
+    PitchRange,
+    Pixel,
+    Record,
+    Run,
+)
 from pixsim.base.progress import Stage
 from pixsim.base.version import VERSION
 
@@ -168,6 +180,9 @@ Full = Annotated[bool, Parameter(help="Render without simplifications.")]
 SensorId = Annotated[str | None, Parameter(help="Id of the sensor, if the scene has several.", metavar="ID")]
 Seed = Annotated[str | None, field_option(Run, "seed")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
+DryRun = Annotated[
+    bool, Parameter(help="Show what would be done, with an estimate of time and memory; nothing is rendered or written.")
+]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
 Variant = Annotated[
     str | None,
@@ -204,17 +219,19 @@ if TYPE_CHECKING:
     PixelTable: TypeAlias = Any
     ExposureTable: TypeAlias = Any
     DisplayTable: TypeAlias = Any
+    PitchTable: TypeAlias = Any
 else:
     CameraTable = option_table(CameraOptions, "camera")
     PixelTable = option_table(Pixel, "pixel")
     ExposureTable = option_table(Exposure, "exposure")
     DisplayTable = option_table(Display, "display")
+    PitchTable = option_table(PitchRange, "pitch")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class SceneOptions:
-    """Options of run, plan and accuracy: settings files, and options that override them."""
+    """Options of run, plan, study and accuracy: settings files, and options that override them."""
 
     config: Config = None
     define: Define = None
@@ -232,16 +249,28 @@ class SceneOptions:
         settings: Run = checked(Run, [*files, Layer(options)])
         return settings
 
+    def study_tables(self, scene: str | None, **others: Any) -> dict[str, Any]:
+        """The options as tables of a study, in place of those of its file.
+
+        scene : XML file or name of a packaged scene
+        others : further tables and fields
+        """
+        values = {**vars(self), **others}
+        del values["config"]
+        parameters = definitions(values.pop("define"), values.pop("linear"))
+        return given({"scene": given({"file": scene, "parameters": parameters}) or None, **values})
+
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Effort:
-    """Options of run and study: error tolerances, film and time limit, as text that the record validates."""
+    """Options of run and study: error tolerances, film, time limit and window, as text that the record validates."""
 
     tolerance_delta_e: Annotated[str | None, field_option(Run, "tolerance_delta_e")] = None
     render_noise: Annotated[str | None, field_option(Run, "render_noise")] = None
     resolution: Annotated[str | None, field_option(Run, "resolution")] = None
     max_seconds: Annotated[str | None, field_option(Run, "max_seconds")] = None
+    window_mm: Annotated[str | None, field_option(Run, "window_mm"), Parameter(name="--window")] = None
 
 
 NO_OPTIONS, NO_EFFORT = SceneOptions(), Effort()

@@ -7,7 +7,8 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from pixsim.base.errors import invalid
+from pixsim.base.config import packaged
+from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.parameters import DATA_SHEET, Camera, Record, Run, Study
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
@@ -24,7 +25,8 @@ NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a form
 EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study", "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
-    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "data_sheet_pitch_um": 3.75, "min_um": 2.0,
+    "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "data_sheet_pitch_um": 3.75, "min_um": 2.0, "own_um": 3.75,
+    "window_mm": 1.0,
     "tolerance_delta_e": 0.01, "target_ci_um": 0.1, "max_evaluations": 1000, "resolution": 1024,
     "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.62, "bits": 12,
     "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.0002, "column_fpn": 0.0001, "reset_noise_factor": 0.0,
@@ -69,6 +71,15 @@ def template(kind: str) -> str:
         first = [key for dotted in shown if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
         lines += ["", f"[{name}]", *_fields({key: properties[key] for key in [*first, *properties]}, shown, f"{name}.")]
     return "\n".join(lines) + "\n"
+
+
+def packaged_study(name: str) -> str:
+    """TOML file of a packaged study, to be edited. Raises PixsimError for another name."""
+    known = packaged("data/studies")
+    if name not in known:
+        raise invalid("--of", f"'{name}'", ", ".join(known), did_you_mean(name, known))
+    head = f"# A copy of the packaged study {name}. Change its name with its values: the random streams depend on the name."
+    return f"{head}\n{known[name].read_text(encoding='utf-8')}"
 
 
 def json_schema(kind: str) -> dict[str, Any]:

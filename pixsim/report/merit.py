@@ -11,7 +11,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.diffraction import square_aperture_mtf, white_otf
-from pixsim.report.pictures import csf_range_lp_per_mm, is_csf
+from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import interpolation_mtf, picture_size_um
@@ -74,8 +74,8 @@ def mtf50_cy_per_mm(
 
 def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tuple[float, str]:
     """Return the frequency at which pages give the terms, and its name: a CSF chart's highest, else half the Nyquist frequency."""
-    if is_csf(irradiance):
-        return csf_range_lp_per_mm(irradiance)[1], "the highest frequency of the chart"
+    if frequencies := csf_range_lp_per_mm(irradiance):
+        return frequencies[1], "the highest frequency of the chart"
     return 1e3 / (4 * pitch_um), f"half the Nyquist frequency of {pitch_um:.3g} µm pixels"
 
 

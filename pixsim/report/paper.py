@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from pixsim.report.merit import study_mtf_terms, system_mtf
 from pixsim.report.pictures import CONTRAST_LABEL, extent, picture_axes
 from pixsim.report.views import draw_iso, map_end, study_pictures
-from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.scene.charts import csf_contrast
 from pixsim.sensor.pixel import physics_of
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure
 from pixsim.show.pages import Column, Plate, coarse_table
@@ -137,7 +137,7 @@ def figure_6(evidence: Evidence) -> Plate:
     pitch_um_of, x, y = np.array(vertices).T.reshape(3, -1)
     table: dict[str, Column] = {
         "pitch_um": pitch_um_of.tolist(),
-        "frequency_lp_per_mm": csf_frequency_lp_per_mm(x).tolist(),
+        "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x).tolist(),
         "contrast": csf_contrast(y).tolist(),
     }
     caption = (
@@ -150,7 +150,8 @@ def figure_6(evidence: Evidence) -> Plate:
 
 def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     """Show the mean ΔE in cells of frequency and contrast, at 8 µm."""
-    frequency, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))
+    places, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))
+    frequency = evidence.frequency_lp_per_mm(places)
     figure, end = new_figure(5.4, 4.0), map_end(evidence.result)
     axes = figure.subplots()
     image = axes.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=end)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from pixsim.light.spectral import SpectralImage
-from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
+from pixsim.scene.charts import csf_contrast, csf_frequency_on_sensor
 from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_colours, grey_codes
 from pixsim.viewer.display import picture_size_um
 from pixsim.viewer.score import Score
@@ -26,28 +26,24 @@ def extent(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[fl
     return 1e-3 * across_um, 1e-3 * (width_um - across_um), 1e-3 * (height_um - down_um), 1e-3 * down_um
 
 
-def is_csf(irradiance: SpectralImage) -> bool:
-    header = irradiance.header
-    return bool(header.get("scene") == "csf.xml" and "chart" not in header.get("parameters", {}))
-
-
-def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float]:
-    """Return the lowest and highest frequency of the CSF chart within a border. It fills the die, so they scale with its size."""
+def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float] | None:
+    """Return the lowest and highest frequency of the CSF chart within a border; None for another scene."""
     left, right, _, _ = extent(irradiance, border_um)
     width_mm = extent(irradiance)[1]
-    lowest, highest = (DIE_MM / width_mm * float(csf_frequency_lp_per_mm(at / width_mm)) for at in (left, right))
-    return lowest, highest
+    frequency = csf_frequency_on_sensor(irradiance.header, width_mm)
+    return None if frequency is None else (float(frequency(left / width_mm)), float(frequency(right / width_mm)))
 
 
 def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> PictureAxes:
     """Return axes of frequency and contrast for the CSF chart, else of position on the sensor."""
     extent_mm = left, right, bottom, top = extent(irradiance, border_um)
-    if not is_csf(irradiance):
+    frequencies = csf_range_lp_per_mm(irradiance, border_um)
+    if frequencies is None:
         across, down = _even_ticks(left, right), _even_ticks(top, bottom)
         return PictureAxes(extent_mm, Axis("x on the sensor (mm)", across), Axis("y on the sensor (mm)", down))
     height_mm = extent(irradiance)[2]
     faintest, strongest = (float(csf_contrast(at / height_mm)) for at in (top, bottom))
-    across = _ratio_ticks((left, right), csf_range_lp_per_mm(irradiance, border_um), (1, 2, 5, 10, 20, 50, 100, 200))
+    across = _ratio_ticks((left, right), frequencies, (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000))
     down = _ratio_ticks((top, bottom), (faintest, strongest), (0.03, 0.1, 0.3))
     return PictureAxes(extent_mm, Axis("spatial frequency on the sensor (lp/mm)", across), Axis(CONTRAST_LABEL, down), fixed=True)
 

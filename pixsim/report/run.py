@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
 from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
 from pixsim.base.notes import collected_notes
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Display, Exposure, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
-from pixsim.report.wording import budget_lines, dark_notes, film_words, score_line
-from pixsim.sensor.integration import pixels_along
+from pixsim.report.wording import budget_lines, dark_notes, film_words, score_line, view_words
+from pixsim.sensor.integration import check_pixel_count, pixels_along
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
@@ -39,11 +41,13 @@ from pixsim.show.pictures import (
     scale_end,
     worst_window,
 )
-from pixsim.viewer.display import white_header, white_rate, white_spectrum
+from pixsim.viewer.display import dot_edges_um, white_header, white_rate, white_spectrum
 from pixsim.viewer.score import Score, dark_clip, make_imaging_chain
 
 if TYPE_CHECKING:
+    from pixsim.scene.scene import Scene
     from pixsim.studies.budget import Settled
+    from pixsim.studies.preparation import View
 
 
 # Files next to the page, with their descriptions.
@@ -55,6 +59,7 @@ FILES = {
     "image.png": "image of the sensor, as shown",
     "delta_e.exr": "S-CIELAB ΔE map, for programs",
     "delta_e.png": "S-CIELAB ΔE map, with axes",
+    "settings.toml": "all settings: `pixsim run SCENE --config settings.toml` makes the same numbers again",
     "provenance.json": "versions and wall times",
 }
 AFTERWARDS = ("score.json", PROVENANCE)
@@ -95,6 +100,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
         "line": score_line(summary),
+        "view": "; ".join(view_words(summary["display"], summary, summary["pixels"][1])),
         "summary": summary,
         "label": label_of(physics.technology.name),
         "die_mm": (width_mm, height_mm),
@@ -132,6 +138,7 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     return Picture(grey_codes(reduced(luminance)), name)
 
 
+NO_TIME_LIMIT_S = 1e9
 Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
@@ -177,20 +184,22 @@ def run_and_write(
         nonlocal clock
         seconds[name], clock = time.perf_counter() - clock, time.perf_counter()
 
-    prepared: Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]
+    prepared: Callable[[], Light]
     with collected_notes() as notes:
         if Path(source).suffix.lower() in PICTURE_SUFFIXES:
-            if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution:
-                options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution"
+            only_of_scenes = settings.tolerance_delta_e or settings.resolution or settings.window_mm
+            if settings.scene or sensor or variant or only_of_scenes:
+                options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
                 raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
-            prepared = partial(_read, source, settings, units)
+            prepared = partial(light_of_picture, source, settings, units)
         else:
             if units:
                 raise invalid("--units", f"'{source}', a scene", "a picture (.exr, .npz, .hdr); the units of a render are known")
             prepared = _prepare(source, settings, full, sensor, variant, progress)
         with output_folder(out) as folder:
-            image, camera, more = prepared()
-            lap("read" if not more else "render")
+            light = prepared()
+            image, camera, settings, more = light.irradiance, light.camera, light.settings, light.more
+            lap("render" if "plan" in more else "read")
             progress("sense and score")
             image.header |= white_header(image, camera, settings.display)
             chain = make_imaging_chain(image, camera, settings.pixel, settings.exposure, settings.display, full)
@@ -205,7 +214,12 @@ def run_and_write(
             if irradiance == "factors" and not image.factors:
                 warnings.warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full", stacklevel=2)
             summary["notes"] = [*notes, *summary["notes"]]
+            given = {"sensor": sensor, "variant": variant, "units": units}
+            command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
+            command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
+            text = settings_text(light.repeated or settings, shlex.join(command))
             with publishing(folder, "run", {"seconds": seconds}, keep=[Path(source)]) as partial_folder:
+                (partial_folder / SETTINGS_FILE).write_text(text, encoding="utf-8")
                 write_all(partial_folder, image, score, summary, raw_suffixes, irradiance)
                 lap("write")
     return summary
@@ -238,22 +252,58 @@ def summary_of(
     return summary | {"notes": dark_notes(summary)}
 
 
+class Light(NamedTuple):
+    """The light of a run and the settings that follow from it.
+
+    source : the scene or picture, for a command in another folder
+    settings : with what pixsim chose
+    more : further entries of score.json
+    repeated : settings that make the same picture again; None for `settings`
+    """
+
+    irradiance: SpectralImage
+    camera: Camera
+    source: str
+    settings: Run
+    more: dict[str, Any]
+    repeated: Run | None = None
+
+
+def prepared_run(
+    source: str, settings: Run, sensor: str | None = None, variant: str | None = None
+) -> tuple[Scene, Camera, Run, View]:
+    """Return the scene, the camera of the window, and the settings with what they leave open; nothing is rendered.
+
+    Raises PixsimError for invalid input.
+    """
+    from pixsim.scene.scene import load_scene
+    from pixsim.studies.preparation import View, choose_view, die_um
+
+    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
+    whole = scene.camera(settings.camera)
+    camera, pitch_um = whole.window(settings.window_mm), settings.pixel.pitch_um
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    view = choose_view(pitch_um, camera, settings.display, scene) if sheet else View()
+    check_pixel_count([pixels_along(length_um, pitch_um) for length_um in die_um(camera)], pitch_um)
+    dot_edges_um(die_um(camera), pitch_um, settings.display, pitch_um)
+    chosen = {"camera": CameraOptions.model_validate(whole.model_dump()), "display": view.display(settings.display)}
+    scene = scene.with_resolution(settings.resolution) if settings.resolution else scene
+    return view.scene(scene), camera, settings.model_copy(update=chosen | {"scene": view.parameters(settings.scene)}), view
+
+
 def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
-) -> Callable[[], tuple[SpectralImage, Camera, dict[str, Any]]]:
+) -> Callable[[], Light]:
     """Check everything that can be checked before a render, and return the function that renders."""
     from pixsim.scene.convergence import RenderNoise, render_until
     from pixsim.scene.plan import Plan, make_plan
-    from pixsim.scene.scene import Scene, load_scene
+    from pixsim.scene.scene import packaged_scenes
     from pixsim.sensor.pixel import derive
     from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
 
-    scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
-    camera = scene.camera(settings.camera)
-    for length_mm in (camera.die_mm, camera.height_mm):
-        pixels_along(1e3 * length_mm, settings.pixel.pitch_um)
-    if settings.resolution:
-        scene = scene.with_resolution(settings.resolution)
+    scene, camera, settings, view = prepared_run(source, settings, sensor, variant)
+    named = source if source in packaged_scenes() else str(scene.path)
+    kept = settings.model_copy(update={"scene": scene_table(scene.path.parent, settings.scene)})
     settled: Settled | None = None
     free = False
     if settings.tolerance_delta_e:
@@ -284,7 +334,7 @@ def _prepare(
         given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": tolerance_delta_e}
         return cached_film_error(image, camera, [derive(settings.pixel)], settings.exposure, settings.display, **given)
 
-    def render() -> tuple[SpectralImage, Camera, dict[str, Any]]:
+    def render() -> Light:
         made = render_on_film(
             scene,
             camera,
@@ -296,21 +346,33 @@ def _prepare(
             max_seconds=limit_of_time(settings),
         )
         more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
+        more |= {"chosen": view.as_dict()} | ({"window_mm": settings.window_mm} if settings.window_mm else {})
+        repeated = kept
+        if limit_of_time(settings) is not None:  # the clock may have chosen the film
+            repeated = kept.model_copy(update={"resolution": made.image.shape[1]})
+        if made.noise.ended_by == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
+            same: dict[str, Any] = {"render_noise": made.noise.fraction, "max_seconds": NO_TIME_LIMIT_S, "tolerance_delta_e": None}
+            same |= {"tolerance_e": settings.tolerance_e, "resolution": made.image.shape[1]}
+            repeated = kept.model_copy(update=same)
         if settled:
             bound_e = made.plan.bound_e if made.plan.bounded else None
             more["error_budget"] = settled.budget(made.noise, bound_e, settled.choice.sensors)
-        return made.image, camera, more
+        return Light(made.image, camera, named, settings, more, repeated)
 
     return render
 
 
-def _read(source: str, settings: Run, units: str | None) -> tuple[SpectralImage, Camera, dict[str, Any]]:
-    """Return a picture of another program, and the camera."""
+def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
+    """Return a picture of another program as the light of a run."""
     from pixsim.optics.exchange import read_with_camera
+    from pixsim.studies.preparation import View, choose_view
 
     image, camera = read_with_camera(source, settings.camera, units)
     pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
-    return image, camera, {}
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    view = choose_view(settings.pixel.pitch_um, camera, settings.display, None) if sheet else View()
+    chosen = {"camera": CameraOptions.model_validate(camera.model_dump()), "display": view.display(settings.display)}
+    return Light(image, camera, str(Path(source).resolve()), settings.model_copy(update=chosen), {"chosen": view.as_dict()})
 
 
 def write_all(

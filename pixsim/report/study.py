@@ -10,14 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
 from pixsim.base.parameters import Record, Study
 from pixsim.report.merit import blur_words, detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
 from pixsim.report.paper import PAPER_PLATES, map_plates, scene_plates
-from pixsim.report.pictures import is_csf
+from pixsim.report.pictures import csf_range_lp_per_mm
 from pixsim.report.settings import FILLED, LightLevel, Row, record_rows, scene_rows
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import film_words
+from pixsim.report.wording import film_words, no_difference_words, study_view_line
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import file_label, labels_of, technology_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure
@@ -56,7 +57,7 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
         f"Other statistics of ΔE for the same pictures ({curve.label}), each divided by its minimum. The legend gives the "
         "best of the pixel sizes tried."
     )
-    if is_csf(result.irradiance):
+    if csf_range_lp_per_mm(result.irradiance):
         caption += (
             " The maximum belongs to single dots in the darkest bars, where S-CIELAB, which blurs colour more widely than "
             "luminance, is most sensitive."
@@ -157,7 +158,10 @@ def draw_section(section: Section, result: StudyResult) -> tuple[Section, list[D
         plates = plates_of_curves(result, first)
     elif section.kind == "pictures":
         curve = by_name[section.technology]
-        scores = result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), SENSORS_SHOWN)
+        pitch_um = float(curve.pitch_um[best_place(curve)])
+        # A data sheet's sensor may have many millions of pixels: no more of them than the study simulated.
+        count = SENSORS_SHOWN if result.study.own_um is None else min(SENSORS_SHOWN, result.sensors_at(curve.technology, pitch_um))
+        scores = result.scores(curve.technology, pitch_um, count)
         plates = [study_pictures(result, curve, scores[0], [score.delta_e for score in scores], f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
@@ -202,6 +206,8 @@ def write_report(
     with output_folder(folder) as path:
         check_replaceable(path, report_files(result.study))
         with publishing(path, "study", {"seconds": times_s}) as unfinished:
+            if result.settings_toml:
+                (unfinished / SETTINGS_FILE).write_text(result.settings_toml, encoding="utf-8")
             _write(result, unfinished, times_s, workers or Workers())
         return path / "report.html"
 
@@ -213,7 +219,7 @@ def report_files(study: Study) -> set[str]:
     plates |= set(PAPER_PLATES) if study.paper else set()
     figures = {f"{name}.{suffix}" for name in plates for suffix in ("svg", "csv")}
     figures |= {f"contact_sheet_{label}.png" for label in labels}
-    return {"report.html", "summary.json", *(f"figures/{name}" for name in figures)}
+    return {"report.html", "summary.json", SETTINGS_FILE, *(f"figures/{name}" for name in figures)}
 
 
 def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> None:
@@ -246,6 +252,8 @@ def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers
     page = {
         "study": study,
         "interval": interval_words,
+        "no_difference": no_difference_words,
+        "shown": study_view_line(result),
         "within": within_words,
         "alike": alike_words,
         "film": film_words(result.film.as_dict()) if result.film else "",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pixsim.studies.result import alike_words, interval_words, within_words
+from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.sensor.integration import pixels_along
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, within_words
 from pixsim.viewer.score import clip_words, clips_dark
 
 SATURATED_SHOWN = 0.01
@@ -23,7 +25,10 @@ def sensitivity_lines(outcome: Any) -> list[str]:
 
 
 def optimum_line(curve: Any) -> str:
-    """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart."""
+    """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
+
+    Where a wide range of sizes shows no visible difference, that range comes first.
+    """
     if curve.alike_um:
         return f"{curve.label}: {alike_words(curve)}; least mean ΔE {curve.mean().min():.3f}"
     best, interval = curve.optimum, f"(95 %: {interval_words(curve)})"
@@ -34,7 +39,20 @@ def optimum_line(curve: Any) -> str:
             f"the error is smallest at {best.pitch_um:.2f} µm, the end of the range {interval}"
         )
     within = within_words(best.within_1_percent_um, curve)
+    if words := no_difference_words(curve):
+        size = "" if best.inside else ", the end of the range"
+        least = f"least {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm{size} {interval}"
+        return f"{curve.label}: {words}; mean ΔE is {least}; within 1 % of it: {within}"
     return f"{curve.label}: {text}, mean ΔE {best.mean_delta_e:.3f}; within 1 % of it: {within}"
+
+
+def no_difference_words(curve: Any) -> str:
+    """Return the range of sizes that look alike, as text; empty if it is narrow."""
+    if curve.no_difference_um is None:
+        return ""
+    low, high = curve.no_difference_um
+    whole = ", all sizes tried" if (low, high) == (curve.pitch_um[0], curve.pitch_um[-1]) else ""
+    return f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) from {low:.3g} to {high:.3g} µm{whole}"
 
 
 def score_line(result: dict[str, Any]) -> str:
@@ -51,6 +69,7 @@ def score_line(result: dict[str, Any]) -> str:
     longest = " (the maximum)" if exposure["integration_s"] is None and time_s >= exposure["max_integration_s"] else ""
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result['pitch_um']:g} µm{border}"
+    pixels += "".join(f", {words}" for words in view_words(result["display"], result, columns))
     film = f"; {film_words(result['film'])}" if "film" in result else ""
     assumed = f"; {result['assumption']}" if result["assumption"] else ""
     return f"{delta_e} with {pixels}, exposed for {1e3 * time_s:.3g} ms{longest}{full}{film}{assumed}"
@@ -62,6 +81,36 @@ def film_words(film: dict[str, Any]) -> str:
     height, width = film["shape"]
     too_large = "" if film["met"] else f", more than the {min(film['tolerated_delta_e']):.2g} tolerated: {film['limit']}"
     return f"film of {width} × {height} samples, its error {error}{too_large}"
+
+
+def view_words(display: dict[str, Any], result: dict[str, Any], columns: float | None = None) -> list[str]:
+    """Return how a sensor is shown: its pixels a dot, the window, and the end of a chart whose frequencies are not the paper's.
+
+    result : with `irradiance`, and `chosen` and `window_mm` if they apply
+    columns : of its pixels
+    """
+    words, chosen = [], result.get("chosen") or {}
+    if display["raster"] == "fixed_size":
+        dots = f"shown on {display['dots']} dots" + (" (from the sensor's pixels)" if "dots" in chosen else "")
+        words.append(dots if columns is None else f"{dots}, {columns / display['dots']:.2g} pixels a dot")
+    parameters = result["irradiance"].get("parameters")
+    if isinstance(parameters, dict) and MAX_LP_PER_MM in parameters:
+        limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""
+        words.append(f"chart to {float(parameters[MAX_LP_PER_MM]):.3g} lp/mm{limit}")
+    if result.get("window_mm"):
+        words.append(f"in a central window of {result['window_mm']:g} mm")
+    return words
+
+
+def study_view_line(result: Any) -> list[str]:
+    """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other studies."""
+    study, summary = result.study, result.as_dict()
+    if study.own_um is None and study.window_mm is None:
+        return []
+    columns = None if study.own_um is None else pixels_along(1e3 * result.camera.die_mm, study.own_um)
+    words = "; ".join(view_words(summary["study"]["display"], summary, columns))
+    own = "" if study.own_um is None else f" (pixels of {study.own_um:g} µm, as on the data sheet)"
+    return [f"{words}{own}"] if words else []
 
 
 def dark_notes(result: dict[str, Any]) -> list[str]:

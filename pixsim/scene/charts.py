@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,17 +29,41 @@ MIN_FREQUENCY_LP_PER_MM = 1.0
 MIN_CONTRAST = 0.01  # relative to the largest
 DIE_MM = 2.7136  # 512 pixels of 5.3 µm
 CSF_STEPS = 2**18
+CSF_WIDTHS = (8192, 32768)  # of a chart with a highest frequency of its own, in texels
+TEXELS_PER_CYCLE = 32  # at the highest frequency: bilinear interpolation keeps its contrast to 0.3 %
+MAX_LP_PER_MM = "max_lp_per_mm"  # scene parameter of the CSF chart: its highest frequency on the sensor
+MIN_CSF_RANGE = 1.1  # of the highest to the lowest frequency
 SLANT_DEG = 5.0  # ISO 12233
 STAR_CYCLES = 72
 
 
-def csf_frequency_lp_per_mm(x: ArrayLike) -> Array:
-    """Return the local frequency (...) at x in [0, 1] across the die: exponential from 1 to 33.3 lp/mm (Chen et al. 2000).
+def csf_frequency_lp_per_mm(x: ArrayLike, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM) -> Array:
+    """Return the local frequency (...) at x in [0, 1] across the die: exponential, from 1 to 33.3 lp/mm (Chen et al. 2000).
+
+    highest_lp_per_mm : at the right, above 1
 
     >>> csf_frequency_lp_per_mm([0.0, 1.0]).round(3).tolist()  # at the right, the Nyquist frequency of 15 µm pixels
     [1.0, 33.333]
     """
-    return MIN_FREQUENCY_LP_PER_MM * (MAX_FREQUENCY_LP_PER_MM / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
+    return MIN_FREQUENCY_LP_PER_MM * (highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
+
+
+def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: float) -> Callable[[ArrayLike], Array] | None:
+    """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a function; None for another scene.
+
+    The chart of Chen et al. (2000) fills the die. It begins at 2.7 cycles across the die, and ends at `max_lp_per_mm` or at 90.5
+    cycles.
+
+    header : of the irradiance
+    width_mm : of the picture on the sensor
+    """
+    given = header.get("parameters")  # may be anything in a file of another program
+    parameters = given if isinstance(given, dict) else {}
+    if header.get("scene") != "csf.xml" or "chart" in parameters:
+        return None
+    scale = DIE_MM / width_mm
+    highest = float(parameters[MAX_LP_PER_MM]) / scale if MAX_LP_PER_MM in parameters else MAX_FREQUENCY_LP_PER_MM
+    return lambda x: scale * csf_frequency_lp_per_mm(x, highest)
 
 
 def csf_contrast(y: ArrayLike) -> Array:
@@ -50,17 +75,18 @@ def csf_contrast(y: ArrayLike) -> Array:
     return (high - low) / (high + low) * MIN_CONTRAST ** (1 - np.asarray(y, float))
 
 
-def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM) -> Array:
+def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM) -> Array:
     """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of 2π frequency.
 
     A value of 1 is 1000 cd/m², and the mean is 0.5125 (Chen et al. 2000).
 
     x, y : to the right and downwards, in [0, 1]; the result has the shape that they broadcast to
     die_mm : width of the chart on the sensor
+    highest_lp_per_mm : frequency at the right, above 1
     """
     low, high = LUMINANCE_CD_PER_M2
-    growth = np.log(MAX_FREQUENCY_LP_PER_MM / MIN_FREQUENCY_LP_PER_MM)
-    cycles = die_mm / growth * (csf_frequency_lp_per_mm(x) - MIN_FREQUENCY_LP_PER_MM)
+    growth = np.log(highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM)
+    cycles = die_mm / growth * (csf_frequency_lp_per_mm(x, highest_lp_per_mm) - MIN_FREQUENCY_LP_PER_MM)
     return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
 
 
@@ -69,14 +95,16 @@ def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, 
     return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
 
 
-def csf(width: int = 8192, height: int = 256, die_mm: float = DIE_MM) -> NDArray[np.float32]:
+def csf(
+    width: int = 8192, height: int = 256, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM
+) -> NDArray[np.float32]:
     """Return the contrast-sensitivity chart of Chen et al. (2000), (height, width): `csf_value` at the texel centres.
 
     With 8192 columns bilinear interpolation keeps the highest frequency to 0.06 %. With 256 rows the contrast is at most 0.9 %
     low, in the lowest half row. Values are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
     """
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
-    return (np.rint(csf_value(x, y, die_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
+    return (np.rint(csf_value(x, y, die_mm, highest_lp_per_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
 
 
 def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: int, dark: float) -> NDArray[np.float32]:
@@ -175,3 +203,16 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     else:
         write_chart(path, make())
     return path
+
+
+def csf_file(highest_lp_per_mm: float, die_mm: float) -> Path:
+    """Return the file of the CSF chart that fills a die and ends at a frequency; it begins at 2.7 cycles across the die.
+
+    Raises PixsimError if that frequency is not above the lowest.
+    """
+    lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / die_mm
+    if not highest_lp_per_mm >= MIN_CSF_RANGE * lowest:
+        raise invalid(MAX_LP_PER_MM, f"{highest_lp_per_mm:g}", f"at least {MIN_CSF_RANGE * lowest:.3g} on a die of {die_mm:g} mm")
+    cycles = highest_lp_per_mm * die_mm
+    width = int(min(max(TEXELS_PER_CYCLE * cycles, CSF_WIDTHS[0]), CSF_WIDTHS[1]))
+    return texture_file(["csf", width, cycles], partial(csf, width, highest_lp_per_mm=cycles / DIE_MM))

@@ -17,14 +17,15 @@ from pydantic import ValidationError
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
-from pixsim.scene import variant as variants
+from pixsim.scene import charts, variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, texture_files
 from pixsim.scene.files import judge_scene, judge_tree
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.mitsuba import children, nodes_of, parse, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
 
-CHART, CHART_LINEAR, CHART_HALF_HEIGHT = "chart", "chart_linear", "chart_half_height"
+CHART, CHART_LINEAR = "chart", "chart_linear"
+CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
@@ -43,6 +44,7 @@ class Scene:
     sensor_id : id of the sensor; None if there is only one
     choice : Mitsuba variant, and why it was chosen
     white_cd_per_m2 : luminance that the display shows as white, if the file states it
+    shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
     """
@@ -55,10 +57,12 @@ class Scene:
     white_cd_per_m2: float | None = None
     own_chart: OwnChart | None = None
     resolution: int | None = None
+    shows_csf: bool = False
 
     def parse(self, **more: object) -> Any:
         """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
+        given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
         if self.own_chart:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
         return parse(self.path, self.choice.variant, given)
@@ -96,6 +100,11 @@ class Scene:
             # Where the chart follows the height of the die, the picture's border does so too.
             height_mm = shown.height_mm if CHART_HALF_HEIGHT in self.names else shown.die_mm
             named[CHART] = str(self.own_chart.texture(shown.die_mm / height_mm, warn=True))
+        if charts.MAX_LP_PER_MM in self.parameters:
+            width_mm = camera.die_mm
+            if CHART_HALF_WIDTH in self.parameters:
+                width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
+            named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
         return self.parse(**named)
 
     def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
@@ -170,8 +179,8 @@ def load_scene(
     variant : Mitsuba variant; None takes the fastest that works on this machine
     sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters; `luminance_cd_per_m2` sets the luminance of texel value 1
-        in a scene with a parameter `emitter_scale`; `chart` may name a picture (`scene.own_chart.read_luminance`), which is
-        decoded as sRGB unless `chart_linear` is true
+        in a scene with a parameter `emitter_scale`; `max_lp_per_mm` the highest frequency on the sensor of the CSF chart;
+        `chart` may name a picture (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
     one, the sensor is not a thin lens, or LLVM is too old.
@@ -188,12 +197,15 @@ def load_scene(
         got = missing(path) if is_path else f"'{scene}'"
         raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", did_you_mean(str(scene), known))
     luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
+    highest = parameters.pop(charts.MAX_LP_PER_MM, None)
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     given = {name: str(value) for name, value in parameters.items()}
     text = judge_scene(path, given)
     names = frozenset(text.names)
     also = ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE), (CHART_LINEAR, CHART))
     settable = {name for name, needed in also if needed in names | text.defaults.keys()}
+    shows_csf = CHART in names and CHART not in given and Path(text.defaults.get(CHART, "")).name == "csf.exr"
+    settable |= {charts.MAX_LP_PER_MM} if shows_csf else set()
     allowed = names | settable
     if wrong := [name for name in given if name not in allowed]:
         similar = difflib.get_close_matches(wrong[0], allowed, 1)
@@ -203,9 +215,13 @@ def load_scene(
     if white is not None and file_white is None:
         got = f"'{white}', but '{path.name}' has no such <default>"
         raise invalid(WHITE, got, "a scene with this <default>", "Set display.white_cd_per_m2.")
+    if highest is not None and not shows_csf:
+        got = f"'{highest}', but the chart of '{path.name}' is another{' (-D chart)' if CHART in given else ''}"
+        raise invalid(charts.MAX_LP_PER_MM, got, "the scene csf with its own chart")
     display_white = file_white if white is None else white
     choice = variants.choose(variant)
-    loaded = Scene(path.resolve(), given, names, sensor, choice, None if display_white is None else _positive(WHITE, display_white))
+    shown_white = None if display_white is None else _positive(WHITE, display_white)
+    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf)
     loaded = _with_own_chart(loaded, linear)
     state = loaded.parse()
     judge_tree([list(children(node, state).values()) for node in state.nodes])
@@ -218,6 +234,8 @@ def load_scene(
     check_textures(state, loaded.path.parent)
     if luminance is not None:
         loaded = _with_luminance(loaded, luminance)
+    if highest is not None:
+        loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: repr(_positive(charts.MAX_LP_PER_MM, highest))})
     return loaded
 
 

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Pixel, Study
-from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm
+from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.pixel import derive, fill_factor_law, physics_of
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.studies.result import Curve, StudyResult, interval_words
@@ -118,9 +119,15 @@ class Evidence:
         return {pitch: threshold_contrast(delta_e, level, self.border(pitch)[0]) for pitch, delta_e in self.maps.items()}
 
     @cached_property
+    def frequency_lp_per_mm(self) -> Callable[[ArrayLike], Array]:
+        """Frequency of the chart on the sensor at x in [0, 1] across it."""
+        width_mm = 1e-3 * picture_size_um(self.result.irradiance)[1]
+        return csf_frequency_on_sensor(self.result.irradiance.header, width_mm) or csf_frequency_lp_per_mm
+
+    @cached_property
     def frequencies_lp_per_mm(self) -> Array:
         """Centres of the bins of `thresholds`."""
-        return frequency_bins_lp_per_mm(self.border(FIGURE_6_PITCHES_UM[0])[1])
+        return self.frequency_lp_per_mm(frequency_places(self.border(FIGURE_6_PITCHES_UM[0])[1]))
 
 
 ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not state"
@@ -141,18 +148,18 @@ def chart_places(parts: int, border: float) -> Array:
     return border + (np.arange(parts) + 0.5) / parts * (1 - 2 * border)
 
 
-def frequency_bins_lp_per_mm(border: float = 0.0) -> Array:
+def frequency_places(border: float = 0.0) -> Array:
     """Return the bin centres of `by_frequency`, for a map that omits a fraction `border` of the chart's width on each side."""
-    return csf_frequency_lp_per_mm(chart_places(FREQUENCY_BINS, border))
+    return chart_places(FREQUENCY_BINS, border)
 
 
 def frequency_contrast_table(delta_e: Array, border: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array, Array]:
-    """Return frequencies (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map.
+    """Return places across the chart (F,), contrasts (C,) and mean ΔE (C, F) of a CSF map.
 
     border : fractions of the chart's height and width that the map omits on each side
     """
     table = np.stack([part.mean(axis=0) for part in np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)])
-    return frequency_bins_lp_per_mm(border[1]), csf_contrast(chart_places(CONTRAST_BINS, border[0])), table
+    return frequency_places(border[1]), csf_contrast(chart_places(CONTRAST_BINS, border[0])), table
 
 
 def threshold_contrast(delta_e: Array, level: float, border: float = 0.0) -> Array:
@@ -285,7 +292,8 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
         why = f"the quantisation of the display ({bits} bits) adds modes" if fine == 1 else ASSUMED
         result += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
     yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", result, count == 1, why)
-    frequency, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))
+    places, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))
+    frequency = evidence.frequency_lp_per_mm(places)
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
     result = f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}"

@@ -170,14 +170,14 @@ def study_pitches_um(study: Study, technology: str) -> Array:
         if pitches.size < 5:
             raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
         return pitches
-    low, source = study.pitch.min_um, "pitch.min_um"
+    (low, high), source = study.open_range_um, "pitch.min_um"
     if low is None:
         process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
-    if low >= study.pitch.max_um:
-        raise invalid("pitch.max_um", study.pitch.max_um, f"above {low:.4g} µm, {source}")
-    return np.geomspace(low, study.pitch.max_um, study.pitch.count).round(4)
+    if low >= high:
+        raise invalid("pitch.max_um", high, f"above {low:.4g} µm, {source}")
+    return np.geomspace(low, high, study.pitch.count).round(4)
 
 
 def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:

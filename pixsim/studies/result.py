@@ -40,6 +40,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
+WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
+
+
 @dataclass(frozen=True)
 class Curve:
     """Mean ΔE against pitch for one technology.
@@ -93,6 +97,25 @@ class Curve:
         """Return the mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
         return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
 
+    @cached_property
+    def no_difference_um(self) -> tuple[float, float] | None:
+        """Range of tested pitches around the best whose mean ΔE differ by less than 0.05, uncertainty included; None if narrow.
+
+        The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²). The range is the widest of
+        neighbouring pitches with the best of them; one of a ratio below `WIDE_RATIO` is narrow, as around any smooth minimum.
+        """
+        mean, ci95 = mean_and_ci95(self.delta_e)
+        apart = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
+        best, widest = int(np.argmin(mean)), None
+        for first in range(best + 1):
+            for last in range(best, mean.size):
+                differ = apart[first : last + 1, first : last + 1].copy()
+                np.fill_diagonal(differ, 0.0)
+                ratio = float(self.pitch_um[last] / self.pitch_um[first])
+                if differ.max() < NO_VISIBLE_DELTA_E and ratio >= WIDE_RATIO and (widest is None or ratio > widest[1] / widest[0]):
+                    widest = float(self.pitch_um[first]), float(self.pitch_um[last])
+        return widest
+
     @property
     def sensors(self) -> Array:
         """Number of sensors of each pitch, (pitches,)."""
@@ -109,6 +132,7 @@ class Curve:
         return {
             "technology": self.technology,
             "optimum": self.optimum.as_dict(),
+            "no_visible_difference_um": self.no_difference_um,
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
             "alike_um": self.alike_um,
@@ -130,6 +154,8 @@ class StudyResult:
     camera : with which it was rendered
     film : error of the film of its irradiance
     budget : error budget of the first curve, if a tolerance of ΔE was requested
+    view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.View`)
+    settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
     warned : warnings while it was computed
     """
 
@@ -139,6 +165,8 @@ class StudyResult:
     camera: Camera
     film: FilmError | None = None
     budget: dict[str, Any] | None = None
+    view: dict[str, Any] = field(default_factory=dict)
+    settings_toml: str = field(default="", repr=False)
     warned: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -166,10 +194,9 @@ class StudyResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
-        more: dict[str, Any] = {"error_budget": self.budget} if self.budget else {}
-        if self.film:
-            more["film"] = self.film.as_dict()
-        return more | {
+        more: dict[str, Any] = {"error_budget": self.budget, "film": self.film and self.film.as_dict(), "chosen": self.view}
+        more["window_mm"] = self.study.window_mm
+        return {name: value for name, value in more.items() if value} | {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "irradiance": self.irradiance.header,
             "notes": self.notes,
@@ -244,6 +271,10 @@ class StudyResult:
         words = []
         for curve in self.curves:
             best = curve.optimum
+            if curve.no_difference_um is not None and not curve.alike_um:
+                low, high = curve.no_difference_um
+                words.append(f"{curve.label}: no visible difference from {low:.3g} to {high:.3g} µm, ΔE {best.mean_delta_e:.3f}")
+                continue
             text = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)}), ΔE {best.mean_delta_e:.3f}"
             if not best.inside:
                 ends = f"{curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from pixsim.base.config import SETTINGS_FILE, packaged, settings_text, whole_path
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import output_folder, publishing, versions, write_json
 from pixsim.base.notes import collected_notes
@@ -24,7 +25,7 @@ from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, refer
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import ResultsFile
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
-from pixsim.studies.study import Light, check_pitches, load_study, render_for, scene_for, sweep_pitches
+from pixsim.studies.study import Light, check_pitches, check_technologies, load_study, prepare, render_for, sweep_pitches
 
 
 class Setting(Record):
@@ -63,9 +64,10 @@ class Sensitivity(Record):
         """Return the base study with this record's technologies, sensors and pitches; all cases share its random streams."""
         given = {"repeats": self.repeats, "pitch": self.pitch.model_dump() if self.pitch else None}
         changes = {"technologies": self.technologies} | {name: value for name, value in given.items() if value is not None}
-        table = load_study(self.base).model_dump(mode="json", exclude={"quick"})
-        changes["process"] = {name: numbers for name, numbers in table["process"].items() if name in self.technologies}
-        return Study.model_validate(table | changes | {"paper": table["paper"] and REFERENCE_TECHNOLOGY in self.technologies})
+        base = load_study(self.base)
+        changes["process"] = {name: numbers for name, numbers in base.process.items() if name in self.technologies}
+        changes["paper"] = base.paper and REFERENCE_TECHNOLOGY in self.technologies
+        return Study.model_validate(base.model_dump(mode="json", exclude={"quick"}, exclude_unset=True) | changes)
 
 
 @dataclass(frozen=True)
@@ -167,9 +169,12 @@ class SensitivityResult:
         }
 
 
-def cases_of(sensitivity: Sensitivity) -> Iterator[tuple[str, str, Study]]:
-    """Yield (variation, label, study) for every setting."""
-    base = sensitivity.base_study().model_dump(mode="json")
+def cases_of(sensitivity: Sensitivity, base_study: Study | None = None) -> Iterator[tuple[str, str, Study]]:
+    """Yield (variation, label, study) for every setting.
+
+    base_study : with the display and chart that all cases share; None means that of the sensitivity analysis
+    """
+    base = (base_study or sensitivity.base_study()).model_dump(mode="json", exclude_unset=True)
     for variation in sensitivity.vary:
         for setting in variation.settings:
             yield variation.name, setting.label, Study.model_validate(merge(base, setting.set))
@@ -212,14 +217,13 @@ def run_sensitivity(
     if quick:
         table = merge(sensitivity.model_dump(mode="json", exclude={"quick"}), sensitivity.quick)
         sensitivity = Sensitivity.model_validate(table)
-    base, moves = sensitivity.base_study(), moves_of(sensitivity)
+    base, moves = prepare(sensitivity.base_study(), variant).study, moves_of(sensitivity)
     moved = [move.study(base) for move in moves]
-    cases = list(cases_of(sensitivity))
-    studies = [base, *(study for _, _, study in cases)]
-    for study in (*studies, *moved):
+    cases = [(name, label, prepare(study, variant).study) for name, label, study in cases_of(sensitivity, base)]
+    for study in moved:
+        check_technologies(study)
         check_pitches(study)
-    for study in studies:
-        scene_for(study, variant)
+    studies = [base, *(study for _, _, study in cases)]
     names = ["base", *(file_name(n, name, label) for n, (name, label, _) in enumerate(cases))]
     names += [file_name(len(cases) + n, move.variation, str(move)) for n, move in enumerate(moves)]
     for name in names:
@@ -366,7 +370,7 @@ def case_table(result: SensitivityResult) -> dict[str, Column]:
     }
 
 
-FILES = ("report.html", "summary.json", "figures/tornado.svg", "figures/tornado.csv")
+FILES = ("report.html", "summary.json", SETTINGS_FILE, "figures/tornado.svg", "figures/tornado.csv")
 
 
 def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: dict[str, float]) -> Path:
@@ -386,7 +390,11 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
         "header": result.base.irradiance.header,
         "provenance": {"versions": versions(), "seconds": seconds},
     }
+    name = result.sensitivity.base
+    base = name if name in packaged("data/studies") else whole_path(name)
     with output_folder(folder), publishing(folder, "study", {"seconds": seconds}) as unfinished:
+        text = settings_text(result.sensitivity, f"pixsim study {SETTINGS_FILE}", base=base)
+        (unfinished / SETTINGS_FILE).write_text(text, encoding="utf-8")
         (page["drawn"],) = write_figures(unfinished, [tornado(result).drawn()])
         write_json(unfinished / "summary.json", result.as_dict())
         write_page(unfinished / "report.html", "sensitivity.html.j2", page)

@@ -6,26 +6,27 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.config import checked, packaged, read_toml, resolve_file, study_layers
+from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Camera, Layer, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.integration import pixels_along
+from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
 from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
+from pixsim.studies.preparation import View, choose_view, die_um, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
-from pixsim.viewer.display import white_cd_per_m2
+from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import SceneCache
 
 if TYPE_CHECKING:
@@ -70,16 +71,23 @@ def load_study(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
+    scene: str | os.PathLike[str] | None = None,
+    **settings: Any,
 ) -> Study:
     """Return a packaged study by name, or one from a TOML file. Raises PixsimError listing all of its errors.
 
     config : one or more TOML files with a sensor, its camera, exposure and display, as for `pixsim run`; later files take
         precedence. The well and dark current of a data sheet scale with the photodiode's area.
     parameters : of the scene; they override those of the study
-    pixel : fields of the pixels, each in its unit, which override those of the study and the files; not pitch or technology
+    pixel : fields of the pixels, each in its unit, which override those of the study and the files; a data sheet may stand here
+        instead of in a file, with its pitch_um
+    scene : XML file or name of a packaged scene
+    settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um": 2.0}, window_mm=1.0
     """
     paths = [config] if isinstance(config, str | os.PathLike) else config
-    options: dict[str, Any] = {"scene": {"parameters": dict(parameters)}} if parameters else {}
+    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
+    options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
     return checked_study(study_layers(read_study(name), [Path(path) for path in paths], options))
 
@@ -92,6 +100,30 @@ def checked_study(layers: Sequence[Layer]) -> Study:
         quick = [Layer(layer.table["quick"], f"{layer.source} [quick]") for layer in layers if "quick" in layer.table]
         checked(Study, [*full, *quick])
     return study
+
+
+NO_TIME_LIMIT_S = 1e9
+ROUNDING = 1e-5  # of the noise in an image's header
+
+
+def repeated_settings(prepared: Prepared, chosen: Study, noise: Mapping[str, Any]) -> str:
+    """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
+
+    chosen : the study as it was run, with the settings for its tolerance
+    noise : of the render, from the header of its image
+    """
+    scene, kept = prepared.scene, prepared.study
+    if noise["ended_by"] == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
+        limits = {"render_noise": noise["fraction"] * (1 + ROUNDING), "max_seconds": NO_TIME_LIMIT_S, "tolerance_delta_e": None}
+        kept = chosen.model_copy(update=limits)
+    file = kept.scene.file
+    of_scene = {
+        "file": file if file in packaged_scenes() else str(scene.path),
+        "parameters": scene_table(scene.path.parent, kept.scene.parameters),
+    }
+    camera = scene.camera(kept.camera).model_dump(exclude_none=True)
+    command = f"pixsim study {SETTINGS_FILE}" + (f" --variant {prepared.variant}" if prepared.variant else "")
+    return settings_text(kept, command, scene=of_scene, camera=camera)
 
 
 def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sampling:
@@ -116,8 +148,8 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sam
     return chosen
 
 
-def check_pitches(study: Study) -> None:
-    """Raise PixsimError for an impossible pitch, technology or limit, before anything is computed."""
+def check_technologies(study: Study) -> None:
+    """Raise PixsimError for an unknown technology, one that a study has twice, or numbers of one that it does not have."""
     processes: dict[str, str] = {}
     for name in study.process:
         if name not in study.technologies:
@@ -129,6 +161,10 @@ def check_pitches(study: Study) -> None:
             kind = "process" if sheet is None else "data sheet"
             raise invalid("technologies", f"{name} and {processes[content]}, which are the same {kind}", f"each {kind} once")
         processes[content] = name
+
+
+def check_pitches(study: Study) -> None:
+    """Raise PixsimError for an impossible pitch or limit, before anything is computed."""
     for technology in study.technologies:
         pitches_um = study_pitches_um(study, technology).tolist()
         for pitch_um in pitches_um:
@@ -141,16 +177,55 @@ def check_pitches(study: Study) -> None:
 
 
 def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
-    """Return the study's scene and camera. Raises PixsimError for invalid input, before any render."""
+    """Return the study's scene and the camera of its window. Raises PixsimError for invalid input."""
     from pixsim.scene.scene import load_scene
 
     parameters: dict[str, Any] = dict(study.scene.parameters)
     scene = load_scene(study.scene.file, variant=variant, **parameters)
-    camera = scene.camera(study.camera)
-    largest_um = max(study_pitches_um(study, technology).max() for technology in study.technologies)
-    for length_mm in (camera.die_mm, camera.height_mm):
-        pixels_along(1e3 * length_mm, float(largest_um))
-    return scene.with_resolution(study.resolution) if study.resolution else scene, camera
+    scene = scene.with_resolution(study.resolution) if study.resolution else scene
+    return scene, scene.camera(study.camera).window(study.window_mm)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A study with everything that it left open, found and checked before anything is rendered.
+
+    study : with its pixel sizes, display and chart
+    scene, camera : of the study; the camera is that of the window
+    view : display and chart that pixsim chose for the sensor of a data sheet
+    variant : of Mitsuba; None means the fastest that works
+    """
+
+    study: Study
+    scene: Scene
+    camera: Camera
+    view: View
+    variant: str | None = None
+
+
+def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Prepared:
+    """Choose what a study leaves open, and check everything that can be checked before a render.
+
+    quick : use the values of the study's `quick` table
+
+    Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
+    """
+    if quick and not study.quick:
+        warnings.warn(f"the study {study.name} has no [quick] table: running it in full", stacklevel=2)
+    study = study.quickened if quick else study
+    check_technologies(study)
+    scene, camera = scene_for(study, variant)
+    study, view = fitted_range(study, camera), View()
+    if study.own_um is not None:
+        view = choose_view(study.own_um, camera, study.display, scene)
+        of_scene = study.scene.model_copy(update={"parameters": view.parameters(study.scene.parameters)})
+        study = study.model_copy(update={"display": view.display(study.display), "scene": of_scene})
+        scene = view.scene(scene)
+    check_pitches(study)
+    for technology in study.technologies:
+        largest_um = float(study_pitches_um(study, technology).max())
+        dot_edges_um(die_um(camera), largest_um, study.display, study.pitch.largest_um)
+    return Prepared(study, scene, camera, view, variant)
 
 
 def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> Light:
@@ -196,6 +271,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
         fixed="set by --resolution" if study.resolution else "",
         max_seconds=limit_of_time(study),
     )
+    made.image.header.update(white_header(made.image, camera, study.display))
     return made.image, camera, made.film
 
 
@@ -206,9 +282,9 @@ def sweep_pitches(
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
+    view: View | None = None,
 ) -> StudyResult:
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
-    white_cd_per_m2(irradiance, study.display)  # raises for an unknown white before any file is made
     scenes, sampling = SceneCache(irradiance, camera, study.display), first_sampling(study)
     evaluations = Evaluations(study, scenes, results, workers)
     with evaluations.locked():
@@ -220,7 +296,7 @@ def sweep_pitches(
                 break
             sampling = more
         evaluations.finish(rows)
-    result = StudyResult(study, curves, irradiance, camera)
+    result = StudyResult(study, curves, irradiance, camera, view=(view or View()).as_dict())
     result.__dict__["scenes"] = scenes  # expensive to prepare again
     return result
 
@@ -232,11 +308,13 @@ def study(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
+    scene: str | os.PathLike[str] | None = None,
     quick: bool = False,
     jobs: int | None = None,
     scheduler: Any = None,
     variant: str | None = None,
     progress: Stage | None = None,
+    **settings: Any,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
 
@@ -244,15 +322,19 @@ def study(
     out : folder, created if missing
     config : one or more TOML files with a sensor, its camera, exposure and display for a named study; later ones take precedence
     parameters : of the scene, each in its unit; they override those of a named study
-    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they override a named study's
+    pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they override a named study's. A
+        data sheet may stand here instead of in a file, with its pitch_um
+    scene : XML file or name of a packaged scene, which overrides a named study's
     quick : use the values of the study's `quick` table
     jobs : processes; None means one per core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes;
         on the same kind of processor their results are bitwise equal
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage
+    settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
+        pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0
 
-    Raises PixsimError for invalid input, and if `out` holds a results.csv of another program.
+    Raises PixsimError for invalid input, before anything is rendered, and if `out` holds a results.csv of another program.
 
     >>> import tempfile
     >>> tiny = {"name": "tiny", "repeats": 2, "pitch": {"values_um": [20, 28, 40, 56, 80]}, "display": {"dots": 64}}
@@ -262,35 +344,50 @@ def study(
     >>> result.curves[0].delta_e.shape, bool(result.curves[0].delta_e.mean(axis=1).argmin() == 0)  # (pitches, sensors)
     ((5, 2), True)
     """
-    if isinstance(plan, Study) and (config or parameters or pixel):
+    given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene} | settings
+    if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
-        raise invalid("config, parameters, pixel", "with a Study", "the name or the file of a study", hint)
+        raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
+    with collected_notes():  # also of what is found before the study begins
+        chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
+        return run_prepared(prepare(chosen, variant, quick=quick), out, jobs=jobs, scheduler=scheduler, progress=progress)
+
+
+def run_prepared(
+    prepared: Prepared,
+    out: str | os.PathLike[str],
+    *,
+    jobs: int | None = None,
+    scheduler: Any = None,
+    progress: Stage | None = None,
+) -> StudyResult:
+    """Run a prepared study; the arguments are those of `study`."""
     from pixsim.scene.convergence import RenderNoise
 
+    chosen, variant = prepared.study, prepared.variant
     stage = progress or (lambda _: lambda *_: None)
     settled: Settled | None = None
+    if jobs is None and scheduler is None:
+        jobs = fitting_jobs(chosen, prepared.camera)
     with collected_notes() as notes, ExitStack() as stack:
-        chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel)
-        if quick and not chosen.quick:
-            warnings.warn(f"the study {chosen.name} has no [quick] table: running it in full", stacklevel=2)
-        chosen = chosen.quickened if quick else chosen
-        check_pitches(chosen)
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
         if chosen.tolerance_delta_e:
             stage("calibrate")
             from pixsim.studies.budget import settled_study
 
-            chosen, settled = settled_study(chosen, *scene_for(chosen, variant))
+            chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
         irradiance, camera, film = render_for(chosen, variant, stage("render"))
         chosen = chosen.model_copy(update={"resolution": irradiance.shape[1]})
-        result = sweep_pitches(chosen, irradiance, camera, folder / "results.csv", workers, lambda: stage("evaluate"))
+        results = folder / "results.csv"
+        result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)
         for technology in chosen.technologies:
             light_of(chosen, result.scenes, technology)  # whose warnings a resumed study, with all rows, would miss
-    changes: dict[str, Any] = {"warned": tuple(notes), "film": film}
+    noise = irradiance.header["render_noise"]
+    changes: dict[str, Any] = {"warned": tuple(notes), "settings_toml": repeated_settings(prepared, chosen, noise), "film": film}
     if settled is not None:
-        noise = RenderNoise(**irradiance.header["render_noise"])
-        changes["budget"] = settled.budget(noise, irradiance.header["bound_e"], int(result.curves[0].sensors.min()))
+        sensors = int(result.curves[0].sensors.min())
+        changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)
     final = replace(result, **changes)
     final.__dict__["scenes"] = result.scenes  # expensive to prepare again
     return final

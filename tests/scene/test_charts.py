@@ -163,3 +163,38 @@ def test_make_chart_invalid_arguments_raise(arguments, message):
 def test_write_chart_other_ending_raises(tmp_path):
     with pytest.raises(PixsimError, match=r"chart\.png.*\.exr"):
         charts.write_chart(tmp_path / "chart.png", charts.flat())
+
+
+# --- A CSF chart with a highest frequency of its own ---
+
+
+@pytest.mark.parametrize(("highest_lp_per_mm", "die_mm"), [(145.0, 8.5), (40.0, 2.0), (20.0, 36.0)])
+def test_csf_file_begins_at_2_7_cycles_and_ends_at_its_frequency(highest_lp_per_mm, die_mm, tmp_path, monkeypatch):
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
+    path = charts.csf_file(highest_lp_per_mm, die_mm)
+    assert charts.csf_file(highest_lp_per_mm, die_mm) == path, "the same content has the same file"
+    assert list(tmp_path.rglob("*.exr")) == [path]
+    texels = next(iter(read_channels(path)[0].values())).astype(float)
+    width = texels.shape[1]
+    assert 8192 <= width <= 32768
+    assert width >= min(32 * highest_lp_per_mm * die_mm, 32768) - 1
+    wave = texels[-1] - 0.5125
+    before = np.flatnonzero(np.diff(np.sign(wave)))
+    zeros = (before + 0.5 + wave[before] / (wave[before] - wave[before + 1])) / width
+    x, frequency = (zeros[1:] + zeros[:-1]) / 2, 0.5 / np.diff(zeros) / die_mm
+    header = {"scene": "csf.xml", "parameters": {"max_lp_per_mm": repr(highest_lp_per_mm)}}
+    expected = charts.csf_frequency_on_sensor(header, die_mm)
+    assert expected([0.0, 1.0]) == pytest.approx([2.7136 / die_mm, highest_lp_per_mm], rel=1e-12)
+    # Half cycles from linear zeros of texels: 1 % where a cycle has 26 of them, and of curvature in the long first ones.
+    assert np.abs(frequency[3:] / expected(x[3:]) - 1).max() < 0.01
+
+
+def test_csf_frequency_on_sensor_other_scenes_have_none():
+    assert charts.csf_frequency_on_sensor({"scene": "flat.xml"}, 2.0) is None
+    assert charts.csf_frequency_on_sensor({"scene": "csf.xml", "parameters": {"chart": "mine.exr"}}, 2.0) is None
+    assert charts.csf_frequency_on_sensor({"scene": "csf.xml", "parameters": None}, 2.7136)(1.0) == pytest.approx(100 / 3)
+
+
+def test_csf_file_below_its_lowest_frequency_raises():
+    with pytest.raises(PixsimError, match=r"max_lp_per_mm: got 0\.3; allowed: at least 0\.373 on a die of 8 mm"):
+        charts.csf_file(0.3, 8.0)

@@ -447,3 +447,21 @@ def test_content_hash_changes_with_meshes(tmp_path):
         (tmp_path / "mesh.obj").write_text(f"v 0 0 1\nv 1 0 1\nv 0 1 {corner}\nf 1 2 3\n")
         hashes.add(load(path).content_hash)
     assert len(hashes) == 2
+
+
+def test_load_scene_max_lp_per_mm_renders_that_chart():
+    """Cell means of the chart's formula, times the lens's factor; 100 lp/mm are 3.8 samples a cycle."""
+    scene = pixsim.load_scene("csf", resolution=1024, max_lp_per_mm=100)
+    camera = scene.camera()
+    picture = pixsim.render(scene, camera).illuminance_lx()
+    x = (np.arange(1024 * 8) + 0.5) / (1024 * 8)
+    rows = (np.arange(1024) + 0.5) / 1024
+    cells = charts.csf_value(x, rows[:, None], highest_lp_per_mm=100.0).reshape(1024, 1024, 8).mean(axis=2)
+    lens = camera.image_distance_mm, camera.f_number, camera.magnification
+    expected = 1000 * cells * pixsim.optics.field_factor(picture.shape, 1e3 * camera.die_mm / 1024, *lens)
+    # 16 samples a cell, and bilinear texels: the strongest rows have a contrast of 0.95.
+    assert np.sqrt(np.mean((picture / expected - 1) ** 2)) < 0.01
+    assert scene.content_hash == pixsim.load_scene("csf", resolution=1024).content_hash, (
+        "the file is the same, the parameter is not"
+    )
+    assert pixsim.load_scene("csf", max_lp_per_mm=100).parameters == {"max_lp_per_mm": "100.0"}

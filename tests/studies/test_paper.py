@@ -34,8 +34,8 @@ from pixsim.studies.claims import (
     by_frequency,
     dr_and_snr_db,
     findings,
-    frequency_bins_lp_per_mm,
     frequency_contrast_table,
+    frequency_places,
     growth_exponent,
     modes,
     reference_process,
@@ -216,8 +216,9 @@ def test_mtf_terms_dark_picture_uses_equal_light() -> None:
 def test_frequency_contrast_table_bin_centres() -> None:
     """The mean of log frequency (contrast) over a bin is the log of its middle, as bins are of equal ratio."""
     over_frequency = np.repeat(LOG_FREQUENCY, ROWS, axis=0)
-    np.testing.assert_allclose(np.exp(by_frequency(over_frequency)[0]), frequency_bins_lp_per_mm(), rtol=1e-9)
-    frequency, contrast, table = frequency_contrast_table(over_frequency)
+    np.testing.assert_allclose(np.exp(by_frequency(over_frequency)[0]), csf_frequency_lp_per_mm(frequency_places()), rtol=1e-9)
+    places, contrast, table = frequency_contrast_table(over_frequency)
+    frequency = csf_frequency_lp_per_mm(places)
     np.testing.assert_allclose(np.exp(table), np.tile(frequency, (8, 1)), rtol=1e-9)
     over_contrast = np.repeat(np.log(CONTRAST), COLUMNS, axis=1)
     np.testing.assert_allclose(np.exp(frequency_contrast_table(over_contrast)[2]), np.tile(contrast[:, None], 6), rtol=1e-9)

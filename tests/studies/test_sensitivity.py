@@ -139,7 +139,8 @@ def test_sensitivity_command_two_workers_same_result(done: tuple[SensitivityResu
         here.mkdir()
         assert_fits(page, here)
         assert_prints(page, here, range(1, 4), ["one assumption varied", "f/2.8"], ["All cases"])
-    assert {path.name for path in out.iterdir()} == {"cases", "figures", "summary.json", "provenance.json", "report.html"}
+    names = {"cases", "figures", "settings.toml", "summary.json", "provenance.json", "report.html"}
+    assert {path.name for path in out.iterdir()} == names
     assert {path.name for path in (out / "figures").iterdir()} == {"tornado.svg", "tornado.csv"}
     assert cases(out) == cases(folder), "the rows depend on the number of workers"
     assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == json.loads(json.dumps(result.as_dict()))

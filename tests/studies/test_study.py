@@ -75,7 +75,9 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: tuple[StudyResult, Path]) -> None:
     out = by_command / "out"
-    assert {path.name for path in out.iterdir()} == {"results.csv", "summary.json", "report.html", "provenance.json", "figures"}
+    assert {path.name for path in out.iterdir()} == {
+        *("results.csv", "settings.toml", "summary.json", "report.html", "provenance.json", "figures")
+    }
     figures = {path.name for path in (out / "figures").iterdir()}
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg"} <= figures
     assert {name for name in figures if not name.endswith((".svg", ".csv"))} == {"contact_sheet_0.35um.png"}
@@ -289,7 +291,7 @@ def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
 def test_load_study_invalid_pixel_option_raises(pixel: dict[str, object], message: str) -> None:
     with pytest.raises(pixsim.PixsimError, match=message):
         load_study("chen2000", pixel=pixel)
-    with pytest.raises(pixsim.PixsimError, match="config, parameters, pixel: got with a Study"):
+    with pytest.raises(pixsim.PixsimError, match="pixel: got with a Study"):
         pixsim.study(tiny(), "out", pixel=pixel)
 
 

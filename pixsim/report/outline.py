@@ -1,0 +1,181 @@
+"""What `pixsim run` and `pixsim study` would do, for --dry-run: all that is found before a render, and what it would cost."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pixsim.base.machine import processors
+from pixsim.base.parameters import Camera, Effort, Run, Study
+from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
+from pixsim.report.wording import view_words
+from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.pixel import physics_of
+from pixsim.sensor.technology import label_of
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.preparation import (
+    LONG_S,
+    PAGE_S,
+    Cost,
+    die_um,
+    duration_words,
+    frame_cost,
+    render_cost,
+    study_cost,
+    window_within,
+)
+
+if TYPE_CHECKING:
+    from pixsim.scene.plan import Plan
+    from pixsim.scene.scene import Scene
+    from pixsim.studies.study import Prepared
+
+
+def run_outline(
+    source: str,
+    settings: Run,
+    *,
+    full: bool = False,
+    sensor: str | None = None,
+    variant: str | None = None,
+    units: str | None = None,
+) -> dict[str, Any]:
+    """Return what a run would do; nothing is rendered or written. Raises PixsimError for the input that a run refuses."""
+    from pixsim.scene.plan import make_plan
+
+    pitch_um = settings.pixel.pitch_um
+    outline: dict[str, Any] = {}
+    if Path(source).suffix.lower() in PICTURE_SUFFIXES:
+        light = light_of_picture(source, settings, units)
+        camera, settings, header = light.camera, light.settings, light.irradiance.header
+        view, image = light.more["chosen"], light.irradiance
+        cost = Cost(PAGE_S, 4.0 * image.wavelength_nm.size * math.prod(image.shape), 1)
+        outline["film"] = {"samples": list(light.irradiance.shape), "pitch_um": light.irradiance.pitch_um}
+    else:
+        scene, camera, settings, chosen = prepared_run(source, settings, sensor, variant)
+        options: dict[str, Any] = {"display": settings.display, "tolerance_e": settings.tolerance_e, "full": full}
+        plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
+        outline["film"] = film_of(scene, camera, plan, plan.resolution)
+        header, view = {"parameters": scene.parameters}, chosen.as_dict()
+        cost = render_cost(plan, math.prod(outline["film"]["samples"]), processors().usable)
+    frame = frame_cost(camera, pitch_um, settings.display)
+    cost = Cost(cost.seconds + PAGE_S + 2 * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    sensors = [
+        {"technology": settings.pixel.technology, "pitch_um": [pitch_um], "pixels": [pixels_of(camera, pitch_um)], "sensors": 1}
+    ]
+    return outline | common(source, header, settings, camera, view, sensors) | {"estimate": asdict(cost)}
+
+
+def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | None = None) -> dict[str, Any]:
+    """Return what a study would do; nothing is rendered or written.
+
+    jobs : processes; None means as many as it would take
+    asked : the study before it was prepared, for the window that would take less than a minute
+    """
+    from pixsim.scene.plan import decide_oversampling, make_render_plan
+
+    study, scene, camera = prepared.study, prepared.scene, prepared.camera
+    plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
+    film = film_of(scene, camera, plan, decide_oversampling(scene, plan, camera, finest, study.display, full=False)[0])
+    cells = math.prod(film["samples"])
+    cost = study_cost(study, camera, plan, cells, jobs)
+    sensors = []
+    for name in study.technologies:
+        pitches_um = study_pitches_um(study, name).tolist()
+        counts = [pixels_of(camera, pitch_um) for pitch_um in pitches_um]
+        sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
+    more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name}
+    if cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, cells, jobs)):
+        more["window_within_a_minute_mm"] = window
+    own = {} if study.own_um is None else {"own_um": study.own_um}
+    header = {"parameters": scene.parameters}
+    return common(study.scene.file, header, study, camera, prepared.view.as_dict(), sensors) | more | own
+
+
+def common(
+    source: str,
+    header: dict[str, Any],
+    settings: Run | Study,
+    camera: Camera,
+    chosen: dict[str, Any],
+    sensors: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """Return the entries that runs and studies share."""
+    limits = settings.model_dump(include=set(Effort.model_fields), exclude_none=True)
+    return {
+        "scene": source,
+        "irradiance": header,
+        "camera": camera.model_dump(),
+        "display": settings.display.model_dump(exclude_none=True),
+        "exposure": settings.exposure.model_dump(exclude_none=True),
+        "chosen": chosen,
+        "sensors": sensors,
+        "limits": limits,
+        "seed": settings.seed,
+    } | ({"window_mm": settings.window_mm} if settings.window_mm else {})
+
+
+def film_of(scene: Scene, camera: Camera, plan: Plan, resolution: int | None) -> dict[str, Any]:
+    """Return the film of a plan: its samples, rows and columns, their pitch, and the rays of each.
+
+    resolution : chosen for the pixels, the lens and the display; None for that of the scene
+    """
+    chosen = scene.with_resolution(resolution) if resolution else scene
+    height, width = chosen.film_shape(camera, chosen.for_camera(camera))
+    return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
+
+
+def pixels_of(camera: Camera, pitch_um: float) -> list[int]:
+    """Return rows and columns of pixels on the die."""
+    return [pixels_along(length_um, pitch_um) for length_um in die_um(camera)]
+
+
+def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
+    """Return the outline as lines of text.
+
+    out : folder that would be written
+    """
+    camera, film, display, limits = (outline[name] for name in ("camera", "film", "display", "limits"))
+    height_um, width_um = die_um(Camera.model_validate(camera))
+    parameters = ", ".join(f"{name} = {value}" for name, value in outline["irradiance"].get("parameters", {}).items())
+    rays = f", {film['spp']} rays each, {film['passes']} pass{'es' * (film['passes'] > 1)}, at least twice" if "spp" in film else ""
+    rows = [
+        ("scene", outline["scene"] + (f": {parameters}" if parameters else "")),
+        (
+            "camera",
+            f"{camera['focal_length_mm']:g} mm, f/{camera['f_number']:g}, focused at {camera['object_distance_m']:g} m; "
+            f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm",
+        ),
+        ("film", f"{film['samples'][1]} × {film['samples'][0]} samples of {film['pitch_um']:.3g} µm{rays}"),
+    ]
+    for sensor in outline["sensors"]:
+        sizes, counts = sensor["pitch_um"], sensor["pixels"]
+        if len(sizes) == 1:
+            text = f"{counts[0][1]} × {counts[0][0]} pixels of {sizes[0]:g} µm"
+        else:
+            most, least = (math.prod(count) / 1e6 for count in (counts[0], counts[-1]))
+            text = f"{len(sizes)} sizes from {sizes[0]:g} to {sizes[-1]:g} µm, {most:.3g} to {least:.3g} million pixels"
+            text += f"; {sensor['sensors']} sensors of each"
+        rows.append(("pixels", f"{label_of(sensor['technology'])}: {text}"))
+    own_um = outline.get("own_um") or (outline["sensors"][0]["pitch_um"][0] if "study" not in outline else None)
+    columns = None if own_um is None else pixels_along(width_um, own_um)
+    shown = "; ".join(view_words(display, outline, columns)) or "one dot a pixel"
+    rows.append(("display", f"{shown}; {display['samples_per_deg']:g} dots per degree"))
+    rows.append(("limits", ", ".join(f"{name} = {value:g}" for name, value in limits.items())))
+    rows.append(("output", f"{out}: nothing is written now"))
+    rows.append(("cost", str(Cost(**outline["estimate"]))))
+    return [f"{name:<8} {text}" for name, text in rows] + long_lines(outline)
+
+
+def long_lines(outline: dict[str, Any]) -> list[str]:
+    """Return a line on the time of a long study, with the window that takes less than a minute; none for a short one."""
+    seconds = outline["estimate"]["seconds"]
+    if "study" not in outline or seconds <= LONG_S:
+        return []
+    window = outline.get("window_within_a_minute_mm")
+    hint = f"; --window {window:g} takes less than a minute" if window else ""
+    return [f"the study takes about {duration_words(seconds)}{hint}"]

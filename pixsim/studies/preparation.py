@@ -1,0 +1,286 @@
+"""What a command decides before its first render: display and chart for a data sheet's sensor, pixel sizes, and their cost.
+
+A sensor given by its data sheet has no display or chart that belongs to it, as the process of Chen et al. (2000) has. Where
+nobody sets them, its display has a dot for each column of pixels, up to 2048, and the CSF chart ends at the highest frequency
+that the sensor, the lens and the display can show. Both are chosen once a command, so that all its scores are comparable.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.machine import memory
+from pixsim.base.parameters import Camera, Display, PitchRange, Study
+from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
+from pixsim.scene.film import GREEN_NM
+from pixsim.scene.plan import Plan
+from pixsim.scene.scene import Scene
+from pixsim.sensor.integration import MAX_PIXELS, pixels_along
+from pixsim.studies.engine import workers_here
+from pixsim.studies.evaluations import study_pitches_um
+
+ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
+MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
+
+
+@dataclass(frozen=True)
+class View:
+    """Display and chart that pixsim chose for a data sheet's sensor; None for what was set, or does not apply.
+
+    dots : across the die
+    max_lp_per_mm : highest frequency of the CSF chart on the sensor
+    limited_by : what limits that frequency
+    """
+
+    dots: int | None = None
+    max_lp_per_mm: float | None = None
+    limited_by: str | None = None
+
+    def display(self, display: Display) -> Display:
+        """Return the display with the chosen dots."""
+        return display if self.dots is None else display.model_copy(update={"dots": self.dots})
+
+    def parameters(self, given: Mapping[str, float | int | str]) -> dict[str, float | int | str]:
+        """Return the parameters of the scene with the chosen chart."""
+        return {**given} if self.max_lp_per_mm is None else {**given, MAX_LP_PER_MM: self.max_lp_per_mm}
+
+    def scene(self, scene: Scene) -> Scene:
+        """Return the scene with the chosen chart."""
+        return scene if self.max_lp_per_mm is None else scene.with_parameters(**{MAX_LP_PER_MM: repr(self.max_lp_per_mm)})
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what was chosen, as in score.json and summary.json."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene | None) -> View:
+    """Return display and chart for a data sheet's sensor of a pitch, where nobody set them.
+
+    The dots are the columns of pixels on the die, 8 to 2048. The chart ends at the least of the Nyquist frequencies of sensor and
+    display and the cut-off of the lens in green light.
+
+    camera : of the window that is simulated
+    scene : None for a picture of another program
+
+    Raises PixsimError if not one pixel fits on the die.
+    """
+    fixed = display.raster == "fixed_size"
+    columns = pixels_along(1e3 * camera.die_mm, pitch_um)
+    dots = min(max(columns, ALLOWED_DOTS[0]), ALLOWED_DOTS[1])
+    free = fixed and "dots" not in display.model_fields_set
+    if scene is None or not scene.shows_csf or MAX_LP_PER_MM in scene.parameters:
+        return View(dots if free else None)
+    limits = {
+        "the sensor's Nyquist frequency": 1e3 / (2 * pitch_um),
+        "the lens's cut-off": float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)),
+    }
+    if fixed:
+        limits["the display's Nyquist frequency"] = (dots if free else display.dots) / (2 * camera.die_mm)
+    limited_by = min(limits, key=lambda name: limits[name])
+    lowest = MIN_FREQUENCY_LP_PER_MM * DIE_MM / camera.die_mm
+    return View(dots if free else None, max(limits[limited_by], 2**MIN_OCTAVES * lowest), limited_by)
+
+
+MIN_ACROSS = 16  # pixels across the die, of the largest pitch by default
+BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
+MAX_FRAME_BYTES = 2.0 * (1 << 30)
+PITCH_DIGITS = 4
+
+
+def most_pixels(camera: Camera, own_um: float | None) -> float:
+    """Return the number of pixels that a study chooses by itself at most.
+
+    That of a data sheet takes 2 GiB while a frame is simulated, or as many pixels as its sensor has; of a technology, any number
+    that pixsim simulates.
+    """
+    if own_um is None:
+        return MAX_PIXELS
+    own = math.prod(pixels_along(length_um, own_um) for length_um in die_um(camera))
+    return min(max(MAX_FRAME_BYTES / BYTES_PER_PIXEL, own), MAX_PIXELS)
+
+
+def die_um(camera: Camera) -> tuple[float, float]:
+    """Return height and width of the die."""
+    return 1e3 * camera.height_mm, 1e3 * camera.die_mm
+
+
+def fitted_range(study: Study, camera: Camera) -> Study:
+    """Return the study with the range of its pixel sizes: that of the data sheet, and within what a frame may hold.
+
+    A range that is left open begins at a quarter of the data sheet's pitch, or where the fill factor is `min_fill_factor`, and
+    ends at four times the pitch. It is shortened, with a warning, where there would be too many pixels or too few.
+
+    Raises PixsimError if a pixel size that was set makes too many pixels.
+    """
+    pitch, own_um = study.pitch, study.own_um
+    height_um, width_um = die_um(camera)
+    if pitch.values_um is not None:
+        check_smallest(min(pitch.values_um), camera, "pitch.values_um")
+        return study
+    low, high = study.open_range_um
+    if own_um is not None and "max_um" not in pitch.model_fields_set:
+        wished, high = high, min(high, max(min(height_um, width_um) / MIN_ACROSS, own_um))
+        if high < wished:
+            ends = f"{high:.4g} µm in place of {wished:.4g} µm"
+            warnings.warn(f"the largest pixel size is {ends}: a larger one leaves fewer than {MIN_ACROSS} on the die", stacklevel=3)
+    if pitch.min_um is not None:
+        check_smallest(pitch.min_um, camera, "pitch.min_um")
+    else:
+        lows = [low] if low is not None else [float(study_pitches_um(study, name).min()) for name in study.technologies]
+        low = low if low is None else rounded_up(low)
+        most = most_pixels(camera, own_um)
+        least_um = rounded_up(math.sqrt(height_um * width_um / most))
+        if min(lows) < least_um - 10**-PITCH_DIGITS:
+            if len(lows) > 1:
+                which = study.technologies[lows.index(min(lows))]
+                got = f"{min(lows):.4g} µm of {which}: {height_um * width_um / min(lows) ** 2:.3g} pixels"
+                raise invalid(
+                    "pitch.min_fill_factor", got, f"at most {most:.3g} pixels", f"Set --pitch.min-um {least_um:g}, or --window."
+                )
+            low = least_um
+            limit = f"{MAX_FRAME_BYTES / (1 << 30):g} GiB for a frame"
+            if most == MAX_PIXELS:
+                limit = "as many as pixsim simulates"
+            elif most > MAX_FRAME_BYTES / BYTES_PER_PIXEL:
+                limit = "as many as the data sheet's sensor has"
+            warnings.warn(
+                f"the smallest pixel size is {low:.4g} µm in place of {min(lows):.4g} µm, with {most / 1e6:.3g} million pixels on "
+                f"the die, {limit}; smaller ones: --pitch.min-um, or a part of the die by --window",
+                stacklevel=3,
+            )
+    if own_um is None and low == pitch.min_um:
+        return study
+    chosen = {name: value for name, value in (("min_um", low), ("max_um", high)) if value is not None}
+    return study.model_copy(update={"pitch": PitchRange.model_validate(pitch.model_dump(exclude_unset=True) | chosen)})
+
+
+def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
+    """Raise PixsimError if pixels of a size that was set are too many for the die."""
+    height_um, width_um = die_um(camera)
+    count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
+    if count > MAX_PIXELS:
+        least = rounded_up(math.sqrt(height_um * width_um / MAX_PIXELS))
+        widest = f"{math.floor(1e2 * pitch_um * math.sqrt(MAX_PIXELS) / 1e3) / 1e2:g}"
+        hint = f"Or take a part of the die: --window {widest}."
+        raise invalid(name, f"{pitch_um:g}, which makes {count:.3g} pixels", f"at least {least:g} on this die", hint)
+
+
+def rounded_up(pitch_um: float) -> float:
+    """Return a pitch rounded up to the digits of a study's pitches."""
+    return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
+
+
+# Costs on one core of an ordinary machine, for an estimate before a render.
+RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
+FILM_S_PER_CELL = 1.0e-6  # its noise, diffraction and ideal image
+FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
+SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
+START_S, PAGE_S = 4.0, 6.0  # scene, compiling of the renderer; figures and page
+CALIBRATIONS = 4.0  # renders of a calibration for a tolerance, each with a handful of frames
+FILM_BYTES_PER_CELL = 120.0
+DOT_BYTES = 150.0
+BASE_BYTES = 3.0e8  # the program and its libraries
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Estimated wall time, memory of all processes, and their number."""
+
+    seconds: float
+    memory_bytes: float
+    jobs: int
+
+    def __str__(self) -> str:
+        processes = f" on {self.jobs} processes" if self.jobs > 1 else ""
+        return f"about {duration_words(self.seconds)}{processes}, {self.memory_bytes / 1e9:.2g} GB of memory"
+
+
+def duration_words(seconds: float) -> str:
+    """Return a duration to two digits, as text."""
+    if seconds < 90:
+        return f"{float(f'{seconds:.2g}'):g} s"
+    return f"{float(f'{seconds / 60:.2g}'):g} min" if seconds < 5400 else f"{float(f'{seconds / 3600:.2g}'):g} h"
+
+
+def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
+    """Estimate two renders of a film of so many cells, their noise, diffraction and the ideal image."""
+    samples = 2.0 * cells * plan.spp * plan.passes
+    seconds = START_S + samples * RENDER_S_PER_SAMPLE / cores + cells * FILM_S_PER_CELL
+    return Cost(seconds, BASE_BYTES + cells * FILM_BYTES_PER_CELL, 1)
+
+
+def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
+    """Estimate one frame of a pitch and its ΔE."""
+    pixels = float(math.prod(pixels_along(length_um, pitch_um) for length_um in die_um(camera)))
+    dots = shown_dots(camera, pitch_um, display)
+    seconds = pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
+    return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
+
+
+def shown_dots(camera: Camera, pitch_um: float, display: Display) -> int:
+    """Return the number of dots of a whole picture."""
+    if display.raster == "one_to_one":
+        return math.prod(pixels_along(length_um, pitch_um) for length_um in die_um(camera))
+    height_um, width_um = die_um(camera)
+    return display.dots * max(1, round(display.dots * height_um / width_um))
+
+
+def sampled_pitches_um(study: Study) -> list[float]:
+    """Return the pitches of all technologies of a study."""
+    return [pitch for name in study.technologies for pitch in study_pitches_um(study, name).tolist()]
+
+
+def fitting_jobs(study: Study, camera: Camera) -> int:
+    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
+    largest = max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study))
+    usable = memory().usable
+    cores = workers_here().jobs
+    return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest))))
+
+
+def study_cost(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> Cost:
+    """Estimate a whole study with its report, without further rounds for a target interval."""
+    cores = workers_here().jobs
+    jobs = jobs or fitting_jobs(study, camera)
+    frames = [frame_cost(camera, pitch, study.display) for pitch in sampled_pitches_um(study)]
+    render = render_cost(plan, cells, cores)
+    report_s = PAGE_S + 2 * frames[0].seconds + sum(frame.seconds for frame in frames) / jobs
+    calibration_s = CALIBRATIONS * render.seconds if study.tolerance_delta_e else 0.0
+    evaluations_s = study.repeats * sum(frame.seconds for frame in frames) / jobs
+    largest = max(frame.memory_bytes for frame in frames)
+    most = max(render.memory_bytes, BASE_BYTES + FILM_BYTES_PER_CELL * cells / 2 + jobs * (BASE_BYTES + largest))
+    return Cost(calibration_s + render.seconds + evaluations_s + report_s, most, jobs)
+
+
+LONG_S = 60.0
+WINDOW_STEP = 0.85  # of the widths that are tried
+
+
+def window_within(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> float | None:
+    """Return the widest window of some, in mm, whose study is estimated to take less than a minute; None if none does.
+
+    study : with its own range, before it was fitted to the camera
+    """
+    width_mm = camera.die_mm
+    while width_mm > camera.die_mm / 100:
+        width_mm *= WINDOW_STEP
+        width = float(f"{width_mm:.2g}")
+        try:
+            with warnings.catch_warnings(action="ignore"):
+                window = camera.window(width)
+                fitted = fitted_range(study, window)
+                if study.own_um is not None:
+                    fitted = fitted.model_copy(
+                        update={"display": choose_view(study.own_um, window, study.display, None).display(study.display)}
+                    )
+                if study_cost(fitted, window, plan, cells, jobs).seconds < LONG_S:
+                    return width
+        except PixsimError:  # too few pixels or dots
+            return None
+    return None

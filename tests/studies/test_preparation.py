@@ -1,0 +1,386 @@
+"""What a command decides before its first render: display and chart of a data sheet's sensor, pixel sizes, windows, cost."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.tiny import rows, tiny
+
+import pixsim
+from pixsim.base.parameters import Study
+from pixsim.optics.diffraction import diffraction_otf
+from pixsim.studies.evaluations import study_pitches_um
+from pixsim.studies.optimum import fit_curve
+from pixsim.studies.preparation import (
+    BYTES_PER_PIXEL,
+    MAX_FRAME_BYTES,
+    Cost,
+    View,
+    choose_view,
+    fitted_range,
+    study_cost,
+    window_within,
+)
+from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve
+from pixsim.studies.study import load_study, prepare
+
+SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}
+SMALL = {"resolution": 64, "spp": 4, "luminance_cd_per_m2": 50.0}
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Without warnings, such as of a shortened range, which the tests take for errors."""
+    with warnings.catch_warnings(action="ignore"):
+        yield
+
+
+def sheet_toml(folder: Path, **more: object) -> Path:
+    lines = [f"{name} = {value}" for name, value in (SHEET | more).items()]
+    path = folder / "sensor.toml"
+    path.write_text("\n".join(["[pixel]", *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+# --- Display and chart -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("pitch_um", "f_number", "dots", "limited_by", "highest"),
+    [
+        (20.0, 4.0, 400, "the sensor's Nyquist frequency", 25.0),  # the display has a dot a pixel: the same frequency, named first
+        (3.45, 4.0, 2048, "the display's Nyquist frequency", 2048 / 16.0),
+        (3.45, 16.0, 2048, "the lens's cut-off", None),
+    ],
+)
+def test_choose_view_least_of_three_limits(
+    pitch_um: float, f_number: float, dots: int, limited_by: str, highest: float | None
+) -> None:
+    camera = pixsim.Camera(die_mm=8.0, f_number=f_number, focal_length_mm=12.0)
+    view = choose_view(pitch_um, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64))
+    assert (view.dots, view.limited_by) == (dots, limited_by)
+    if highest is None:  # the lens passes nothing beyond it, and a little just below
+        at = np.array([0.98, 1.0]) * view.max_lp_per_mm
+        assert diffraction_otf(at, 550.0, camera.effective_f_number) == pytest.approx([0.0034, 0.0], abs=1e-4)
+    else:
+        assert view.max_lp_per_mm == pytest.approx(highest, rel=1e-12)
+
+
+def test_choose_view_keeps_what_was_set() -> None:
+    camera, scene = pixsim.Camera(), pixsim.load_scene("csf", resolution=64)
+    set_dots = choose_view(10.0, camera, pixsim.Display(dots=100), scene)
+    assert (set_dots.dots, set_dots.max_lp_per_mm) == (None, 100 / (2 * 2.7136))
+    set_chart = choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64, max_lp_per_mm=20))
+    assert set_chart == View(271)
+    assert choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("flat", resolution=64)) == View(271)
+    own_chart = pixsim.load_scene("csf", chart="charts/flat.exr")
+    assert choose_view(10.0, camera, pixsim.Display(), own_chart) == View(271), "a chart of one's own stays"
+    pixels = choose_view(10.0, camera, pixsim.Display(raster="one_to_one"), scene)
+    assert (pixels.dots, pixels.max_lp_per_mm) == (None, 50.0), "dots are pixels"
+    assert choose_view(500.0, camera, pixsim.Display(), scene).dots == 8, "the fewest that a display has"
+
+
+def test_prepare_technology_keeps_paper_display_and_chart() -> None:
+    for name in ("chen2000", "modern"):
+        prepared = prepare(load_study(name))
+        assert (prepared.view, prepared.study.display.dots) == (View(), 512)
+        assert "max_lp_per_mm" not in {**prepared.study.scene.parameters, **prepared.scene.parameters}
+        assert prepared.study == load_study(name)
+
+
+# --- Pixel sizes -------------------------------------------------------------------------------------------------------
+
+
+def sheet_study(die_mm: float, **pitch: float) -> Study:
+    pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {"data_sheet_pitch_um": 3.45}
+    return Study.model_validate(
+        {"name": "own", "technologies": ["none"], "pixel": pixel, "pitch": pitch, "camera": {"die_mm": die_mm}}
+    )
+
+
+def test_fitted_range_of_small_die_is_quarter_to_four_times() -> None:
+    with warnings.catch_warnings(action="error"):
+        study = fitted_range(sheet_study(2.0), pixsim.Camera(die_mm=2.0))
+    assert (study.pitch.min_um, study.pitch.max_um) == (0.8625, 13.8)
+
+
+def test_fitted_range_is_clipped_by_memory_and_says_so() -> None:
+    with pytest.warns(UserWarning, match=r"smallest pixel size is 1\.556 µm in place of 0\.8625 µm.*2 GiB for a frame.*--window"):
+        study = fitted_range(sheet_study(8.5), pixsim.Camera(die_mm=8.5))
+    assert study.pitch.min_um is not None
+    pixels = (8500 / study.pitch.min_um) ** 2
+    assert MAX_FRAME_BYTES / BYTES_PER_PIXEL * 0.999 < pixels <= MAX_FRAME_BYTES / BYTES_PER_PIXEL
+
+
+def test_fitted_range_includes_pitch_of_large_sensor() -> None:
+    with pytest.warns(UserWarning, match="as many as the data sheet's sensor has"):
+        study = fitted_range(sheet_study(24.0), pixsim.Camera(die_mm=24.0))
+    assert study.pitch.min_um == pytest.approx(3.45, abs=2e-3), "48 million pixels, more than 2 GiB a frame"
+    assert study.pitch.min_um >= 3.45
+
+
+def test_fitted_range_leaves_pixels_on_small_die() -> None:
+    with pytest.warns(UserWarning, match=r"largest pixel size is 6\.25 µm in place of 13\.8 µm"):
+        study = fitted_range(sheet_study(0.1), pixsim.Camera(die_mm=0.1))
+    assert study.pitch.max_um == 6.25
+
+
+def test_prepare_set_size_with_too_many_pixels_raises() -> None:
+    for pitch in ({"min_um": 0.5}, {"values_um": (0.5, 3, 4, 5, 6)}):
+        with pytest.raises(
+            pixsim.PixsimError, match=r"got 0\.5, which makes 2\.89e\+08 pixels; allowed: at least 1\.03.*--window 4\.09"
+        ):
+            prepare(sheet_study(8.5, **pitch))
+    prepare(sheet_study(4.0, min_um=0.5))
+
+
+def test_prepare_technology_with_too_many_pixels_is_clipped() -> None:
+    study = load_study("pixel-size", camera={"die_mm": 30.0})
+    with pytest.warns(UserWarning, match="smallest pixel size is"):
+        fitted = prepare(study).study
+    low = study_pitches_um(fitted, "4t-bsi")[0]
+    assert (30e3 / low) ** 2 <= 2**26 < (30e3 / study_pitches_um(study, "4t-bsi")[0]) ** 2
+    with warnings.catch_warnings(action="error"):
+        prepare(load_study("pixel-size"))
+
+
+# --- One set of options in TOML, by options and in Python ----------------------------------------------------------------
+
+
+def test_study_same_rows_from_toml_options_and_python(tmp_path: Path) -> None:
+    tables = {"camera": {"f_number": 2.0, "die_mm": 1.0}, "exposure": {"max_integration_s": 0.02}, "display": {"gamma": 2.0}}
+    pitch = {"min_um": 2.0, "max_um": 12.0, "count": 5}
+    path = sheet_toml(tmp_path)
+    own = tmp_path / "own.toml"
+    run = partial(quiet_command, folder=tmp_path)
+    text = ['name = "own"', "repeats = 2", "seed = 3", '[scene]\nfile = "slanted_edge"', f"parameters = {toml(SMALL)}"]
+    own.write_text("\n".join([*text, *(f"[{name}]\n{lines(table)}" for name, table in (tables | {"pitch": pitch}).items())]))
+    run(f"study {own} --config {path} --out", "toml")
+
+    (tmp_path / "bare.toml").write_text('name = "own"\nrepeats = 2\n[scene]\nparameters = { luminance_cd_per_m2 = 1.0 }\n')
+    options = " ".join(f"--{t}.{k.replace('_', '-')} {v}" for t, table in tables.items() for k, v in table.items())
+    options += " --pitch.min-um 2 --pitch.max-um 12 --pitch.count 5 --seed 3 --scene slanted_edge"
+    options += "".join(f" -D {name}={value}" for name, value in SMALL.items())
+    run(f"study {tmp_path / 'bare.toml'} --config {path} {options} --out", "options")
+
+    given = {**tables, "pitch": pitch, "seed": 3, "scene": "slanted_edge", "parameters": SMALL}
+    with quiet():
+        pixsim.study(tmp_path / "bare.toml", tmp_path / "python", config=path, jobs=1, **given)
+    numbers = [
+        [(row["pitch_um"], row["repeat"], row["mean_delta_e"]) for row in rows(tmp_path / name)]
+        for name in ("toml", "options", "python")
+    ]
+    assert numbers[0] == numbers[1] == numbers[2]
+    assert len(numbers[0]) == 10
+
+
+def quiet_command(line: str, out: str, folder: Path) -> str:
+    """Run a command in one process, with its folder as the last word, and return what it prints."""
+    with quiet():
+        code, text, err = command(f"{line} {folder / out} --jobs 1")
+    assert code == 0, err
+    return text
+
+
+def lines(table: dict[str, float]) -> str:
+    return "\n".join(f"{name} = {value}" for name, value in table.items())
+
+
+def toml(table: dict[str, float]) -> str:
+    return "{ " + ", ".join(f"{name} = {value}" for name, value in table.items()) + " }"
+
+
+def test_study_range_option_replaces_list_of_sizes(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text('name = "own"\n[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n[quick.pitch]\nvalues_um = [6, 8, 9, 10, 11]\n')
+    study = load_study(path, pitch={"min_um": 6.0, "count": 7})
+    for chosen in (study, study.quickened):
+        assert study_pitches_um(chosen, "0.35um").size == 7
+    assert load_study(path, pitch={"values_um": "6,7 8, 9,12"}).pitch.values_um == (6, 7, 8, 9, 12)
+
+
+def test_study_scene_option_drops_parameters_of_the_other_scene() -> None:
+    study = load_study("pixel-size", scene="still_life")
+    assert (study.scene.file, study.scene.parameters) == ("still_life", {})
+    assert load_study("pixel-size", scene="csf", parameters={"spp": 4}).scene.parameters == {"spp": 4}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--pixel.pitch-um 3", ["pixel.pitch_um", "for a study"]),
+        ("--pitch.min-um 20", ["pitch.max_um", "above 20"]),
+        ("--pitch.max-um 2000", ["pixel.pitch_um", "2000 µm"]),
+        ("--window 9", ["window_mm: got 9", "at most the width of the die, 2.7136"]),
+        ("--scene nowhere", ["scene: got 'nowhere'"]),
+        ("--scene flat -D max_lp_per_mm=3", ["max_lp_per_mm", "csf"]),
+        ("--camera.f-number x", ["camera.f_number: got 'x'"]),
+        ("-D chart=charts/flat.exr -D max_lp_per_mm=3", ["max_lp_per_mm", "-D chart"]),
+        ("-D max_lp_per_mm=0.5", ["max_lp_per_mm: got 0.5; allowed: at least 1.1"]),
+    ],
+)
+def test_study_problem_is_found_before_render(
+    words: str, message: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", lambda *_, **__: pytest.fail("rendered"))
+    code, out, err = command(f"study pixel-size --out {tmp_path / 'out'} {words}")
+    assert_refused(code, out, err, message)
+    assert not (tmp_path / "out").exists()
+
+
+# --- Window ------------------------------------------------------------------------------------------------------------
+
+
+def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
+    """In a scene whose lens follows from its focal length, a window is a smaller die; elsewhere it keeps the focal length too."""
+    few = {"pitch": {"values_um": [8, 10, 12, 16, 20]}}
+    window = pixsim.study(tiny(**few, window_mm=1.5), tmp_path / "window", jobs=1)
+    smaller = pixsim.study(tiny(**few, camera={"die_mm": 1.5}), tmp_path / "die", jobs=1)
+    np.testing.assert_array_equal(window.curves[0].delta_e, smaller.curves[0].delta_e)
+    assert window.as_dict()["window_mm"] == 1.5
+    scene = pixsim.load_scene("still_life")
+    camera = scene.camera().window(1.0)
+    assert camera.focal_length_mm == scene.camera().focal_length_mm
+    assert camera.die_mm == 1.0 < scene.camera().die_mm
+
+
+def test_run_window_is_named(tmp_path: Path) -> None:
+    line = (
+        f"run csf --config {sheet_toml(tmp_path)} -D resolution=64 -D spp=4 --window 0.7 --irradiance none --out {tmp_path / 'out'}"
+    )
+    with quiet():
+        code, out, err = command(line)
+    assert code == 0, err
+    # 202 pixels on as many dots.
+    assert "with 202 × 202 pixels of 3.45 µm" in out
+    assert "shown on 202 dots (from the sensor's pixels), 1 pixels a dot, chart to 144 lp/mm" in out
+    assert "in a central window of 0.7 mm" in out
+    score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
+    assert (score["window_mm"], score["camera"]["die_mm"], score["chosen"]["dots"]) == (0.7, 0.7, 202)
+    assert score["irradiance"]["parameters"]["max_lp_per_mm"] == repr(score["chosen"]["max_lp_per_mm"])
+
+
+# --- No visible difference ------------------------------------------------------------------------------------------------
+
+
+def curve_through(pitch_um: np.ndarray, mean: np.ndarray, scatter: float) -> Curve:
+    delta_e = mean[:, None] + scatter * np.array([-1.0, 0.0, 1.0])
+    statistics = {"mean_delta_e": delta_e}
+    return Curve("none", 0.35, pitch_um, np.ones(pitch_um.size), statistics, fit_curve(pitch_um, delta_e))
+
+
+def test_no_difference_um_is_widest_range_within_a_twentieth() -> None:
+    pitch_um = np.geomspace(1.0, 16.0, 9)
+    mean = 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5])
+    assert curve_through(pitch_um, mean, 1e-6).no_difference_um == (pitch_um[2], pitch_um[6])
+    # An uncertainty of 0.01 of each size is √2 of that for a difference: 0.03 + 0.014 is within 0.05, and 0.04 + 0.014 not.
+    wider = np.where(mean == 0.23, 0.24, mean)
+    assert curve_through(pitch_um, wider, 1e-6).no_difference_um == (pitch_um[2], pitch_um[6])
+    assert curve_through(pitch_um, wider, 0.02).no_difference_um == (pitch_um[3], pitch_um[6])
+    assert curve_through(pitch_um, mean, 0.2).no_difference_um is None, "nothing is known to be alike"
+
+
+def test_no_difference_um_narrow_range_is_not_named() -> None:
+    pitch_um = np.geomspace(4.0, 8.0, 9)
+    mean = 1.0 + 5 * np.log(pitch_um / 5.6) ** 2
+    curve = curve_through(pitch_um, mean, 1e-6)
+    assert curve.no_difference_um is None
+    flatter = curve_through(pitch_um, 1.0 + (mean - 1.0) / 20, 1e-6)
+    low, high = flatter.no_difference_um
+    assert high / low >= WIDE_RATIO
+    assert np.ptp(flatter.mean()[(pitch_um >= low) & (pitch_um <= high)]) < NO_VISIBLE_DELTA_E
+
+
+def test_study_line_says_that_sizes_look_alike(tiny_result: pixsim.study) -> None:
+    from pixsim.report.wording import optimum_line
+
+    pitch_um = np.geomspace(1.4, 10.0, 8)
+    curve = curve_through(pitch_um, 0.18 + 0.002 * np.arange(8.0), 1e-5)
+    assert optimum_line(curve).startswith("data sheet: no visible difference (< 0.05 ΔE) from 1.4 to 10 µm, all sizes tried; mean")
+    assert curve.as_dict()["no_visible_difference_um"] == (1.4, 10.0)
+    assert "no visible difference from 1.4 to 10 µm" in repr(replace(tiny_result, curves=(curve,)))
+    assert "no visible" not in optimum_line(tiny_result.curves[0])
+
+
+# --- Dry run and cost ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("line", ["run csf", "study pixel-size --quick", "study chen2000", "run macbeth --window 1"])
+def test_dry_run_renders_and_writes_nothing(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", lambda *_, **__: pytest.fail("rendered"))
+    monkeypatch.chdir(tmp_path)
+    sheet = "" if "chen" in line else f"--config {sheet_toml(tmp_path)}"
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = command(f"{line} {sheet} --dry-run")
+    assert code == 0, err
+    assert [row.split()[0] for row in out.splitlines()[:3]] == ["scene", "camera", "film"]
+    code, out, _ = command(f"{line} {sheet} --dry-run --json")
+    outline = json.loads(out)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert outline["estimate"]["seconds"] > 1
+    assert outline["sensors"][0]["pixels"][0][0] > 10
+    if sheet:
+        assert outline["chosen"]["dots"] == math.floor(1e3 * outline["camera"]["die_mm"] / 3.45)
+
+
+def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
+    line = f"study pixel-size --config {sheet_toml(tmp_path)} -D resolution=64 -D spp=4 --window 0.2 --pitch.count 5 --quick"
+    with quiet():
+        outline = json.loads(command(f"{line} --dry-run --json")[1])
+    quiet_command(f"{line} --out", "out", tmp_path)
+    (sensor,) = outline["sensors"]
+    done = rows(tmp_path / "out")
+    assert sorted({float(row["pitch_um"]) for row in done}) == sensor["pitch_um"]
+    assert len(done) == len(sensor["pitch_um"]) * sensor["sensors"]
+    summary = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))
+    assert summary["study"]["display"]["dots"] == outline["display"]["dots"]
+    assert list(outline["film"]["samples"]) == [64, 64]
+
+
+def test_window_within_takes_less_than_a_minute() -> None:
+    study = sheet_study(8.5)
+    prepared = prepare_quietly(study)
+    from pixsim.scene.plan import make_render_plan
+
+    plan = make_render_plan(prepared.scene, prepared.camera)
+    cost = study_cost(prepared.study, prepared.camera, plan, 1024**2, jobs=1)
+    assert cost.seconds > 60
+    width = window_within(study, prepared.camera, plan, 1024**2, jobs=1)
+    assert width is not None
+    smaller = prepare_quietly(study.model_copy(update={"window_mm": width}))
+    assert smaller.camera.die_mm == width < 8.5
+    assert study_cost(smaller.study, smaller.camera, plan, 1024**2, jobs=1).seconds < 60
+
+
+def prepare_quietly(study: Study) -> object:
+    with quiet():
+        return prepare(study)
+
+
+def test_cost_is_text_of_two_digits() -> None:
+    assert str(Cost(61.7, 1.26e9, 4)) == "about 62 s on 4 processes, 1.3 GB of memory"
+    assert str(Cost(754.0, 1e9, 1)) == "about 13 min, 1 GB of memory"
+
+
+def test_study_of_scene_without_white_estimates_it(tmp_path: Path) -> None:
+    """As a run does."""
+    scenes = Path(pixsim.__file__).parents[1] / "scenes"
+    shutil.copytree(scenes / "spectra", tmp_path / "spectra")
+    own, text = tmp_path / "own.xml", (scenes / "macbeth.xml").read_text(encoding="utf-8")
+    own.write_text("\n".join(line for line in text.splitlines() if "white_cd_per_m2" not in line), encoding="utf-8")
+    study = tiny(scene={"file": str(own), "parameters": {}}, pitch={"values_um": [20, 24, 28, 32, 40]}).model_dump(mode="json")
+    study["scene"]["parameters"] = {"resolution": 48, "spp": 4}
+    with pytest.warns(UserWarning, match="does not define its white"):
+        result = pixsim.study(Study.model_validate(study), tmp_path / "out", jobs=1)
+    assert result.irradiance.header["luminance_cd_per_m2"] > 0
