@@ -14,7 +14,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure
 from pixsim.report.pictures import crops, picture_axes
-from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.integration import array_size_um, pixels_along
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.readout import make_frame
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, Look, draw_delta_e, draw_picture, label_axes, new_figure
@@ -33,7 +33,7 @@ from pixsim.show.pictures import (
 )
 from pixsim.studies.evaluations import block_key, chain_at, light_of, stream_key
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.viewer.display import picture_size_um, shown_luminance
+from pixsim.viewer.display import shown_luminance
 from pixsim.viewer.score import PreparedScene, Score
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     key = block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0)
     cached = ((cache.arrays("frames", key) if key else None) or {}).get("0")
     physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
-    whole = tuple(pixels_along(um, pitch_um) for um in picture_size_um(result.irradiance))
+    whole = tuple(pixels_along(um, pitch_um) for um in array_size_um(result.irradiance, result.camera))
     if not isinstance(light, PreparedScene) or cached is None or cached.shape != whole:
         chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
         frame = chain.capture(*stream_key(study, physics.technology.name, pitch_um, 0))

@@ -231,8 +231,24 @@ def integrate_axis(
     return integral
 
 
+def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, float]:
+    """Return the (height, width) that pixels fill: the die, or the picture if it is smaller or the camera states no height.
+
+    Whole samples of a picture may end beyond the die.
+    """
+    height_um, width_um = (count * irradiance.pitch_um for count in irradiance.shape)
+    if camera.die_height_mm is None:
+        return height_um, width_um
+    return min(height_um, 1e3 * camera.height_mm), min(width_um, 1e3 * camera.die_mm)
+
+
 def integrate_pixels(
-    rate: Array | Columns, sample_pitch_um: float, pitch_um: float, photodiode_side_um: float, running: Array | None = None
+    rate: Array | Columns,
+    sample_pitch_um: float,
+    pitch_um: float,
+    photodiode_side_um: float,
+    running: Array | None = None,
+    size_um: tuple[float, float] | None = None,
 ) -> Array:
     """Integrate a picture over the square, centred photodiodes of a pixel array that is centred on the picture.
 
@@ -241,19 +257,21 @@ def integrate_pixels(
     rate : (H, W) per µm², means over square cells of `sample_pitch_um`, or `Columns` that are computed strip by strip
     pitch_um, photodiode_side_um : of the pixels; the pitch need not divide the width of the picture
     running : `running_integral(rate)` if available; it is the same for all pitches
+    size_um : `array_size_um`, (height, width) that the pixels fill; None means the whole picture
 
-    Returns (rows, columns), rows = ⌊H · sample pitch / pitch⌋. Only the picture, (rows, W) and the result are in memory.
+    Returns (rows, columns), rows = ⌊height / pitch⌋. Only the picture, (rows, W) and the result are in memory.
     Raises PixsimError if not one pixel fits.
     """
-    check_pixel_count([pixel_count(n * sample_pitch_um, pitch_um) for n in rate.shape], pitch_um)
-    y_um, x_um = (photodiode_edges_um(n * sample_pitch_um, pitch_um, photodiode_side_um) for n in rate.shape)
+    picture_um = [n * sample_pitch_um for n in rate.shape]
+    counts = [pixels_along(length_um, pitch_um) for length_um in size_um or picture_um]
+    check_pixel_count(counts, pitch_um)
+    y_um, x_um = (photodiode_edges_um(um, n, pitch_um, photodiode_side_um) for um, n in zip(picture_um, counts, strict=True))
     down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)
     return integrate_axis(down, sample_pitch_um, *x_um, 1)
 
 
-def photodiode_edges_um(length_um: float, pitch_um: float, side_um: float) -> tuple[Array, Array]:
-    """Return the first and the last edge of each photodiode in a centred line of pixels, (pixels,) each."""
-    count = pixels_along(length_um, pitch_um)
+def photodiode_edges_um(length_um: float, count: int, pitch_um: float, side_um: float) -> tuple[Array, Array]:
+    """Return the first and the last edge of each photodiode in a line of pixels that is centred on a length, (count,) each."""
     centre_um = length_um / 2 + (np.arange(float(count)) - (count - 1) / 2) * pitch_um
     return centre_um - side_um / 2, centre_um + side_um / 2
 
@@ -262,5 +280,6 @@ def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPh
     """Return the mean photo-electrons per second of every pixel, (rows, columns), before any non-uniformity."""
     irradiance.validate()
     rate = diffracted_rate(irradiance, camera, physics, workers)
-    signal = integrate_pixels(rate, irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um)
+    grid_um = irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um
+    signal = integrate_pixels(rate, *grid_um, size_um=array_size_um(irradiance, camera))
     return np.maximum(signal, 0.0, out=signal)

@@ -101,7 +101,9 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     return rate
 
 
-def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display, border_um: float) -> tuple[Array, Array]:
+def dot_edges_um(
+    size_um: tuple[float, float], pitch_um: float, display: Display, border_um: float, array_um: tuple[float, float] | None = None
+) -> tuple[Array, Array]:
     """Return the edges of the dots that are shown and scored, rows and columns, measured from the picture's top left corner.
 
     `fixed_size`: `dots` span the width of the die; a border of `border_um` on each side, rounded up to whole dots, is left out.
@@ -111,11 +113,12 @@ def dot_edges_um(size_um: tuple[float, float], pitch_um: float, display: Display
     pitch_um : of the pixels; used by `one_to_one` only
     border_um : the largest pitch among pixels scored on the same dots. Half of it covers the strip that whole pixels do not
         fill, half the outermost half pixels, which interpolation continues as constants; used by `fixed_size` only
+    array_um : (height, width) that the pixels fill, if it is not the picture
 
     Returns ((rows + 1,), (columns + 1,)). Raises PixsimError if no whole pixel fits, no whole dot is left, or there are more
     than 2^26 dots.
     """
-    pixels = [pixels_along(length_um, pitch_um) for length_um in size_um]
+    pixels = [pixels_along(length_um, pitch_um) for length_um in array_um or size_um]
     if display.raster == "one_to_one":
         rows, columns = (pixel_edges_um(um, count, pitch_um) for um, count in zip(size_um, pixels, strict=True))
         return rows, columns

@@ -15,7 +15,7 @@ from scipy.special import gammaincinv, gammaln, ndtr
 from pixsim.base.arrays import Array, stream
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.integration import diffracted_rate, integrate_pixels, running_integral
+from pixsim.sensor.integration import array_size_um, diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 from pixsim.sensor.readout import MAX_BLACK, Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
 from pixsim.show.figures import new_figure
@@ -204,12 +204,14 @@ class PreparedScene:
 
     rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
     white_e_per_s_um2 : of the scene's white, on axis
+    array_um : (height, width) that the pixels fill
     """
 
     rate_e_per_s_um2: Array = field(repr=False)
     sample_pitch_um: float
     white_e_per_s_um2: float
     screen: Screen
+    array_um: tuple[float, float]
 
     @cached_property
     def running_integral(self) -> Array | None:
@@ -235,7 +237,8 @@ def prepare_scene(
     irradiance.validate()
     size_um = displays.picture_size_um(irradiance)
     border_um = physics.pitch_um if border_um is None else border_um
-    edges_um = displays.dot_edges_um(size_um, physics.pitch_um, display, border_um)
+    array_um = array_size_um(irradiance, camera)
+    edges_um = displays.dot_edges_um(size_um, physics.pitch_um, display, border_um, array_um)
     luminance = displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
     if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
         warnings.warn(
@@ -245,7 +248,7 @@ def prepare_scene(
     rate = diffracted_rate(irradiance, camera, physics)
     white = displays.white_rate(irradiance, camera, physics, display)
     screen = Screen(display, size_um, edges_um, ideal, perceived_lab(ideal, display, full), full)
-    return PreparedScene(rate, irradiance.pitch_um, white, screen)
+    return PreparedScene(rate, irradiance.pitch_um, white, screen, array_um)
 
 
 # What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
@@ -279,7 +282,7 @@ class SceneCache:
 def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposure) -> ImagingChain:
     """Return the imaging chain of a pixel of any pitch, from light prepared for its spectral response."""
     grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
-    signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral)
+    signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral, light.array_um)
     np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s)
     return ImagingChain(signal_e_per_s, physics, exposure, light.white_e_per_s_um2 * physics.photodiode_area_um2, light.screen)
 

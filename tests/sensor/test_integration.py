@@ -320,3 +320,19 @@ def test_mean_signal_rate_sums_in_float64():
     result = integration.ideal_rate(image, physics)
     assert result.dtype == np.float64
     np.testing.assert_allclose(result, [[math.fsum(weight * one) for one in row] for row in data.astype(float)], rtol=1e-14)
+
+
+def test_integrate_pixels_smaller_array_is_centred() -> None:
+    """Nine rows on a picture of ten: a linear rise is exact under the spline, so each row has the value at its centre."""
+    rise = np.tile(np.arange(10.0)[:, None] + 0.5, (1, 12))
+    pixels = integrate_pixels(rise, 1.0, 1.0, 1.0, size_um=(9.0, 12.0))
+    np.testing.assert_allclose(pixels, np.tile(np.arange(1.0, 10.0)[:, None], (1, 12)), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("die_height_mm", "rows"), [(None, 10), (0.009, 9), (0.0095, 9), (0.02, 10)])
+def test_capture_beyond_the_die_has_pixels_of_the_die(die_height_mm: float | None, rows: int) -> None:
+    """A film of whole samples may end beyond the die; a smaller picture has fewer pixels than the die."""
+    camera = Camera(die_mm=0.012, die_height_mm=die_height_mm, focal_length_mm=0.05, object_distance_m=1.0)
+    light = SpectralImage([550.0], 10.0, 1.0, data=np.ones((10, 12, 1), np.float32))
+    physics = derive(Pixel(technology="4t-bsi", pitch_um=1.0))
+    assert mean_signal_rate(light, camera, physics).shape == (rows, 12)
