@@ -22,7 +22,7 @@ from pixsim.scene.bands import Pulse
 from pixsim.scene.mitsuba import children, nodes_of, plain, speaking_mitsuba
 from pixsim.scene.plan import Light, Plan, make_render_plan
 from pixsim.scene.rules import irregular_tables
-from pixsim.scene.scene import Scene, hash_of_tree, sensor_node
+from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, sensor_node
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 
@@ -126,7 +126,6 @@ SCALAR_STRIPS = 16
 SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
 ALLOWED_SPP = (1, 1 << 20)
-ALLOWED_RESOLUTION = (1, 16384)
 # Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by the number of samples of
 # a strip, modulo 2³². Consecutive runs take consecutive seeds.
 SEED_STRIDE = 2654435761
@@ -176,10 +175,10 @@ class Renderer:
         state = scene.for_camera(camera)
         node = sensor_node(state, scene.sensor_id)[1]
         self.size = scene.film_shape(camera, state)
-        sides = [("resolution", side, ALLOWED_RESOLUTION) for side in (max(self.size), min(self.size))]
-        for name, value, (low, high) in (*sides, ("spp", plan.spp, ALLOWED_SPP)):
-            if not low <= value <= high:
-                raise invalid(name, value, f"{low} to {high}")
+        for side in self.size:
+            check_resolution(side)
+        if not ALLOWED_SPP[0] <= plan.spp <= ALLOWED_SPP[1]:
+            raise invalid("spp", plan.spp, f"{ALLOWED_SPP[0]} to {ALLOWED_SPP[1]}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
         self.scalar = scene.choice.variant.startswith("scalar")

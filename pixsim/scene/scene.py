@@ -26,6 +26,7 @@ from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
 
 CHART, CHART_LINEAR = "chart", "chart_linear"
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
+ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
@@ -332,9 +333,19 @@ def sensor_node(state: Any, sensor_id: str | None) -> tuple[int, Any]:
 
 
 def film_size(state: Any, sensor: Any) -> tuple[int, int]:
-    """Return (height, width) of the sensor's film in samples; the renderer checks their range."""
+    """Return (height, width) of the sensor's film in samples. Raises PixsimError if one is out of range."""
     film = _child(state, sensor, "Film")
-    return _whole(film, "height", 576), _whole(film, "width", 768)
+    size = _whole(film, "height", 576), _whole(film, "width", 768)
+    for side in size:
+        check_resolution(side)
+    return size
+
+
+def check_resolution(side: int) -> None:
+    """Raise PixsimError for a film with a side of that many samples that cannot be rendered."""
+    low, high = ALLOWED_RESOLUTION
+    if not low <= side <= high:
+        raise invalid("resolution", side, f"{low} to {high}")
 
 
 def sample_count(state: Any, sensor: Any) -> int:
