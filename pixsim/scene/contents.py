@@ -502,8 +502,10 @@ def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:
         return np.ones((1, 1))
     node = state.nodes[texture]
     to_uv = matrix_of(node, "to_uv")
-    path = folder / str(node.props.get("filename", ""))
+    if "filename" not in node.props:
+        return None
+    path = _file_of(node, folder)
     whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
-    if path.suffix.lower() != ".exr" or not path.is_file() or not whole:
+    if path.suffix.lower() != ".exr" or not whole:
         return None
     return next(iter(read_channels(path)[0].values())).astype(float)

@@ -14,6 +14,7 @@ from scipy.stats import t as student
 
 import pixsim
 from pixsim import optics
+from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.plan import UNIFORM_RESOLUTION, decide_saturation, make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
@@ -271,3 +272,12 @@ def test_plan_command_error_is_one_line(line, wanted):
 def test_make_plan_invalid_tolerance_raises(tolerance):
     with pytest.raises(pixsim.PixsimError, match=r"tolerance_e: got .*allowed: above 0 and below 1"):
         make_render_plan(load("flat"), tolerance_e=tolerance)
+
+
+def test_make_plan_chart_of_working_directory_is_a_known_chart(tmp_path, monkeypatch):
+    """A relative name counts from the scene's folder or the working directory, as for Mitsuba: the plan knows its texels."""
+    write_chart(tmp_path / "star.exr", siemens_star(64, 64))
+    monkeypatch.chdir(tmp_path)
+    relative, whole = (make_plan(load("csf", resolution=64, chart=name)) for name in ("star.exr", str(tmp_path / "star.exr")))
+    assert relative.chart is not None
+    assert relative.as_dict() == whole.as_dict()

@@ -16,6 +16,7 @@ from helpers.looks import Elements
 import pixsim
 from pixsim.light.spectral import d65
 from pixsim.scene.charts import csf_value
+from pixsim.show.pictures import scale_end
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.score import Score
 
@@ -56,9 +57,9 @@ def test_score_repr_html_shows_statistics(score: Score) -> None:
     assert repr(score).startswith("<Score mean ΔE")
 
 
-def test_score_plot_has_fixed_scale(score: Score) -> None:
+def test_score_plot_scale_ends_at_99th_percentile(score: Score) -> None:
     (shown,) = [image for axes in score.plot().axes for image in axes.images if axes.get_title().startswith("S-CIELAB")]
-    assert shown.get_clim() == (0.0, 10.0)
+    assert shown.get_clim() == (0.0, scale_end(score.statistics()["p99_delta_e"]))
     np.testing.assert_array_equal(shown.get_array(), score.delta_e)
 
 
