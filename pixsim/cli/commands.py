@@ -168,7 +168,10 @@ def study(
         ),
     ],
     *,
-    scene: Annotated[str | None, Parameter(help=f"{SCENE_HELP} [default: that of the study]")] = None,
+    scene: Annotated[
+        str | None,
+        Parameter(help=f"{SCENE_HELP} [default: that of the study]", metavar="NAME|FILE", completer=common.complete_scene),
+    ] = None,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
     pitch: common.PitchTable = None,
@@ -273,7 +276,7 @@ def interruption_says_what_is_kept(folder: Path) -> Iterator[None]:
 def accuracy(
     scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
     *,
-    quick: Annotated[bool, Parameter(help="Fewer steps, about a minute in all.")] = False,
+    quick: Annotated[bool, Parameter(help="Fewer steps.")] = False,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
     seed: common.Seed = None,
@@ -465,7 +468,8 @@ def template(
     ],
     *,
     of: Annotated[
-        str | None, Parameter(help="For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity, modern).")
+        str | None,
+        Parameter(help="For a study: copy a packaged one (pixel-size, chen2000, chen2000-sensitivity, modern).", metavar="STUDY"),
     ] = None,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
     json: Json = False,

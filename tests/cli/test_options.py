@@ -32,7 +32,8 @@ def test_run_help_shows_type_choices_and_default_of_every_field(monkeypatch: pyt
     text = shown_help("run", monkeypatch)
     fields = [(f"{table}.{name}", info) for table, record in TABLES for name, info in record.model_fields.items()]
     options = [(f"--{name.replace('_', '-')}", info) for name, info in fields]
-    options += [(f"--{name.replace('_', '-')}", Run.model_fields[name]) for name in (*Effort.model_fields, "seed")]
+    names = {"window_mm": "window"} | {name: name for name in (*Effort.model_fields, "seed") if name != "window_mm"}
+    options += [(f"--{option.replace('_', '-')}", Run.model_fields[name]) for name, option in names.items()]
     lines = [line for line in text.splitlines() if line.startswith("│")]
     for option, info in options:
         if any(isinstance(kind, type) and issubclass(kind, Record) for kind in get_args(info.annotation)):
