@@ -31,7 +31,7 @@ SHEET: dict[str, Any] = {
 WORDS: dict[str, Any] = {name: SHEET[name] for name in ("pitch_um", "full_well_e", "quantum_efficiency", "bits")} | {
     "temporal_dark_noise_e": 6.5, "dark_current": {"e_per_s": 125.0, "at_c": 27.0}, "prnu_percent": 1.0, "dsnu_e": 12.0,
 }  # fmt: skip
-SMALL = "-D resolution=64 -D spp=4 --display.dots 64 --seed 3"
+SMALL = "--resolution 64 -D spp=4 --display.dots 64 --seed 3"
 
 
 def file_of(path: Path, pixel: dict[str, Any]) -> Path:

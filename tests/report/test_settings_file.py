@@ -64,7 +64,7 @@ def command_in(folder: Path) -> str:
     ],
 )
 def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done(f"run csf {options} -D resolution=64 -D spp=4 --irradiance none --out out")
+    done(f"run csf {options} --resolution 64 -D spp=4 --irradiance none --out out")
     first, line = json.loads((desk / "out/score.json").read_text(encoding="utf-8")), command_in(desk / "out")
     monkeypatch.chdir(desk / "out")
     done(f"{line} --irradiance none --out {tmp_path / 'again'}")
@@ -79,7 +79,7 @@ def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path
 
 
 def test_run_settings_of_picture_make_same_numbers(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done("run csf --config sheet.toml -D resolution=64 -D spp=4 --irradiance full --out out")
+    done("run csf --config sheet.toml --resolution 64 -D spp=4 --irradiance full --out out")
     done("run out/irradiance.exr --config sheet.toml --seed 2 --out foreign")
     line = command_in(desk / "foreign")
     monkeypatch.chdir(desk / "foreign")
@@ -92,7 +92,7 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit ends the first run after its first two renders; its noise as the target ends the second one there too."""
-    line = "run macbeth --config sheet.toml -D resolution=32 -D spp=4 --render-noise 0.001 --irradiance none"
+    line = "run macbeth --config sheet.toml --resolution 32 -D spp=4 --render-noise 0.001 --irradiance none"
     done(f"{line} --max-seconds 1e-9 --out out")
     first = json.loads((desk / "out/score.json").read_text(encoding="utf-8"))
     assert first["render_noise"]["ended_by"] == "max_seconds"
@@ -113,7 +113,7 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
 )
 def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (desk / "own.toml").write_text('name = "own"\nrepeats = 3\n[pitch]\ncount = 6\n[quick]\nrepeats = 2\n', encoding="utf-8")
-    done(f"study own.toml {options} --quick -D resolution=64 -D spp=4 --jobs 1 --out out")
+    done(f"study own.toml {options} --quick --resolution 64 -D spp=4 --jobs 1 --out out")
     monkeypatch.chdir(desk / "out")
     done(f"{command_in(desk / 'out')} --jobs 1 --out {tmp_path / 'again'}")
     first, again = ([list(row.values())[2:] for row in rows(folder)] for folder in (desk / "out", tmp_path / "again"))
@@ -127,7 +127,7 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     (desk / "own.toml").write_text('name = "own"\nrepeats = 2\n[pitch]\ncount = 5\nmin_um = 10\nmax_um = 40\n', encoding="utf-8")
     keys = []
     for option in ("", "--display.dots 100", "-D max_lp_per_mm=15", "--camera.f-number 16"):
-        done(f"study own.toml --config sheet.toml {option} -D resolution=64 -D spp=4 --jobs 1 --out out")
+        done(f"study own.toml --config sheet.toml {option} --resolution 64 -D spp=4 --jobs 1 --out out")
         keys.append({row["key"] for row in rows(desk / "out")})
     assert len(set.union(*keys)) == 4 * 10
 

@@ -104,9 +104,11 @@ def test_load_scene_broken_file_raises(tmp_path, content):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("missing", ["csv", "no/such.xml", "."])
-def test_load_scene_missing_file_lists_scenes(missing):
-    with pytest.raises(PixsimError, match=rf"scene: got '{missing}'; allowed: an XML file, or one of {', '.join(SHIPPED)}\."):
+@pytest.mark.parametrize(("missing", "folder"), [("csv", ""), ("no/such.xml", r" \(folder 'no' does not exist\)"), (".", "")])
+def test_load_scene_missing_file_lists_scenes(missing, folder):
+    with pytest.raises(
+        PixsimError, match=rf"scene: got '{missing}'{folder}; allowed: an XML file, or one of {', '.join(SHIPPED)}\."
+    ):
         load(missing)
 
 
