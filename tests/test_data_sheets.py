@@ -21,7 +21,7 @@ from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import sheet_disagreements
 from pixsim.sensor.technology import technology_of
-from pixsim.studies.study import check_pitches, load_study
+from pixsim.studies.study import check_pitches, load_study, prepare
 
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
@@ -111,7 +111,6 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
     pixsim.study(plan, tmp_path / "python none", pixel=SHEET | {"technology": None}, jobs=1)
     pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {"data_sheet_pitch_um": 30.0}
     values = read_toml(plan) | {"pixel": pixel}
-    values["pitch"] |= {"min_um": 30.0 / 4, "max_um": 30.0 * 4}  # as a sheet sets them; the render is for the largest
     del values["technologies"]
     pixsim.study(Study.model_validate(values), tmp_path / "record", jobs=1)
     texts = {path.parent.name: path.read_bytes() for path in tmp_path.glob("*/results.csv")}
@@ -235,7 +234,8 @@ def test_sheet_disagreements_of_published_sheets_are_none() -> None:
 OTHER: dict[str, Any] = SHEET | {"pitch_um": 20.0, "full_well_e": 30000.0, "bits": 14}
 # As many samples, whichever sensor comes first.
 ONE_RENDER: dict[str, Any] = {
-    "pitch": {"min_um": 10.0, "max_um": 60.0, "values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}, "render_noise": 1000.0
+    "pitch": {"min_um": 10.0, "max_um": 60.0, "values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}, "render_noise": 1000.0,
+    "scene": {"parameters": {"max_lp_per_mm": 20.0}},
 }  # fmt: skip
 
 
@@ -278,11 +278,11 @@ def test_study_of_data_sheets_range_and_messages(tmp_path: Path) -> None:
         return load_study(plan)
 
     study = study_of("one.toml", "other.toml")
-    assert (study.pitch.min_um, study.pitch.max_um) == (5.0, 120.0), "a quarter of the smaller, four times the larger"
+    assert study.open_range_um == (5.0, 120.0), "a quarter of the smaller, four times the larger"
     with pytest.raises(pixsim.PixsimError, match="same data sheet; allowed: each data sheet once"):
         check_pitches(study_of("one.toml", "same.toml"))
-    with pytest.raises(pixsim.PixsimError, match=r"give pitch\.min_um, or pitch\.values_um"):
-        study_of("one.toml", "0.35um")
+    with pytest.raises(pixsim.PixsimError, match=r"pitch\.min_um: got no value.*A data sheet has no fill factors"):
+        prepare(study_of("one.toml", "0.35um"))
     mixed = study_of("one.toml", "0.35um", more="[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n")
     assert [technology_of(mixed, name).name for name in mixed.technologies] == ["none", "0.35um"]
     with (

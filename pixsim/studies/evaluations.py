@@ -25,7 +25,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import opened, read_bytes, replacing
-from pixsim.base.parameters import Camera, Study, content_hash, pixel_of
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import pixels_along
@@ -173,6 +173,9 @@ def study_pitches_um(study: Study, technology: str) -> Array:
     (low, high), source = study.open_range_um, "pitch.min_um"
     if low is None:
         process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
+        if process.name == NO_TECHNOLOGY:
+            got, expected = f"no value, with {technology} beside other technologies", "a smallest pixel size, or pitch.values_um"
+            raise invalid("pitch.min_um", got, expected, "A data sheet has no fill factors, from which it would follow.")
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= high:

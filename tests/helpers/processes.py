@@ -10,10 +10,12 @@ HANG_S = 600
 SIGNALLED = """
 import signal
 from pixsim.cli import command
+from pixsim.studies import oversampling
 from pixsim.viewer.score import ImagingChain
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 score_frame, started = ImagingChain.score_frame, []
+measure_film = oversampling.measure_film
 
 def counted(self, frame):
     started.append(frame)
@@ -21,7 +23,14 @@ def counted(self, frame):
         signal.raise_signal({signal})
     return score_frame(self, frame)
 
+def uncounted(*arguments, **options):
+    ImagingChain.score_frame = score_frame
+    error = measure_film(*arguments, **options)
+    ImagingChain.score_frame = counted
+    return error
+
 ImagingChain.score_frame = counted
+oversampling.measure_film = uncounted
 command()
 """
 

@@ -211,14 +211,14 @@ def test_study_locked_folder_raises(toml: Path, expected: bytes, tmp_path: Path,
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
     second: list[subprocess.CompletedProcess[str]] = []
-    view = ImagingChain.score_frame
+    evaluate = evaluations.evaluate_task
 
-    def view_after_the_second(self, frame):
+    def evaluate_after_the_second(task, light):
         if not second:
             second.append(subprocess.run(command, **CAPTURED))
-        return view(self, frame)
+        return evaluate(task, light)
 
-    monkeypatch.setattr(ImagingChain, "score_frame", view_after_the_second)
+    monkeypatch.setattr(evaluations, "evaluate_task", evaluate_after_the_second)
     pixsim.study(toml, tmp_path / "out", jobs=1)
     assert second[0].returncode == 2
     assert re.search(r"in use by another process.*a folder that is not in use.*--out", second[0].stderr)
