@@ -21,7 +21,7 @@ from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import sheet_disagreements
 from pixsim.sensor.technology import technology_of
-from pixsim.studies.study import check_pitches, load_study, prepare
+from pixsim.studies.study import check_technologies, load_study, prepare
 
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
@@ -280,7 +280,7 @@ def test_study_of_data_sheets_range_and_messages(tmp_path: Path) -> None:
     study = study_of("one.toml", "other.toml")
     assert study.open_range_um == (5.0, 120.0), "a quarter of the smaller, four times the larger"
     with pytest.raises(pixsim.PixsimError, match="same data sheet; allowed: each data sheet once"):
-        check_pitches(study_of("one.toml", "same.toml"))
+        check_technologies(study_of("one.toml", "same.toml"))
     with pytest.raises(pixsim.PixsimError, match=r"pitch\.min_um: got no value.*A data sheet has no fill factors"):
         prepare(study_of("one.toml", "0.35um"))
     mixed = study_of("one.toml", "0.35um", more="[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n")

@@ -305,7 +305,7 @@ def test_run_fixed_film_reports_unmet_tolerance(tmp_path):
     assert (budget["met"], budget["settings"]["resolution"]) == (False, 64)
     assert budget["sources"]["oversampling"]["delta_e"] > 0.001
     assert "no settings meet" in result["err"]
-    assert "leave it unset" in result["err"]
+    assert "leave --resolution unset" in result["err"]
 
 
 def test_run_prints_mean_over_sensors(chart, tmp_path):
