@@ -311,7 +311,7 @@ def decide_samples(
         if most < fewest:
             reason = f"{fewest} per film cell, not {most} as in the scene: with so few, multijitter is biased"
             return fewest, sampler, Decision(subject, True, reason)
-        wanted = max(most / passes / max(finer, 1.0), fewest)
+        wanted = max(most / passes, fewest) if finer <= 1 else fewest  # more are added where the noise asks for them
         share = min(next((count for count in SAMPLE_COUNTS if count >= wanted), most), most) if wanted < most else most
         reason = f"{most} per film cell, as set in the scene{shared}: its edges and depth are unknown before rendering"
         if share < MIN_OF_A_PATH:

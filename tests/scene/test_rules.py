@@ -556,8 +556,8 @@ def test_make_plan_film_of_paths_stays_within_samples():
         plan = make_plan(load("still_life"), camera, pixel, display=display)
         assert plan.resolution is not None
         samples = 2 * plan.resolution**2 * height_mm / 10 * plan.spp * plan.passes
-        # A film's width is a multiple of four, and may be wider by an eighth to end where the die ends.
-        assert 0.8 * PATH_SAMPLES < samples <= 1.01 * PATH_SAMPLES
+        # A film may be narrower by an eighth to end where the die ends: (8/9)² = 0.79, and its width a multiple of four.
+        assert 0.78 * PATH_SAMPLES < samples <= 1.01 * PATH_SAMPLES
 
 
 def test_render_independent_few_samples_are_unbiased():
