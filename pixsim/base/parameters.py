@@ -646,8 +646,10 @@ class Effort(Record):
     resolution: Annotated[int, Field(ge=1, le=16384)] | None = Field(
         None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
     )
-    max_seconds: Seconds = Field(
-        120.0, description="longest render time; a render that reaches it stops with a warning that states its noise"
+    max_seconds: Seconds | None = Field(
+        None,
+        description="longest render time; a render that reaches it stops with a warning that states its noise (absent: a number of "
+        "samples limits it, which does not depend on the machine)",
     )
     window_mm: DieWidth | None = Field(
         None, description="width of a central part of the die: the same lens and pixels on a smaller die (absent: the whole die)"

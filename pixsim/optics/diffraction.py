@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,7 @@ from pixsim.base.errors import invalid
 
 NM_PER_MM = 1e6
 OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
+KEPT_TABLES = 128  # one for each wavelength, 32 MiB in all
 
 
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
@@ -96,7 +98,7 @@ def diffract_sum(
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
     highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
     lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a shorter table would have steps too small to divide by
-    table, step = np.linspace(0.0, max(highest, lowest), OTF_TABLE_SIZE, retstep=True)
+    table, step = _frequencies(max(highest, lowest))
     total: Array | None = None
     spare: Array | None = None
     for picture, weight in pictures:
@@ -104,13 +106,28 @@ def diffract_sum(
             plane = empty_planes(*shape) if spare is None else spare
             plane[...] = picture
             spectrum = dct(plane, workers)
-            _filter(spectrum, fy / step, fx / step, white_otf(table, wavelength_nm, weight, f_number))
+            otf = np.zeros_like(table)
+            for at in np.flatnonzero(weight):
+                otf += weight[at] * _otf_table(float(table[-1]), float(wavelength_nm[at]), f_number)
+            _filter(spectrum, fy / step, fx / step, otf)
             if total is None:
                 total = spectrum
             else:
                 total += spectrum
                 spare = spectrum
     return np.zeros(shape) if total is None else inverse_dct(total, workers)
+
+
+def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
+    """Return the frequencies of a table from 0 to the highest, and their step."""
+    table, step = np.linspace(0.0, highest_cy_per_mm, OTF_TABLE_SIZE, retstep=True)
+    return table, float(step)
+
+
+@lru_cache(maxsize=KEPT_TABLES)
+def _otf_table(highest_cy_per_mm: float, wavelength_nm: float, f_number: float) -> Array:
+    """Return `diffraction_otf` of a table; the spectra of a picture, and its parts, share those of their wavelengths."""
+    return diffraction_otf(_frequencies(highest_cy_per_mm)[0], wavelength_nm, f_number)
 
 
 def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None:

@@ -299,7 +299,7 @@ def _prepare(
     from pixsim.scene.plan import Plan, make_plan
     from pixsim.scene.scene import packaged_scenes
     from pixsim.sensor.pixel import derive
-    from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
+    from pixsim.studies.oversampling import FilmError, cached_film_error, render_on_film
 
     scene, camera, settings, view = prepared_run(source, settings, sensor, variant)
     named = source if source in packaged_scenes() else str(scene.path)
@@ -343,12 +343,12 @@ def _prepare(
             plan_of=plan_of,
             measure=measure,
             fixed="" if scene.resolution is None else "chosen for the tolerance" if free else "set by --resolution",
-            max_seconds=limit_of_time(settings),
+            max_seconds=settings.max_seconds,
         )
         more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
         more |= {"chosen": view.as_dict()} | ({"window_mm": settings.window_mm} if settings.window_mm else {})
         repeated = kept
-        if limit_of_time(settings) is not None:  # the clock may have chosen the film
+        if settings.max_seconds is not None:  # the clock may have chosen the film
             repeated = kept.model_copy(update={"resolution": made.image.shape[1]})
         if made.noise.ended_by == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
             same: dict[str, Any] = {"render_noise": made.noise.fraction, "max_seconds": NO_TIME_LIMIT_S, "tolerance_delta_e": None}

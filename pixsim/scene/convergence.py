@@ -15,7 +15,7 @@ from pixsim.base.arrays import Array, strips
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
-from pixsim.light.spectral import WHOLE, SpectralImage
+from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene.scene import Scene
@@ -24,10 +24,12 @@ from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
 
 RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
-MAX_SECONDS = 120.0
 MAX_RUNS = 1 << 12
+MEASURED, PARTS = 1 << 21, 4  # pixels on which the noise is measured, in PARTS × PARTS parts of a larger picture
 MAX_SPP = 1024  # samples per film cell of one render
-PAIRS_A_LEVEL = 2
+PAIR, PAIRS_A_LEVEL = 2, 2
+RAISE = "Raise --max-seconds or --render-noise"
+EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class RenderNoise:
     relative: float
     target: float
     runs: int
-    ended_by: Literal["target", "max_seconds", "runs"]
+    ended_by: EndedBy
 
 
 def render_until(
@@ -57,7 +59,7 @@ def render_until(
     seed: int = 0,
     *,
     render_noise: float = RENDER_NOISE,
-    max_seconds: float = MAX_SECONDS,
+    max_seconds: float | None = None,
     progress: Progress | None = None,  # fraction done, and the current noise as text
     keep: bool = False,
 ) -> tuple[SpectralImage, RenderNoise]:
@@ -67,7 +69,8 @@ def render_until(
     ----------
     pixels : the noise is compared with that of each pixel, and the worst counts
     render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
-    max_seconds : time limit of rendering, with a warning if it is reached
+    max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples instead, to
+        `Plan.most_samples`, so that the result does not depend on the machine
     progress : called with the fraction done and the current noise
     keep : use the cache of renders; the result is the same bit for bit
 
@@ -86,8 +89,9 @@ def render_until(
     derived = [derive(pixel) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds])
-    in_time = job.cache.runs_in_time(limits) if job.cache else None
-    ended: Literal["target", "max_seconds", "runs"] | None = None
+    in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
+    samples_of_pair = PAIR * math.prod(job.size) * plan.passes  # for each sample per film cell
+    ended: EndedBy | None = None
     while ended is None:
         step_start = time.perf_counter()
         for number, half in enumerate(halves):
@@ -101,12 +105,17 @@ def render_until(
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
         much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
-        up = much and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP
+        left = math.inf if max_seconds is not None else plan.most_samples / samples_of_pair - weight  # per film cell
+        up = much and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= left
         level, at_level = (level + 1, 0) if up else (level, at_level)
         now = time.perf_counter()
         if fraction <= render_noise:
             ended = "target"
-        elif runs >= in_time if in_time else now - start + (now - step_start) * (LEVEL_FACTOR if up else 1) > max_seconds:
+        elif spp > left:
+            ended = "samples"
+        elif max_seconds is not None and (
+            runs >= in_time if in_time else now - start + (now - step_start) * (LEVEL_FACTOR if up else 1) > max_seconds
+        ):
             ended = "max_seconds"
         elif runs >= MAX_RUNS:
             ended = "runs"
@@ -115,10 +124,16 @@ def render_until(
         job.cache.store_runs_in_time(limits, runs)
     if ended != "target":
         # Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
-        out_of_time = f"the time limit of {max_seconds:g} s (--max-seconds) leaves no time for the next step of the render"
-        cause = out_of_time if ended == "max_seconds" else f"the render ended at its limit of {runs} renders"
-        left = "render noise is {} of the sensor noise, target {}".format(*told_apart(fraction, render_noise))
-        warnings.warn(f"{cause}: {left}. Raise --max-seconds or --render-noise", stacklevel=2)
+        limit_s = f"the time limit of {max_seconds or 0:g} s (--max-seconds)"
+        causes = {
+            "samples": f"the render ended at its limit of {plan.most_samples:.2g} samples",
+            "max_seconds": f"{limit_s} leaves no time for the next step of the render",
+            "runs": f"the render ended at its limit of {runs} renders",
+        }
+        cause = causes[ended]
+        remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(fraction, render_noise))
+        hint = "Give --max-seconds for more samples, or raise --render-noise" if max_seconds is None else RAISE
+        warnings.warn(f"{cause}: {remains}. {hint}", stacklevel=2)
     for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
         mean += odd
         mean /= 2 * weight
@@ -138,12 +153,15 @@ def noise_of(
 ) -> tuple[float, float]:
     """Return the noise of the mean of two halves, as a fraction of sensor noise and relative, for the worst pixel.
 
-    Diffraction is left out; its blur would lower the noise slightly.
+    Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED` pixels, those of `PARTS` × `PARTS`
+    parts are measured, spread evenly over the picture.
     """
     worst = worst_relative = 0.0
     for physics in pixels:
         side = physics.pitch_um, physics.photodiode_side_um
-        even, odd = (integrate_pixels(_rate(job, half, physics), job.pitch_um, *side) / weight for half in halves)
+        parts = measured_parts(job.size, job.pitch_um / physics.pitch_um)
+        rates = [[integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side) for part in parts] for half in halves]
+        even, odd = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
         rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
         time_s = integration_time_s(exposure, physics, float(rate.max()))
         variance_e2 = frame_variance_dn2(rate * time_s, time_s, physics, fixed_pattern=False) / physics.dn_per_e**2
@@ -154,16 +172,35 @@ def noise_of(
     return worst, worst_relative
 
 
-def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics) -> Columns:
-    """Return `ideal_rate` of an image from the pictures of its pulses, without the memory for all bands."""
+def measured_parts(shape: tuple[int, int], pixels_per_cell: float) -> list[tuple[slice, slice]]:
+    """Return the rows and columns of a film (H, W) on which the noise is measured: all of it, or parts with `MEASURED` pixels.
+
+    pixels_per_cell : along each side
+    """
+    thinner = math.sqrt(math.prod(shape) * pixels_per_cell**2 / MEASURED)
+    if thinner <= 1 or min(shape) < PARTS:
+        return [(slice(0, shape[0]), slice(0, shape[1]))]
+
+    def spans(count: int) -> list[slice]:
+        size = max(1, math.ceil(1 / pixels_per_cell), round(count / PARTS / thinner))  # at least one pixel
+        firsts = [round((place + 0.5) * count / PARTS - size / 2) for place in range(PARTS)]
+        return [slice(max(0, first), max(0, first) + size) for first in firsts]
+
+    return [(rows, columns) for rows in spans(shape[0]) for columns in spans(shape[1])]
+
+
+def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Columns:
+    """Return `ideal_rate` of a part of an image from the pictures of its pulses, without the memory for all bands."""
+    rows, start = part[0], part[1].start
     # For each light, (pulses,): electrons s⁻¹ µm⁻² per unit of a pulse's picture, on the axis.
     units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
 
     def columns(first: int, last: int) -> Array:
-        fall_off = job.fall_off(WHOLE, slice(first, last))
+        which = slice(start + first, start + last)
+        fall_off = job.fall_off(rows, which)
         rate = np.zeros(fall_off.shape)
         for picture, unit in zip(pictures, units, strict=True):
-            rate += np.einsum("ijp,p->ij", picture[:, first:last], unit)
+            rate += np.einsum("ijp,p->ij", picture[rows, which], unit)
         return rate * fall_off
 
-    return Columns(job.size, columns)
+    return Columns((rows.stop - rows.start, part[1].stop - start), columns)

@@ -17,6 +17,8 @@ SAMPLES_PER_DETAIL = 2
 DETAIL_PER_DOT = 2  # aliasing of finer detail than half a dot averages out over the dots
 MAX_ACROSS = 4096
 MAX_BYTES = 2 << 30
+# Samples of a picture, about 30 s on two cores: of a chart alone, whose light goes straight to the lens, and of paths.
+CHART_SAMPLES, PATH_SAMPLES = 1 << 27, 20_000_000
 BYTES_PER_CELL, BYTES_PER_VALUE = 48, 24  # float64 light, its transforms and integrals; each pulse in two halves and the result
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
@@ -54,9 +56,12 @@ def film_bytes(cells: float, planes: int) -> float:
     return PROGRAM_BYTES + cells * (BYTES_PER_CELL + BYTES_PER_VALUE * planes)
 
 
-def largest_film(height_over_width: float, planes: int) -> int:
-    """Return the widest film within `MAX_ACROSS` and `MAX_BYTES`; it depends on the settings only, not on the machine."""
-    cells = (MAX_BYTES - PROGRAM_BYTES) / (BYTES_PER_CELL + BYTES_PER_VALUE * planes)
+def largest_film(height_over_width: float, planes: int, cells_in_time: float = math.inf) -> int:
+    """Return the widest film within `MAX_ACROSS` and `MAX_BYTES`; it depends on the settings only, not on the machine.
+
+    cells_in_time : of a film that the limit of samples allows
+    """
+    cells = min((MAX_BYTES - PROGRAM_BYTES) / (BYTES_PER_CELL + BYTES_PER_VALUE * planes), cells_in_time)
     return min(MAX_ACROSS, math.isqrt(int(cells / height_over_width)) // BLOCK * BLOCK)
 
 

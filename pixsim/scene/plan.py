@@ -19,13 +19,14 @@ from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, fi
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.mitsuba import nodes_of
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
-from pixsim.scene.scene import Scene, sample_count, sensor_node
+from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
 LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
+FEWEST_RENDERS = 2  # whose difference shows their noise
 RESPONSES = ("0.35um", "4t-bsi")  # technologies with the two packaged response curves, for a plan without a pixel
 
 
@@ -56,6 +57,7 @@ class Plan:
     warnings : possible problems of the scene
     resolution : samples across the film that this plan is for, if they differ from those of the scene
     sampler : plugin of Mitsuba
+    given_spp : whether an option sets `spp`
     """
 
     lights: tuple[Light, ...]
@@ -74,6 +76,7 @@ class Plan:
     warnings: tuple[str, ...] = ()
     resolution: int | None = None
     sampler: str = "multijitter"
+    given_spp: bool = False
 
     @property
     def passes(self) -> int:
@@ -84,6 +87,17 @@ class Plan:
     def planes(self) -> int:
         """Number of pictures that a render holds in memory, one for each pulse of each lamp."""
         return sum(len(light.fit.pulses) for light in self.lights)
+
+    @property
+    def most_samples(self) -> int:
+        """Limit of the samples of all renders together, in place of a time limit: it does not depend on the machine."""
+        return film.PATH_SAMPLES if self.chart is None else film.CHART_SAMPLES
+
+    @property
+    def cells_in_time(self) -> float:
+        """Film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
+        fewest = self.spp if self.given_spp else rules.FEWEST_OF_A_PATH if self.chart is None else rules.FEWEST_OF_A_CHART
+        return self.most_samples / (fewest * self.passes * FEWEST_RENDERS)
 
     @property
     def bound_e(self) -> float:
@@ -156,7 +170,9 @@ def make_render_plan(
     chart = rules.lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
     scene_spp = sample_count(state, sensor)
     passes = sum(len(light.fit.passes) for light in lights)
-    spp, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit="spp" in scene.parameters)
+    explicit = "spp" in scene.parameters
+    finer = (width / max(1, film_size(state, sensor)[1])) ** 2
+    spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit, finer)
     diffraction = rules.decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full)
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
     warnings = []
@@ -175,6 +191,8 @@ def make_render_plan(
         lens=lens,
         integrator=integrator,
         spp=spp,
+        sampler=sampler,
+        given_spp=explicit,
         diffraction=diffraction.kept,
         regular_tables=by_index,
         decisions=(*spectral, tables, bounces, focus, samples, diffraction),
@@ -326,14 +344,14 @@ def decide_oversampling(
     words = f"{details:.4g} {name} across the die"
     if not free:
         return None, Decision("oversampling", True, f"{_sampling(camera, physics, width)}; {words}; as set by --resolution")
-    most = film.largest_film(height / width, plan.planes)
+    most = film.largest_film(height / width, plan.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
     if width >= min(needed, most):
         return None, Decision("oversampling", True, f"{_sampling(camera, physics, width)}; {words}")
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
-    limit = (
-        f", the limit for {plan.planes} picture{'s' * (plan.planes > 1)} ({film.MAX_ACROSS} across, 2 GiB)" if needed > most else ""
-    )
+    pictures = f"{plan.planes} picture{'s' * (plan.planes > 1)}"
+    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {plan.most_samples:.2g} rays)"
+    limit = limits if needed > most else ""
     sampling = _sampling(camera, physics, chosen)
     return chosen, Decision("oversampling", True, f"{sampling}, not {width} as in the scene: {words}{limit}")
 

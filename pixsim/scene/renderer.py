@@ -21,7 +21,7 @@ from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.scene.bands import Pulse
 from pixsim.scene.mitsuba import children, nodes_of, plain, speaking_mitsuba
 from pixsim.scene.plan import Light, Plan, make_render_plan
-from pixsim.scene.rules import irregular_tables
+from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, sensor_node
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
@@ -213,7 +213,8 @@ class Renderer:
     def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
         """Return pictures (H, W, pulses) of each light, relative to its lamp, and the samples per film cell.
 
-        Runs of different index or level are independent; each level has four times the samples of the one before.
+        Runs of different index or level are independent. Each level has four times the samples of the one before, rounded up to
+        one of `SAMPLE_COUNTS`.
         """
         result = self.cache.find(index, level) if self.cache else None
         if result is None:
@@ -230,6 +231,8 @@ class Renderer:
         with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
             # Long renders are averages of shorter ones. Most samplers round the number of samples up, to stratify them.
             asked = self.plan.spp * LEVEL_FACTOR**level
+            if level:
+                asked = next((count for count in SAMPLE_COUNTS if count >= asked), asked)
             renders = -(-asked // SPP_PER_RENDER)
             sampler = {"type": self.plan.sampler}
             spp = mi.load_dict(sampler | {"sample_count": -(-asked // renders)}).sample_count()

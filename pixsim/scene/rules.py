@@ -21,8 +21,9 @@ from pixsim.scene.contents import FLAT, LAMBERTIAN, Body, emitted_picture, face_
 from pixsim.scene.mitsuba import children, nodes_of
 from pixsim.sensor.pixel import derive
 
-# Sample counts for which pictures are the same bit for bit on any number of threads.
+# Sample counts, besides 1 and 2, for which pictures are the same bit for bit on any number of threads.
 SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
+ROUNDED_DOWN = 1.5  # to a sample count that is smaller by this factor at most
 TRIED_CELLS = 1024  # random cells on which sampling is tested
 REFERENCE_SAMPLES = 16  # along each side of a cell
 TRIED_SIDE = 2048  # samples of a part of the film; its three transforms need 0.1 GiB
@@ -164,6 +165,8 @@ BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance, for leaving out bl
 BLURRED_EDGE = 2 / (3 * math.pi)
 AIRY_DIAMETER = 2.44  # first dark ring over λN (Goodman)
 UNLIMITED = -1
+# On a film finer than the scene's: of a chart, stratified, with an eighth of the noise of one; of a path, independent.
+FEWEST_OF_A_CHART, FEWEST_OF_A_PATH = 2, 4
 MIN_OF_A_PATH = 16  # samples; with 4, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark)
 ALIGNED = 1e-6  # of a chart's half width: tolerance for its position, rotation and size
 # Emitters that look the same from every point of the lens, or cannot be seen.
@@ -289,29 +292,44 @@ def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], sha
 
 
 def decide_samples(
-    chart: Chart | None, most: int, passes: int, tolerance_e: float, full: bool, explicit: bool
-) -> tuple[int, Decision]:
-    """Return the samples per film cell and pass, and the decision; `most` is the number in the scene."""
-    subject = "texture samples"
+    chart: Chart | None, most: int, passes: int, tolerance_e: float, full: bool, explicit: bool, finer: float = 1.0
+) -> tuple[int, str, Decision]:
+    """Return the samples per film cell and pass, the sampler, and the decision.
+
+    A film finer than the scene's divides the same samples among more cells: what counts is the noise of a pixel or a dot.
+
+    most : samples in the scene
+    finer : film cells for each cell of the scene's own film
+    """
+    subject, sampler = "texture samples", "multijitter"
     if full or explicit:
-        return most, Decision(subject, True, f"{most} per film cell, as set in the {'scene' if full else 'options'}")
-    if chart is None and most < MIN_OF_A_PATH:
-        reason = f"{MIN_OF_A_PATH} per film cell, not {most} as in the scene: with so few, multijitter is biased"
-        return MIN_OF_A_PATH, Decision(subject, True, reason)
+        return most, sampler, Decision(subject, True, f"{most} per film cell, as set in the {'scene' if full else 'options'}")
+    shared = f", shared by the {finer:.3g} cells of this finer film" if finer > 1 else ""
     if chart is None:
-        reason = f"{most} per film cell, as set in the scene: its edges and depth are unknown before rendering"
-        if passes == 1:
-            return most, Decision(subject, True, reason)
         # Passes have different seeds, and the sum over bands averages their noise.
-        share = next((count for count in SAMPLE_COUNTS if count >= max(most / passes, MIN_OF_A_PATH)), most)
-        share = min(share, most)
-        saved = f"{share} of {most} samples per pass" if share < most else ""
-        return share, Decision(subject, share == most, f"{reason}; {share} in each of {passes} passes", saved)
+        fewest = MIN_OF_A_PATH if finer <= 1 else FEWEST_OF_A_PATH
+        if most < fewest:
+            reason = f"{fewest} per film cell, not {most} as in the scene: with so few, multijitter is biased"
+            return fewest, sampler, Decision(subject, True, reason)
+        wanted = max(most / passes, fewest) if finer <= 1 else fewest  # more are added where the noise asks for them
+        share = min(next((count for count in SAMPLE_COUNTS if count >= wanted), most), most) if wanted < most else most
+        reason = f"{most} per film cell, as set in the scene{shared}: its edges and depth are unknown before rendering"
+        if share < MIN_OF_A_PATH:
+            sampler, reason = "independent", f"{reason}; of so few, multijitter would be biased"
+        if share == most:
+            return most, sampler, Decision(subject, True, reason)
+        reason += f"; {share} in each of {passes} passes" if passes > 1 else f"; {share}"
+        return share, sampler, Decision(subject, False, reason, f"{share} of {most} samples per pass")
+    if finer > 1:
+        spp = next(count for count in (FEWEST_OF_A_CHART, *SAMPLE_COUNTS, most) if count >= min(most / finer / ROUNDED_DOWN, most))
+        reason = f"{spp} per film cell: {most} as set in the scene{shared}"
+        return spp, sampler, Decision(subject, spp == most, reason, f"{spp} of {most} samples" if spp < most else "")
     spp, error = samples_needed(chart, tolerance_e, most)
     if spp < most:
         reason = f"{spp} per film cell: RMS error {error:.1e} for the chart's detail"
-        return spp, Decision(subject, False, reason, f"{spp} of {most} samples")
-    return most, Decision(subject, True, f"{most} per film cell, as set in the scene: RMS error {error:.1e} for the chart's detail")
+        return spp, sampler, Decision(subject, False, reason, f"{spp} of {most} samples")
+    reason = f"{most} per film cell, as set in the scene: RMS error {error:.1e} for the chart's detail"
+    return most, sampler, Decision(subject, True, reason)
 
 
 def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tolerance_e: float, full: bool) -> Decision:

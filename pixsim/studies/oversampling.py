@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, Display, Effort, Exposure, content_hash
+from pixsim.base.parameters import Camera, Display, Exposure, content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
@@ -208,11 +208,6 @@ def _mean_delta_e(
     return np.array([sensor_delta_e(chain, setup, physics.pitch_um, number) for number, chain in enumerate(exposed)])
 
 
-def limit_of_time(effort: Effort) -> float | None:
-    """Return the time limit of renders that may lower the film: none by default, so that the film does not depend on the time."""
-    return None if effort.max_seconds == Effort.model_fields["max_seconds"].default else effort.max_seconds
-
-
 def cached_film_error(
     image: SpectralImage,
     camera: Camera,
@@ -266,7 +261,8 @@ def render_on_film(
     plan_of : returns the plan of the scene on another film
     measure : returns the film's error
     fixed : what sets the film, if it is not free
-    max_seconds : of the renders; a film that would take longer is not tried. None means no limit.
+    max_seconds : of the renders; a film that would take longer is not tried. None means a limit of the samples,
+        `Plan.most_samples`.
     """
     chosen = scene.with_resolution(plan.resolution) if plan.resolution else scene
     while True:
@@ -274,7 +270,8 @@ def render_on_film(
         image, noise = render(chosen, plan)
         seconds, film = time.perf_counter() - start, measure(image, plan)
         width, ratio = image.shape[1], camera.height_mm / camera.die_mm
-        most = largest_film(ratio, plan.planes)
+        in_time = plan.cells_in_time if max_seconds is None else math.inf
+        most = largest_film(ratio, plan.planes, in_time)
         wider = fitting_width(ratio, 2 * width, most)
         if film.met:
             return Rendered(image, noise, plan, film)

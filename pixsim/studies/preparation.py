@@ -178,6 +178,7 @@ def rounded_up(pitch_um: float) -> float:
 
 # Costs on one core of an ordinary machine, for an estimate before a render.
 RENDER_S_PER_SAMPLE = 1.6e-7  # of a film cell's samples, both of the two renders that show the noise
+PATH_S_PER_SAMPLE = 2.0e-6  # with any number of bounces
 FILM_S_PER_CELL = 1.0e-6  # its noise, diffraction and ideal image
 FRAME_S_PER_PIXEL = 2.6e-7  # integration, noise and ADC
 SCORE_S_PER_DOT = 2.2e-7  # shown picture and S-CIELAB
@@ -211,7 +212,10 @@ def duration_words(seconds: float) -> str:
 def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
     """Estimate two renders of a film of so many cells, their noise, diffraction and the ideal image."""
     samples = 2.0 * cells * plan.spp * plan.passes
-    seconds = START_S + samples * RENDER_S_PER_SAMPLE / cores + cells * FILM_S_PER_CELL
+    per_sample = RENDER_S_PER_SAMPLE
+    if plan.integrator is None and not plan.chart:  # many bounces, whose noise is rarely below that of the sensor
+        samples, per_sample = max(samples, float(plan.most_samples)), PATH_S_PER_SAMPLE
+    seconds = START_S + samples * per_sample / cores + cells * FILM_S_PER_CELL
     return Cost(seconds, BASE_BYTES + cells * FILM_BYTES_PER_CELL, 1)
 
 

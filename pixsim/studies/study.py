@@ -23,7 +23,7 @@ from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
-from pixsim.studies.oversampling import FilmError, cached_film_error, limit_of_time, render_on_film
+from pixsim.studies.oversampling import FilmError, cached_film_error, render_on_film
 from pixsim.studies.preparation import View, choose_view, die_um, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import dot_edges_um, white_header
@@ -269,7 +269,7 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
         plan_of=plan_of,
         measure=measure,
         fixed="set by --resolution" if study.resolution else "",
-        max_seconds=limit_of_time(study),
+        max_seconds=study.max_seconds,
     )
     made.image.header.update(white_header(made.image, camera, study.display))
     return made.image, camera, made.film

@@ -15,8 +15,8 @@ from helpers.commands import command
 from helpers.edits import load
 
 import pixsim
-from pixsim.scene import convergence
-from pixsim.scene.convergence import MAX_SPP, RENDER_NOISE, RenderNoise, render_until
+from pixsim.scene import convergence, film
+from pixsim.scene.convergence import MAX_SPP, RENDER_NOISE, RenderNoise, measured_parts, render_until
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
@@ -36,6 +36,7 @@ def prepared(name: str = "csf", **parameters):
 def until(target: float, seed: int = 0, name: str = "csf", exposure=None, **options) -> tuple[pixsim.SpectralImage, RenderNoise]:
     scene, camera, plan = prepared(name)
     pixels = options.pop("pixels", [PIXEL])
+    options = {"max_seconds": 1e3} | options
     return render_until(scene, camera, plan, pixels, exposure or pixsim.Exposure(), seed, render_noise=target, **options)
 
 
@@ -256,8 +257,12 @@ def test_rate_of_pulses_equals_ideal_rate(full):
     pictures, spp = job.run(0)
     image = job.image(pictures, spp)
     assert (image.factors is None) == full
-    rate = convergence._rate(job, pictures, derive(PIXEL))
-    np.testing.assert_allclose(rate.columns(0, job.size[1]), ideal_rate(image, derive(PIXEL)), rtol=1e-6)
+    rate = convergence._rate(job, pictures, derive(PIXEL), (slice(0, 32), slice(0, 32)))
+    whole = ideal_rate(image, derive(PIXEL))
+    np.testing.assert_allclose(rate.columns(0, job.size[1]), whole, rtol=1e-6)
+    part = convergence._rate(job, pictures, derive(PIXEL), (slice(8, 24), slice(4, 30)))
+    assert part.shape == (16, 26)
+    np.testing.assert_allclose(part.columns(3, 20), whole[8:24, 7:24], rtol=1e-6)
 
 
 def test_render_until_noiseless_scene():
@@ -315,3 +320,48 @@ def test_render_until_invalid_target_raises(option, value):
     assert (code, out) == (2, "")
     assert option[2:].replace("-", "_") in err
     assert value in err
+
+
+# --- Limit of samples ---
+
+
+def test_render_until_sample_limit_ends(monkeypatch):
+    """Without a time limit the samples are limited, whatever the clock says."""
+    renders = Noisy(monkeypatch, 0.1)
+    monkeypatch.setattr(film, "CHART_SAMPLES", 100 * 32 * 32)
+    monkeypatch.setattr(convergence.time, "perf_counter", lambda: 1e9 * len(renders.levels))
+    with pytest.warns(UserWarning, match=r"limit of 1e\+05 samples.*Give --max-seconds"):
+        image, noise = until(1e-6, max_seconds=None)
+    # In one half 4 + 4 + 16 + 16 samples a cell; a third pair of 16 would exceed 50.
+    assert renders.levels == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert (noise.runs, noise.ended_by) == (8, "samples")
+    assert image.header["render_noise"]["ended_by"] == "samples"
+
+
+def test_render_until_time_limit_replaces_sample_limit(monkeypatch):
+    Noisy(monkeypatch, 0.1)
+    monkeypatch.setattr(film, "CHART_SAMPLES", 1)
+    monkeypatch.setattr(convergence, "MAX_RUNS", 6)
+    with pytest.warns(UserWarning, match="limit of 6 renders"):
+        assert until(1e-9)[1].runs == 6
+
+
+@pytest.mark.parametrize("shape", [(300, 300), (200, 301)])
+def test_measured_parts_cover_sample_of_pixels(shape):
+    assert measured_parts(shape, 1.0) == [(slice(0, shape[0]), slice(0, shape[1]))]
+    parts = measured_parts(shape, 20.0)
+    assert len(parts) == 16
+    pixels = sum((rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in parts) * 20**2
+    assert 0.8 * convergence.MEASURED < pixels < 1.2 * convergence.MEASURED
+    for axis, count in enumerate(shape):
+        assert min(part[axis].start for part in parts) >= 0
+        assert max(part[axis].stop for part in parts) <= count
+
+
+def test_noise_of_parts_equals_that_of_whole(monkeypatch):
+    """Noise that is alike all over the picture is the same on a quarter of it, within the scatter of a few hundred pixels."""
+    whole = until(LOOSE)[1]
+    monkeypatch.setattr(convergence, "MEASURED", 64 * 64 // 4)
+    parts = until(LOOSE)[1]
+    assert parts.fraction != whole.fraction
+    assert parts.fraction == pytest.approx(whole.fraction, rel=0.5)

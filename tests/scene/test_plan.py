@@ -221,7 +221,8 @@ def test_plan_command_prints_table(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
     code, out, err = command("plan csf --variant scalar_spectral -D resolution=64")
     assert (code, err) == (0, "")
-    for subject, line_of_plan in zip(SUBJECTS, make_plan(load("csf", resolution=64)).decisions, strict=True):
+    planned = make_plan(load("csf", resolution=64), display=pixsim.Display())
+    for subject, line_of_plan in zip(SUBJECTS, planned.decisions, strict=True):
         (line,) = (line for line in out.splitlines() if line.startswith(subject))
         assert line[len(subject) :].split()[0] == ("kept" if line_of_plan.kept else "left"), line
         assert line_of_plan.saved in line
