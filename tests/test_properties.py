@@ -231,7 +231,7 @@ def records_of(chain: dict[str, Any]) -> dict[str, Any]:
 
 # Errors of conflicting fields do not have the form "got …; allowed: …".
 MESSAGE = re.compile(
-    r"got .+; allowed: .+|no real image forms|must be at least 0\.5|is not below the highest code|state the same quantity|"
+    r"got .+; allowed: .+|no real image forms|must be at least (?:0\.5|1e-06)|is not below the highest code|state the same quantity|"
     r"Give full_well_e|exceeds \w+ = |keeps a charge: "
 )
 EXPECTED_WARNING = ".*(brighter than display white|Usual causes)"
@@ -277,7 +277,7 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
             assert all(math.isfinite(value) for value in score.statistics().values())
 
     scored()
-    assert outcomes["accepted"] > 0.6 * outcomes.total(), outcomes
+    assert outcomes["accepted"] > 0.5 * outcomes.total(), outcomes
 
 
 def any_technology() -> st.SearchStrategy[Technology]:
