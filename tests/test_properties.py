@@ -231,8 +231,8 @@ def records_of(chain: dict[str, Any]) -> dict[str, Any]:
 
 # Errors of conflicting fields do not have the form "got …; allowed: …".
 MESSAGE = re.compile(
-    r"got .+; allowed: .+|no real image forms|must be at least (?:0\.5|1e-06)|is not below the highest code|state the same quantity|"
-    r"Give full_well_e|exceeds \w+ = |keeps a charge: "
+    r"got .+; allowed: .+|no real image forms|must be at least (?:0\.5|1e-06)|is not below the highest code|"
+    r"state the same quantity|Give full_well_e|exceeds \w+ = |keeps a charge: "
 )
 EXPECTED_WARNING = ".*(brighter than display white|Usual causes)"
 

@@ -299,7 +299,7 @@ def _prepare(
     from pixsim.scene.plan import Plan, make_plan
     from pixsim.scene.scene import packaged_scenes
     from pixsim.sensor.pixel import derive
-    from pixsim.studies.oversampling import FilmError, cached_film_error, render_on_film
+    from pixsim.studies.oversampling import FilmError, cached_film_error, film_for_tolerance, render_on_film
 
     scene, camera, settings, view = prepared_run(source, settings, sensor, variant)
     named = source if source in packaged_scenes() else str(scene.path)
@@ -331,8 +331,11 @@ def _prepare(
         return render_until(*fixed, progress=progress("render"), keep=True, **limits)
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        pixels = [derive(settings.pixel)]
+        if settled and free and tolerance_delta_e:
+            return film_for_tolerance(image, pixels, settled.calibration.film(image.shape[1]).delta_e, tolerance_delta_e)
         given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": tolerance_delta_e}
-        return cached_film_error(image, camera, [derive(settings.pixel)], settings.exposure, settings.display, **given)
+        return cached_film_error(image, camera, pixels, settings.exposure, settings.display, **given)
 
     def render() -> Light:
         made = render_on_film(

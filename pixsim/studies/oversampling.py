@@ -134,6 +134,14 @@ def measure_film(
     return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in measured), tuple(tolerated))
 
 
+def film_for_tolerance(
+    image: SpectralImage, pixels: Sequence[PixelPhysics], calibrated_delta_e: float, tolerance_delta_e: float
+) -> FilmError:
+    """Return the error of a film that a calibration chose: it measured coarser films against a finer one, at the optimum."""
+    count, pitches = len(pixels), tuple(physics.pitch_um for physics in pixels)
+    return FilmError(image.shape, image.pitch_um, pitches, (calibrated_delta_e,) * count, (tolerance_delta_e,) * count)
+
+
 def _error_of_pixel(
     image: SpectralImage, camera: Camera, physics: PixelPhysics, exposure: Exposure, display: Display, chart: Chart | None
 ) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
-from pixsim.studies.oversampling import FilmError, cached_film_error, render_on_film
+from pixsim.studies.oversampling import FilmError, cached_film_error, film_for_tolerance, render_on_film
 from pixsim.studies.preparation import View, choose_view, die_um, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import dot_edges_um, white_header
@@ -228,7 +228,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     return Prepared(study, scene, camera, view, variant)
 
 
-def render_for(study: Study, variant: str | None = None, progress: Progress | None = None) -> Light:
+def render_for(study: Study, variant: str | None = None, progress: Progress | None = None, settled: Settled | None = None) -> Light:
     """Return the study's irradiance, the camera that it was rendered with, and the error of its film.
 
     Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
@@ -253,6 +253,8 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
         return render_until(scene, camera, plan, largest, study.exposure, study.seed, progress=progress, keep=True, **limits)
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        if settled and study.tolerance_delta_e:
+            return film_for_tolerance(image, tried, settled.calibration.film(image.shape[1]).delta_e, study.tolerance_delta_e)
         given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": study.tolerance_delta_e}
         return cached_film_error(image, camera, tried, study.exposure, study.display, **given)
 
@@ -377,7 +379,7 @@ def run_prepared(
             from pixsim.studies.budget import settled_study
 
             chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
-        irradiance, camera, film = render_for(chosen, variant, stage("render"))
+        irradiance, camera, film = render_for(chosen, variant, stage("render"), settled)
         chosen = chosen.model_copy(update={"resolution": irradiance.shape[1]})
         results = folder / "results.csv"
         result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)

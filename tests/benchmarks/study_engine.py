@@ -36,7 +36,7 @@ def small_study(repeats: int) -> pixsim.Study:
 
 def work_s(study: pixsim.Study) -> float:
     """Seconds of one evaluation, mean over the pitches."""
-    irradiance, camera = render_for(study)
+    irradiance, camera, _ = render_for(study)
     light = light_of(study, SceneCache(irradiance, camera, study.display), "0.35um")
 
     def evaluations() -> None:

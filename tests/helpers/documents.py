@@ -211,7 +211,7 @@ def difference(expected: str, printed: str, exact: bool = True) -> str:
 
 def alike(expected: str, printed: str) -> bool:
     """Same words, and numbers within their printed interval; without one, within `NUMBER_WITHIN` or one unit of the last digit."""
-    if NUMBER.sub("#", " ".join(expected.split())) != NUMBER.sub("#", " ".join(printed.split())):
+    if words_of(expected) != words_of(printed):
         return False
     pairs = zip(NUMBER.finditer(expected), NUMBER.finditer(printed), strict=True)
     interval = INTERVAL.search(expected)
@@ -229,6 +229,11 @@ def alike(expected: str, printed: str) -> bool:
         return abs(wanted - got) <= allowed
 
     return all(within(one, other) for one, other in pairs)
+
+
+def words_of(line: str) -> str:
+    """A line without its numbers and its spacing."""
+    return NUMBER.sub("#", " ".join(line.split()))
 
 
 def last_digit(number: str) -> float:
@@ -256,15 +261,19 @@ def alike_pictures(shown: Path, created: Path, exact: bool = False) -> bool:
 
 
 def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
-    """The text of a page with its output blocks replaced; blocks with a line of … are left, and named if they differ."""
+    """The text of a page with its output blocks replaced.
+
+    In a block with a line of …, the lines with the same words are replaced; it is named if that is not enough.
+    """
     lines = path.read_text(encoding="utf-8").splitlines()
     for block, printed in reversed(outputs):
+        end, new = block.line + block.text.count("\n"), printed.rstrip().splitlines()
         if ANY_LINES in block.text.splitlines():
-            if message := difference(block.text, printed):
+            same_words = {words_of(line): line.rstrip() for line in reversed(new)}
+            new = [same_words.get(words_of(line), line) for line in block.text.splitlines()]
+            if message := difference("\n".join(new), printed):
                 print(f"{path}, line {block.line}: CHANGE BY HAND: {message}\n{printed}")
-            continue
-        end = block.line + block.text.count("\n")
-        lines[block.line : end] = printed.rstrip().splitlines()
+        lines[block.line : end] = new
     return "\n".join(lines) + "\n"
 
 
