@@ -92,7 +92,8 @@ def view_words(display: dict[str, Any], result: dict[str, Any], columns: float |
     words, chosen = [], result.get("chosen") or {}
     if display["raster"] == "fixed_size":
         dots = f"shown on {display['dots']} dots" + (" (from the sensor's pixels)" if "dots" in chosen else "")
-        words.append(dots if columns is None else f"{dots}, {columns / display['dots']:.2g} pixels a dot")
+        a_dot = "" if columns is None else f"{columns / display['dots']:.2g}"
+        words.append(f"{dots}, {a_dot} pixel{'s' * (a_dot != '1')} a dot" if a_dot else dots)
     parameters = result["irradiance"].get("parameters")
     if isinstance(parameters, dict) and MAX_LP_PER_MM in parameters:
         limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""
