@@ -20,6 +20,7 @@ from helpers.tiny import rows, tiny
 import pixsim
 from pixsim.base.parameters import Study
 from pixsim.optics.diffraction import diffraction_otf
+from pixsim.scene.scene import packaged_scenes
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.preparation import (
@@ -375,12 +376,12 @@ def test_cost_is_text_of_two_digits() -> None:
 
 def test_study_of_scene_without_white_estimates_it(tmp_path: Path) -> None:
     """As a run does."""
-    scenes = Path(pixsim.__file__).parents[1] / "scenes"
+    scenes = packaged_scenes()["macbeth"].parent
     shutil.copytree(scenes / "spectra", tmp_path / "spectra")
     own, text = tmp_path / "own.xml", (scenes / "macbeth.xml").read_text(encoding="utf-8")
     own.write_text("\n".join(line for line in text.splitlines() if "white_cd_per_m2" not in line), encoding="utf-8")
     study = tiny(scene={"file": str(own), "parameters": {}}, pitch={"values_um": [20, 24, 28, 32, 40]}).model_dump(mode="json")
-    study["scene"]["parameters"] = {"resolution": 48, "spp": 4}
+    study["resolution"], study["scene"]["parameters"] = 48, {"spp": 4}
     with pytest.warns(UserWarning, match="does not define its white"):
         result = pixsim.study(Study.model_validate(study), tmp_path / "out", jobs=1)
     assert result.irradiance.header["luminance_cd_per_m2"] > 0
