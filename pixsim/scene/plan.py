@@ -95,7 +95,7 @@ class Plan:
 
     @property
     def cells_in_time(self) -> float:
-        """Film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
+        """Number of film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
         fewest = self.spp if self.given_spp else rules.FEWEST_OF_A_PATH if self.chart is None else rules.FEWEST_OF_A_CHART
         return self.most_samples / (fewest * self.passes * FEWEST_RENDERS)
 
