@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.documents import MADE_ON, ROOT, Page, alike_pictures, blocks_of, difference, differs_from_made_on, updated
+from helpers.documents import MADE_ON, ROOT, Page, alike_pictures, blocks_of, difference, differs_from_made_on, first_study, updated
 
 import pixsim
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Study
@@ -85,18 +85,10 @@ def test_page_blocks_are_all_checked(path: Path) -> None:
 @pytest.mark.slow
 def test_readme_first_study_gives_shown_output(exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first study of README gives the output and the first picture that it shows."""
-    here = (".ci", "tests/docs/test_d")
-    first, printed = (block for block in blocks_of(text_of(README)) if block.comments.get("elsewhere", "").startswith(here))
-    command = re.search(r"\.venv/bin/(pixsim study .*)", first.text)[1]
-    page = tmp_path / "page.md"
-    picture = next(line for line in text_of(README).splitlines() if line.startswith("!["))
-    created = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
-    parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {created} -->\n{picture}"]
-    page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
-    shown = Page(page, tmp_path, exact)
+    shown = Page(first_study(README, tmp_path), tmp_path, exact)
     shown.check()
-    ((_, drawn),) = shown.pictures
-    assert alike_pictures(ROOT / re.search(r"\(([^)]+)\)", picture)[1], drawn, exact)
+    ((picture, drawn),) = shown.pictures
+    assert alike_pictures(ROOT / picture.relative_to(tmp_path), drawn, exact)
 
 
 # --- Glossary of the paper's terms ---------------------------------------------------------------------------------------

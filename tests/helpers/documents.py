@@ -269,16 +269,48 @@ def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
     for block, printed in reversed(outputs):
         end, new = block.line + block.text.count("\n"), printed.rstrip().splitlines()
         if ANY_LINES in block.text.splitlines():
-            same_words = {words_of(line): line.rstrip() for line in reversed(new)}
-            new = [same_words.get(words_of(line), line) for line in block.text.splitlines()]
+            same_words = {words_of(line): line.rstrip() for line in reversed(new)}  # "ISO 15739" and "ISO 12232" have the same
+            new = [line if line in new else same_words.get(words_of(line), line) for line in block.text.splitlines()]
             if message := difference("\n".join(new), printed):
                 print(f"{path}, line {block.line}: CHANGE BY HAND: {message}\n{printed}")
         lines[block.line : end] = new
     return "\n".join(lines) + "\n"
 
 
+def first_study(readme: Path, folder: Path) -> Path:
+    """Write a page with README's first study alone: its command, which other blocks of README do not repeat, output and picture."""
+    here = (".ci", "tests/docs/test_d")
+    text = readme.read_text(encoding="utf-8")
+    first, printed = (block for block in blocks_of(text) if block.comments.get("elsewhere", "").startswith(here))
+    command = re.search(r"\.venv/bin/(pixsim study .*)", first.text)[1]
+    picture = next(line for line in text.splitlines() if line.startswith("!["))
+    created = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
+    parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {created} -->\n{picture}"]
+    page = folder / "first_study.md"
+    page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    return page
+
+
+def update_first_study(readme: Path) -> None:
+    """Replace README's first output and its picture."""
+    with tempfile.TemporaryDirectory() as folder:
+        page = Page(first_study(readme, Path(folder)), Path(folder))
+        old = page.path.read_text(encoding="utf-8")
+        page.run()
+        (block, _), text = page.outputs[0], readme.read_text(encoding="utf-8")
+        new = next(other.text for other in blocks_of(updated(page.path, page.outputs)) if "output" in other.comments)
+        assert old.count(block.text) == 1
+        assert text.count(block.text) == 1
+        readme.write_text(text.replace(block.text, new), encoding="utf-8")
+        ((_, created),) = page.pictures
+        shown = next(other for other in blocks_of(old) if other.language == "picture")
+        shutil.copyfile(created, readme.parent / shown.text)
+
+
 def main(pages: list[str]) -> None:
     for name in pages:
+        if Path(name).resolve() == ROOT / "README.md":
+            update_first_study(Path(name))
         with tempfile.TemporaryDirectory() as folder:
             page = Page(Path(name), Path(folder))
             page.run()
