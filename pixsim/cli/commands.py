@@ -151,7 +151,8 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
     lines += [f"warning: {note}" for note in plan.warnings]
     lines.append(
-        f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples (scene file: {plan.full_spp}); "
+        f"{'no samples' if plan.exact else f'{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples'} "
+        f"(scene file: {plan.full_spp}); "
         f"relative error of the mean electrons at most {plan.bound_e:.1e}{'' if plan.bounded else ' plus unknown terms'}, "
         f"tolerance {plan.tolerance_e:g}"
     )

@@ -77,10 +77,15 @@ def score_line(result: dict[str, Any]) -> str:
 
 def film_words(film: dict[str, Any]) -> str:
     """Return the film of a result, the largest error of mean ΔE that it may cause, and why it is not finer if that is too large."""
-    error = "unknown" if film["delta_e"] is None else f"at most {film['delta_e']:.1g} ΔE"
     height, width = film["shape"]
-    too_large = "" if film["met"] else f", more than the {min(film['tolerated_delta_e']):.2g} tolerated: {film['limit']}"
-    return f"film of {width} × {height} samples, its error {error}{too_large}"
+    words = f"film of {width} × {height} samples, its error"
+    if film["met"]:
+        return f"{words} at most {film['delta_e']:.1g} ΔE"
+    tolerated = min(film["tolerated_delta_e"])
+    if film["delta_e"] is None:
+        return f"{words} unknown, {tolerated:.2g} tolerated: {film['limit']}"
+    error, most = told_apart(film["delta_e"], tolerated, 1)
+    return f"{words} at most {error} ΔE, more than the {most} tolerated: {film['limit']}"
 
 
 def view_words(display: dict[str, Any], result: dict[str, Any], columns: float | None = None) -> list[str]:

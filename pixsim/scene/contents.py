@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -486,8 +486,27 @@ def check_textures(state: Any, folder: Path) -> None:
                     raise invalid(what, got, "finite texels of 0 or more")
 
 
-def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:
-    """Return the texels of an emitter's neutral EXR, or one texel of value 1 if it has no picture.
+BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}
+KNOWN_OF_BITMAPS = {"filename", "raw", "wrap_mode", "filter_type", "to_uv"}
+
+
+@dataclass(frozen=True)
+class EmittedPicture:
+    """The picture of an emitter.
+
+    texels : (rows, columns), as in the file
+    along_u, along_v : 1, or -1 if columns or rows run against the shape's u or v
+    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if they are not interpolated linearly
+    """
+
+    texels: Array = field(repr=False)
+    along_u: float = 1.0
+    along_v: float = 1.0
+    beyond: Literal["edge", "wrap", "symmetric"] | None = "edge"
+
+
+def emitted_picture(state: Any, emitter: Any, folder: Path) -> EmittedPicture | None:
+    """Return an emitter's neutral EXR, or one texel of value 1 if it has no picture.
 
     Returns None if the picture is of another kind, rotated, repeated or not centred.
     """
@@ -499,7 +518,7 @@ def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:
             return None
         texture = nested[0] if nested else None
     if texture is None:
-        return np.ones((1, 1))
+        return EmittedPicture(np.ones((1, 1)))
     node = state.nodes[texture]
     to_uv = matrix_of(node, "to_uv")
     if "filename" not in node.props:
@@ -508,4 +527,7 @@ def emitted_picture(state: Any, emitter: Any, folder: Path) -> Array | None:
     whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
     if path.suffix.lower() != ".exr" or not whole:
         return None
-    return next(iter(read_channels(path)[0].values())).astype(float)
+    linear = node.props.get("filter_type", "bilinear") == "bilinear" and set(node.props.keys()) <= KNOWN_OF_BITMAPS
+    beyond = BEYOND.get(str(node.props.get("wrap_mode", "repeat"))) if linear else None
+    texels = next(iter(read_channels(path)[0].values())).astype(float)
+    return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond)

@@ -83,6 +83,10 @@ def render_until(
     Returns the irradiance, with the noise in its header, and the noise.
     """
     job, start = Renderer(scene, camera, plan, seed, keep=keep), time.perf_counter()
+    if plan.exact:
+        pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
+        noise = RenderNoise(0.0, 0.0, render_noise, 1, "target")
+        return job.image(pictures, spp, render_noise=asdict(noise)), noise
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0, 0, 0.0, 0
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")

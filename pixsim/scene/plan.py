@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
@@ -47,7 +48,7 @@ class Plan:
     white_cd_per_m2 : luminance of texel value 1 of an emissive chart, or None
     lens : "thinlens", or "perspective" if the aperture need not be sampled
     integrator : plugin and its parameters, or None for that of the scene
-    spp : samples per film cell in each pass
+    spp : samples per film cell in each pass; 0 for cells that are computed exactly from the texels of a chart
     diffraction : whether diffraction is computed
     regular_tables : whether tables with equal steps are converted to regular spectra
     decisions : each with its reason; `bound_e` is the sum of their error bounds
@@ -89,6 +90,11 @@ class Plan:
         return sum(len(light.fit.pulses) for light in self.lights)
 
     @property
+    def exact(self) -> bool:
+        """Whether film cells are computed from a chart's texels, without samples."""
+        return self.spp == 0
+
+    @property
     def most_samples(self) -> int:
         """Limit of the samples of all renders together, in place of a time limit: it does not depend on the machine."""
         return film.PATH_SAMPLES if self.chart is None else film.CHART_SAMPLES
@@ -96,6 +102,8 @@ class Plan:
     @property
     def cells_in_time(self) -> float:
         """Number of film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
+        if self.exact:
+            return math.inf
         fewest = self.spp if self.given_spp else rules.FEWEST_OF_A_PATH if self.chart is None else rules.FEWEST_OF_A_CHART
         return self.most_samples / (fewest * self.passes * FEWEST_RENDERS)
 
@@ -308,13 +316,29 @@ def make_plan(
     physics = derive(pixel)
     options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full}
     plan = make_render_plan(scene, camera, pixel, **options)
+    if exact := display is not None and not full and can_be_exact(plan):
+        plan = exactly(plan)
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
     if resolution:
         plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
+        plan = exactly(plan) if exact else plan
     exposure = exposure or Exposure()
     longest_s = exposure.integration_s or exposure.max_integration_s
     more = sampling, decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full)
     return replace(plan, resolution=resolution, decisions=(*plan.decisions, *more))
+
+
+def can_be_exact(plan: Plan) -> bool:
+    """Return whether film cells can be computed from the texels of a chart in focus, seen straight, without samples."""
+    straight = plan.integrator is not None and plan.integrator.get("max_depth") == 1
+    return plan.chart is not None and plan.chart.beyond is not None and straight and not plan.given_spp
+
+
+def exactly(plan: Plan) -> Plan:
+    """Return the plan with film cells that are computed, not sampled. Raises nothing; `can_be_exact` must hold."""
+    reason = "none: each film cell is the exact mean of the chart, which is linear between its texels"
+    exact = Decision("texture samples", False, reason, f"all {plan.full_spp} samples, and their noise")
+    return replace(plan, spp=0, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
 
 
 def decide_oversampling(

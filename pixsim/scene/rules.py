@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, strips
 from pixsim.base.parameters import Camera, Pixel
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.diffraction import diffract
@@ -35,38 +35,35 @@ DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart that fills the film.
+    """A chart that fills the film, interpolated linearly between the centres of its texels, as Mitsuba does.
 
-    texels : (rows, columns), or None if it is uniform
+    texels : (rows, columns), as the film shows them: from the top left
     texels_per_sample : (vertical, horizontal) texels per sample of the film
     shape : (H, W) of the film
+    beyond : what continues the texels beyond their sides, a mode of `np.pad`; None if Mitsuba does not interpolate them linearly
     """
 
-    texels: Array | None = field(repr=False)
+    texels: Array = field(repr=False)
     texels_per_sample: tuple[float, float]
     shape: tuple[int, int]
+    beyond: Literal["edge", "wrap", "symmetric"] | None = "edge"
 
-    def picture(self, shape: tuple[int, int], part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
-        """Return cell means on a film of that shape, or on a part of it; the film shows the middle of a larger chart."""
-        values = np.ones((1, 1)) if self.texels is None else self.texels
-        # Begin with the axis that shrinks more, which leaves less work for the other.
-        for axis in sorted((0, 1), key=lambda axis: shape[axis] / values.shape[axis]):
-            count, film, n = shape[axis], self.shape[axis], values.shape[axis]
-            covered = min(self.texels_per_sample[axis] * film, n) if self.texels is not None else n
-            first, stop, _ = part[axis].indices(count)
-            edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count
-            running = np.concatenate([np.zeros_like(np.take(values, [0], axis)), np.cumsum(values, axis)], axis)
-            # The running integral is linear between texel borders.
-            index = np.minimum(edges.astype(int), n - 1)
-            over = np.expand_dims(edges - index, 1 - axis)
-            low, high = np.take(running, index, axis), np.take(running, index + 1, axis)
-            values = np.diff(low + over * (high - low), axis=axis) * (count / covered)
-        return values
+    def picture(self, part: tuple[slice, slice] = (WHOLE, WHOLE)) -> Array:
+        """Return the exact mean of each film cell, (H, W), or of a part of the film; it shows the middle of a larger chart."""
+        padded = np.pad(self.texels, 1, self.beyond or "edge")
+        down, across = (
+            _cell_weights(count, n, per_sample, which)
+            for count, n, per_sample, which in zip(self.shape, self.texels.shape, self.texels_per_sample, part, strict=True)
+        )
+        picture = np.empty((down.shape[0], across.shape[0]))
+        for rows in strips(*picture.shape):  # the matrices are sparse; strips save memory
+            picture[rows] = (across @ (down[rows] @ padded).T).T
+        return picture
 
     @cached_property
     def details(self) -> float:
         """Half periods of the chart's finest detail across the film: frequencies up to it have `RESOLVED` of the variance."""
-        if self.texels is None or self.uniform:
+        if self.uniform:
             return 1.0
         found = []
         for axis, n in enumerate(self.texels.shape):
@@ -83,7 +80,34 @@ class Chart:
 
     @property
     def uniform(self) -> bool:
-        return self.texels is None or float(np.ptp(self.texels)) == 0.0
+        return float(np.ptp(self.texels)) == 0.0
+
+
+def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice) -> Any:
+    """Return the weights of texels in the means of film cells along one axis, a sparse matrix (cells, n + 2).
+
+    Between the centres of texels, the chart is linear: a texel's value is weighted with the integral of a tent of unit area.
+
+    count, n : of cells and texels; column 0 and the last are the texels beyond the sides
+    which : cells to return
+    """
+    from scipy.sparse import csr_array  # imported here, since it takes time
+
+    covered = min(texels_per_sample * count, n)
+    first, stop, _ = which.indices(count)
+    edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count + 0.5  # the centre of texel i is at i + 1
+    low, high = edges[:-1, None], edges[1:, None]
+    touched = np.floor(low).astype(int) + np.arange(math.ceil(covered / count) + 2)
+
+    def below(edge: Array) -> Array:
+        """Area of each tent below an edge."""
+        side = np.clip(edge - touched, -1.0, 1.0)
+        return np.where(side < 0, (1 + side) ** 2, 2 - (1 - side) ** 2) / 2
+
+    weights = (below(high) - below(low)) * (count / covered)
+    inside = (weights != 0) & (touched < n + 2)
+    rows = np.broadcast_to(np.arange(stop - first)[:, None], weights.shape)
+    return csr_array((weights[inside], (rows[inside], touched[inside])), shape=(stop - first, n + 2))
 
 
 def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, float]:
@@ -98,7 +122,6 @@ def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, floa
 
 def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
     """Return the RMS relative error of cell means from correlated multi-jittered samples (Kensler 2013) in random cells."""
-    assert chart.texels is not None
     rng, side = np.random.default_rng(seed), round(spp**0.5)
     spans = zip(chart.texels.shape, chart.texels_per_sample, strict=True)
     corner = [rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in spans]
@@ -117,7 +140,6 @@ def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
     """Return means over samples at fractions (v, u) of cells that begin at `corner` texels, (cells,)."""
     from scipy.ndimage import map_coordinates  # imported here, since it takes 0.05 s
 
-    assert chart.texels is not None
     places = zip(corner, (v, u), chart.texels_per_sample, strict=True)
     at = [first[:, None] + fraction * size - 0.5 for first, fraction, size in places]
     return np.asarray(map_coordinates(chart.texels, at, order=1, mode="nearest").mean(axis=1))
@@ -135,7 +157,7 @@ def diffraction_effect(
         return 0.0
 
     def change(part: tuple[slice, slice], border: int) -> float:
-        picture = chart.picture(chart.shape, part)
+        picture = chart.picture(part)
         blurred = diffract(picture, pitch_um, wavelength_nm, weight, f_number)
         inner = tuple(slice(border, -border) if n > 2 * border > 0 else WHOLE for n in picture.shape)
         return float((np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max()))[inner].max())
@@ -147,7 +169,6 @@ def diffraction_effect(
 
 def _steepest(chart: Chart) -> tuple[slice, slice]:
     """Return a part of the film, at most `TRIED_SIDE` samples a side, around the largest step between texels."""
-    assert chart.texels is not None
     steps = [np.abs(np.diff(chart.texels, axis=axis)) for axis in (0, 1)]
     place = max((step for step in steps if step.size), key=lambda step: float(step.max()))
     at = np.unravel_index(int(place.argmax()), place.shape)
@@ -284,11 +305,14 @@ def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], sha
     covers = all(v <= h * (1 + ALIGNED) for v, h in zip(view, half, strict=True))
     if not (upright and centred and covers and abs(body.normal[2]) > 1 - 1e-9):
         return None
-    texels = emitted_picture(state, emitters[0][1], folder)
-    if texels is None:
+    picture = emitted_picture(state, emitters[0][1], folder)
+    if picture is None:
         return None
+    # Rows of a film run down, columns to the right; y of the camera's frame points up, x to the left.
+    texels = picture.texels[:: -1 if up[1] * picture.along_v > 0 else 1, :: -1 if across[0] * picture.along_u > 0 else 1]
     per_sample = tuple(v / h * n / film for v, h, n, film in zip(view, half, texels.shape, shape, strict=True))
-    return Chart(texels, (per_sample[0], per_sample[1]), shape)
+    seen = body.normal[2] < 0 and not any(n.props.get("hide_emitters", False) for _, n in nodes_of(state, "Integrator"))
+    return Chart(np.ascontiguousarray(texels), (per_sample[0], per_sample[1]), shape, picture.beyond if seen else None)
 
 
 def decide_samples(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
@@ -185,26 +185,29 @@ def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random
 
 
 def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
-    """Return the frame of `read_out` and its saturated fraction, as `Frame` defines it."""
-    p = sensor.physics
-    charge = mean_e if sensor.gain is None else mean_e * sensor.gain
+    """Return the frame of `read_out` and its saturated fraction, as `Frame` defines it.
+
+    A few rows at a time, which keeps the work arrays small; all shot noise is drawn before all read noise.
+    """
+    p, generated = sensor.physics, np.empty(mean_e.shape)
     mean_dark_e = p.dark_current_e_per_s * integration_s
-    if mean_dark_e:
-        dark = mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain
-        charge = np.add(charge, dark, out=None if charge is mean_e else charge)
-    generated = shot_noise(charge, rng)
+    for rows in strips(*mean_e.shape):
+        charge = mean_e[rows] if sensor.gain is None else mean_e[rows] * sensor.gain[rows]
+        if mean_dark_e:
+            charge = charge + (mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain[rows])
+        generated[rows] = shot_noise(charge, rng)
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the top code.
-    saturated = generated >= saturation_level_e(integration_s, p)
-    level = stored_signal_e(generated, integration_s, p)
-    noise_e = _gaussian_map(math.hypot(p.reset_noise_e, p.read_noise_e), level.shape, rng)
-    for offset_e in (noise_e, sensor.offset_e, sensor.column_offset_e):
-        if offset_e is not None:
-            level += offset_e
-    level *= p.dn_per_e
-    level += p.pixel.black_level_dn
-    dn = quantise(level, p.pixel.bits)
-    saturated |= dn >= 2**p.pixel.bits - 1
-    return dn, float(np.mean(saturated))
+    full_e, top_dn, saturated = saturation_level_e(integration_s, p), 2**p.pixel.bits - 1, 0
+    noise_e, dn = math.hypot(p.reset_noise_e, p.read_noise_e), np.empty(mean_e.shape, np.int32)
+    for rows in strips(*mean_e.shape):
+        level = stored_signal_e(generated[rows], integration_s, p)
+        offset_e = None if sensor.offset_e is None else sensor.offset_e[rows]
+        for added_e in (_gaussian_map(noise_e, level.shape, rng), offset_e, sensor.column_offset_e):
+            if added_e is not None:
+                level = level + added_e
+        dn[rows] = quantise(level * p.dn_per_e + p.pixel.black_level_dn, p.pixel.bits)
+        saturated += int(np.count_nonzero((generated[rows] >= full_e) | (dn[rows] >= top_dn)))
+    return dn, saturated / max(dn.size, 1)
 
 
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
