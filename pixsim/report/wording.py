@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pixsim.base.notes import told_apart
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, within_words
