@@ -217,7 +217,7 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
 
 
 def test_run_notes_reach_score_page_and_json(tmp_path):
-    line = f"run csf --variant scalar_spectral -D resolution=64 {OPTIONS} --max-seconds 1e-3 --render-noise 1e-5"
+    line = f"run csf --variant scalar_spectral --resolution 64 -D spp=16 {OPTIONS} --max-seconds 1e-3 --render-noise 1e-5"
     score, err = scored(f"{line} --json --out {tmp_path / 'out'}")
     noisy, dark = score["notes"]
     fraction = score["render_noise"]["fraction"]

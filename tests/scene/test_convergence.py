@@ -294,7 +294,8 @@ def test_render_until_progress_reports_noise():
 
 
 def test_render_until_header_has_noise_and_plan(tmp_path):
-    run = f"run csf --variant scalar_spectral -D resolution=64 --display.dots 64 --pixel.pitch-um 21.2 --json --out {tmp_path}"
+    small = "--variant scalar_spectral --resolution 64 -D spp=16 --display.dots 64 --pixel.pitch-um 21.2"
+    run = f"run csf {small} --json --out {tmp_path}"
     code, out, err = command(run)
     assert (code, err) == (0, "")
     message = json.loads(out)
