@@ -188,8 +188,6 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
 
     options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
 
-    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
-
     Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
     """
     options = dict(options or {})
@@ -255,38 +253,31 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
 def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
     """Layers of a study with the data sheets among its technologies: TOML files with a table [pixel], each a sensor of its own.
 
-    Options of the pixel replace values of each sheet, and the study's [pixel] has what a sheet leaves open. If all technologies are
-    data sheets, the pitches go from a quarter of the smallest to four times the largest, unless the study sets a range.
+    A sheet that the study's [sensors] has already, as in settings.toml, is not read again. Options of the pixel replace values of
+    each sheet, and the study's [pixel] has what a sheet leaves open. If all technologies are data sheets, the pitches go from a
+    quarter of the smallest to four times the largest, unless the study sets a range.
 
     Raises PixsimError if a sheet is invalid.
     """
     study = merged(layers)
-    quick = study.get("quick")
-    listed = [
-        part["technologies"] for part in (study, quick) if isinstance(part, dict) and isinstance(part.get("technologies"), list)
-    ]
-    sheets: dict[str, Layer] = {}
-    for name in dict.fromkeys(name for names in listed for name in names if isinstance(name, str)):
-        if (
-            name.endswith(".toml")
-            and Path(name).is_file()
-            and isinstance((layer := settings_layer(Path(name))).table.get("pixel"), dict)
-        ):
-            sheets[name] = layer
-    if not sheets:
-        return layers
+    listed = [part["technologies"] for part in (study, study.get("quick")) if isinstance(part, dict) and "technologies" in part]
+    names = dict.fromkeys(name for part in listed if isinstance(part, list) for name in part if isinstance(name, str))
+    known = study.get("sensors")
     sensors = {}
-    for name, layer in sheets.items():
-        if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
-            warnings.warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}", stacklevel=3)
-        below = [Layer({"pixel": study.get("pixel", {})})]
-        settings: Run = checked(
-            Run, [*below, Layer({"pixel": layer.table["pixel"]}, layer.source), Layer({"pixel": pixel_options})]
-        )
+    for name in names:
+        if isinstance(known, dict) and name in known:  # settings.toml states the values, whatever the file says now
+            sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
+        elif name.endswith(".toml") and Path(name).is_file() and "pixel" in (layer := settings_layer(Path(name))).table:
+            if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
+                warnings.warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}", stacklevel=3)
+            sheet = [Layer({"pixel": study.get("pixel", {})}), Layer({"pixel": layer.table["pixel"]}, layer.source)]
+        else:
+            continue
+        settings: Run = checked(Run, [*sheet, Layer({"pixel": pixel_options})])
         if settings.pixel.assumption:
             warnings.warn(f"{name}: {settings.pixel.assumption}", stacklevel=3)
         sensors[name] = settings.pixel.model_dump()
-    return [*layers, Layer({"sensors": sensors})]
+    return [*layers, Layer({"sensors": sensors})] if sensors else layers
 
 
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
@@ -325,12 +316,14 @@ def settings_text(record: Record, command: str, **changes: Any) -> str:
     import tomli_w  # takes 10 ms
 
     table = record.model_dump(mode="json", exclude_none=True, exclude={"quick"}) | changes
-    if isinstance(pixel := table.get("pixel"), dict) and "technology" in pixel:
-        table["pixel"] = pixel | {"technology": whole_path(pixel["technology"])}
     if "technologies" in table:
         table["technologies"] = [whole_path(name) for name in table["technologies"]]
-    if "process" in table:
-        table["process"] = {whole_path(name): numbers for name, numbers in table["process"].items()}
+    for by_name in ("process", "sensors"):
+        if by_name in table:
+            table[by_name] = {whole_path(name): values for name, values in table[by_name].items()}
+    for pixel in (table.get("pixel", {}), *table.get("sensors", {}).values()):
+        if "technology" in pixel:
+            pixel["technology"] = whole_path(pixel["technology"])
     used = {name: value for name, value in table.items() if value not in (None, {}, "")}
     return f"# The settings of this folder. The same numbers again, bit for bit:\n# {command}\n\n{tomli_w.dumps(used)}"
 

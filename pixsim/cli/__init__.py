@@ -53,7 +53,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except OSError as error:
         end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
     except MemoryError:
-        end("the system is out of memory; use a coarser film (-D resolution=512), larger pixels or fewer --jobs", UNEXPECTED)
+        end("the system is out of memory; use a coarser film (--resolution 512), larger pixels or fewer --jobs", UNEXPECTED)
     except KeyboardInterrupt as interruption:  # a command that keeps something says so in its text
         end("; ".join(["interrupted", *map(str, interruption.args)]), INTERRUPTED)
     except Exception as error:

@@ -264,7 +264,7 @@ def _hardware(threads: int | None) -> Iterator[Finding]:
     text = f"{_gib(memory.total)} in total, {_gib(memory.available)} free"
     text += "" if memory.limit is None else f", {_gib(memory.limit)} allowed by the container"
     little = memory.usable is not None and memory.usable < MEMORY_GIB * cache.GIB
-    fix = "pixsim run SCENE -D resolution=512" if little else None
+    fix = "pixsim run SCENE --resolution 512" if little else None
     yield Finding("machine", "memory", NOTE if little else OK, text, fix, dict(vars(memory)))
 
 

@@ -287,7 +287,7 @@ def definitions(pairs: list[str] | None, linear: bool = False) -> dict[str, str]
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not (name and equals):
-            raise PixsimError(f"-D: got '{pair}'; allowed: name=value, as in -D resolution=512.")
+            raise PixsimError(f"-D: got '{pair}'; allowed: name=value, as in -D spp=64.")
         table[name.strip()] = value
     return table or None
 
