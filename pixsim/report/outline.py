@@ -12,7 +12,6 @@ from pixsim.base.parameters import Camera, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import view_words
 from pixsim.sensor.integration import pixels_along
-from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.technology import label_of
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.preparation import (
@@ -21,6 +20,7 @@ from pixsim.studies.preparation import (
     Cost,
     die_um,
     duration_words,
+    first_film,
     frame_cost,
     render_cost,
     study_cost,
@@ -57,7 +57,7 @@ def run_outline(
         scene, camera, settings, chosen = prepared_run(source, settings, sensor, variant)
         options: dict[str, Any] = {"display": settings.display, "tolerance_e": settings.tolerance_e, "full": full}
         plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, **options)
-        outline["film"] = film_of(scene, camera, plan, plan.resolution)
+        outline["film"] = film_of(scene.with_resolution(plan.resolution) if plan.resolution else scene, camera, plan)
         header, view = {"parameters": scene.parameters}, chosen.as_dict()
         cost = render_cost(plan, math.prod(outline["film"]["samples"]), processors().usable)
     frame = frame_cost(camera, pitch_um, settings.display)
@@ -74,13 +74,9 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     jobs : processes; None means as many as it would take
     asked : the study before it was prepared, for the window that would take less than a minute
     """
-    from pixsim.scene.plan import decide_oversampling, make_render_plan
-
-    study, scene, camera = prepared.study, prepared.scene, prepared.camera
-    plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
-    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-    finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
-    film = film_of(scene, camera, plan, decide_oversampling(scene, plan, camera, finest, study.display, full=False)[0])
+    study, camera = prepared.study, prepared.camera
+    scene, plan = first_film(study, prepared.scene, camera)
+    film = film_of(scene, camera, plan)
     cells = math.prod(film["samples"])
     cost = study_cost(study, camera, plan, cells, jobs)
     sensors = []
@@ -119,13 +115,12 @@ def common(
     } | ({"window_mm": settings.window_mm} if settings.window_mm else {})
 
 
-def film_of(scene: Scene, camera: Camera, plan: Plan, resolution: int | None) -> dict[str, Any]:
+def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
     """Return the film of a plan: its samples, rows and columns, their pitch, and the rays of each.
 
-    resolution : chosen for the pixels, the lens and the display; None for that of the scene
+    scene : on that film
     """
-    chosen = scene.with_resolution(resolution) if resolution else scene
-    height, width = chosen.film_shape(camera, chosen.for_camera(camera))
+    height, width = scene.film_shape(camera, scene.for_camera(camera))
     return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
 
 

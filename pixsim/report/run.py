@@ -138,7 +138,6 @@ def shown_picture(path: Path, luminance: Array, name: str) -> Picture:
     return Picture(grey_codes(reduced(luminance)), name)
 
 
-NO_TIME_LIMIT_S = 1e9
 Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
 PICTURE_SUFFIXES = (".exr", ".npz", ".hdr")
 
@@ -295,26 +294,23 @@ def _prepare(
     source: str, settings: Run, full: bool, sensor: str | None, variant: str | None, progress: Stage
 ) -> Callable[[], Light]:
     """Check everything that can be checked before a render, and return the function that renders."""
-    from pixsim.scene.convergence import RenderNoise, render_until
+    from pixsim.scene.convergence import without_clock
     from pixsim.scene.plan import Plan, make_plan
     from pixsim.scene.scene import packaged_scenes
     from pixsim.sensor.pixel import derive
-    from pixsim.studies.oversampling import FilmError, cached_film_error, film_for_tolerance, render_on_film
+    from pixsim.studies.oversampling import render_and_measure
 
     scene, camera, settings, view = prepared_run(source, settings, sensor, variant)
     named = source if source in packaged_scenes() else str(scene.path)
-    kept = settings.model_copy(update={"scene": scene_table(scene.path.parent, settings.scene)})
+    asked = settings
     settled: Settled | None = None
-    free = False
     if settings.tolerance_delta_e:
         from pixsim.studies.budget import Setup, settle
 
         progress("calibrate")
-        free = scene.resolution is None
         settled = settle(scene, camera, Setup.of(settings, camera), settings.tolerance_delta_e)
         chosen = {"render_noise": settled.choice.render_noise, "tolerance_e": settled.choice.tolerance_e}
-        scene, settings = settled.scene, settings.model_copy(update=chosen)
-    tolerance_delta_e = settings.tolerance_delta_e
+        scene, settings = settled.scene, settings.model_copy(update=chosen | {"resolution": settled.scene.resolution})
 
     def plan_of(scene: Scene) -> Plan:
         display = None if settled else settings.display
@@ -325,38 +321,13 @@ def _prepare(
     for note in plan.warnings:
         warnings.warn(note, stacklevel=2)
 
-    def render_with(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
-        limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
-        fixed = scene, camera, plan, [settings.pixel], settings.exposure, settings.seed
-        return render_until(*fixed, progress=progress("render"), keep=True, **limits)
-
-    def measure(image: SpectralImage, plan: Plan) -> FilmError:
-        pixels = [derive(settings.pixel)]
-        if settled and free and tolerance_delta_e:
-            return film_for_tolerance(image, pixels, settled.calibration.film(image.shape[1]).delta_e, tolerance_delta_e)
-        given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": tolerance_delta_e}
-        return cached_film_error(image, camera, pixels, settings.exposure, settings.display, **given)
-
     def render() -> Light:
-        made = render_on_film(
-            scene,
-            camera,
-            plan,
-            render=render_with,
-            plan_of=plan_of,
-            measure=measure,
-            fixed="" if scene.resolution is None else "chosen for the tolerance" if free else "set by --resolution",
-            max_seconds=settings.max_seconds,
-        )
+        options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress("render")}
+        made = render_and_measure(scene, camera, plan, settings, [settings.pixel], [derive(settings.pixel)], **options)
         more: dict[str, Any] = {"render_noise": asdict(made.noise), "plan": made.plan.as_dict(), "film": made.film.as_dict()}
         more |= {"chosen": view.as_dict()} | ({"window_mm": settings.window_mm} if settings.window_mm else {})
-        repeated = kept
-        if settings.max_seconds is not None:  # the clock may have chosen the film
-            repeated = kept.model_copy(update={"resolution": made.image.shape[1]})
-        if made.noise.ended_by == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
-            same: dict[str, Any] = {"render_noise": made.noise.fraction, "max_seconds": NO_TIME_LIMIT_S, "tolerance_delta_e": None}
-            same |= {"tolerance_e": settings.tolerance_e, "resolution": made.image.shape[1]}
-            repeated = kept.model_copy(update=same)
+        repeated = without_clock(asked, settings, made.image)
+        repeated = repeated.model_copy(update={"scene": scene_table(scene.path.parent, repeated.scene)})
         if settled:
             bound_e = made.plan.bound_e if made.plan.bounded else None
             more["error_budget"] = settled.budget(made.noise, bound_e, settled.choice.sensors)

@@ -7,13 +7,13 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from pixsim.base.arrays import Array, strips
 from pixsim.base.notes import told_apart
-from pixsim.base.parameters import Camera, Exposure, Pixel, content_hash
+from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
@@ -144,6 +144,30 @@ def render_until(
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
     return job.image(halves[0], samples, render_noise=rounded), noise
+
+
+NO_TIME_LIMIT_S = 1e9  # not None, which would limit the samples instead
+ROUNDING = 1e-5  # of the noise in an image's header
+Settings = TypeVar("Settings", bound=Effort)
+
+
+def without_clock(asked: Settings, chosen: Settings, image: SpectralImage) -> Settings:
+    """Return the settings that make the same picture again, whatever the clock says; those asked for if they have no time limit.
+
+    A time limit may have ended the render, whose noise is then the target, and may have chosen the film.
+
+    asked : with `max_seconds` as the user gave it
+    chosen : with what a calibration chose for a tolerance of ΔE, which chooses the film too
+    image : of a render with these settings
+    """
+    if asked.max_seconds is None:
+        return asked
+    noise, film = image.header["render_noise"], {"resolution": image.shape[1]}
+    no_limit: dict[str, Any] = {"max_seconds": NO_TIME_LIMIT_S}
+    if noise["ended_by"] == "max_seconds":
+        same = no_limit | film | {"render_noise": noise["fraction"] * (1 + ROUNDING), "tolerance_delta_e": None}
+        return chosen.model_copy(update=same)
+    return asked.model_copy(update=no_limit | ({} if asked.tolerance_delta_e else film))
 
 
 def _pair_progress(progress: Progress | None, number: int, noise: RenderNoise) -> Progress | None:

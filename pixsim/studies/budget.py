@@ -604,12 +604,16 @@ MIN_REPEATS = 2  # of a study: one sensor gives no interval
 
 @dataclass(frozen=True)
 class Settled:
-    """A scene with the film for a tolerance, the other settings, and the calibration behind them."""
+    """A scene with the film for a tolerance, the other settings, and the calibration behind them.
+
+    film_is_free : whether the calibration chose the film, not the user
+    """
 
     scene: Scene
     tolerance_delta_e: float
     calibration: Calibration
     choice: Choice
+    film_is_free: bool
 
     def budget(self, noise: RenderNoise, bound_e: float | None, sensors: int) -> dict[str, Any]:
         """Return the error budget of a finished result, as in score.json and summary.json.
@@ -648,7 +652,7 @@ def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float)
         error, asked = told_apart(choice.expected_delta_e, tolerance_delta_e)
         warnings.warn(f"no settings meet --tolerance-delta-e {asked}: smallest error {error}{hint}", stacklevel=3)
     chosen = scene.with_resolution(choice.width) if free else scene
-    return Settled(chosen, tolerance_delta_e, calibration, choice)
+    return Settled(chosen, tolerance_delta_e, calibration, choice, free)
 
 
 def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Settled]:

@@ -17,16 +17,17 @@ from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Camera, Display, Exposure, content_hash
+from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Run, Study, content_hash
+from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.scene.convergence import RenderNoise
+from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import BLOCK, fitting_width, largest_film
 from pixsim.scene.plan import Plan
 from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import integration_time_s
-from pixsim.studies.budget import FilmSampling, Setup, coarser, film_error, sensor_delta_e, without_warnings
+from pixsim.studies.budget import FilmSampling, Settled, Setup, coarser, film_error, sensor_delta_e, without_warnings
 from pixsim.viewer.display import white_header
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
@@ -248,6 +249,44 @@ class Rendered:
     noise: RenderNoise
     plan: Plan
     film: FilmError
+
+
+def render_and_measure(
+    scene: Scene,
+    camera: Camera,
+    plan: Plan,
+    settings: Run | Study,
+    pixels: Sequence[Pixel | PixelPhysics],
+    measured: Sequence[PixelPhysics],
+    *,
+    plan_of: Callable[[Scene], Plan],
+    settled: Settled | None = None,
+    progress: Progress | None = None,
+) -> Rendered:
+    """Render a scene within the limits of a run or a study, by `render_on_film`.
+
+    settings : with what `settled` chose
+    pixels : with whose noise that of the render is compared
+    measured : pixels for which the error of the film is measured
+    plan, plan_of : as for `render_on_film`
+    settled : a calibration for a tolerance, which has measured the film
+    """
+
+    def render(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
+        limits: dict[str, Any] = {"render_noise": settings.render_noise, "max_seconds": settings.max_seconds}
+        return render_until(scene, camera, plan, pixels, settings.exposure, settings.seed, progress=progress, keep=True, **limits)
+
+    def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        if settled:
+            calibrated = settled.calibration.film(image.shape[1]).delta_e
+            return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
+        tolerance = {"tolerance_delta_e": settings.tolerance_delta_e}
+        return cached_film_error(image, camera, measured, settings.exposure, settings.display, chart=plan.chart, **tolerance)
+
+    fixed = "set by --resolution" if settings.resolution else ""
+    fixed = "chosen for the tolerance" if settled and settled.film_is_free else fixed
+    limits: dict[str, Any] = {"fixed": fixed, "max_seconds": settings.max_seconds}
+    return render_on_film(scene, camera, plan, render=render, plan_of=plan_of, measure=measure, **limits)
 
 
 def render_on_film(

@@ -19,9 +19,10 @@ from pixsim.base.parameters import Camera, Display, PitchRange, Study
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
-from pixsim.scene.plan import Plan
+from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along
+from pixsim.sensor.pixel import physics_of
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import study_pitches_um
 
@@ -174,6 +175,18 @@ def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
 def rounded_up(pitch_um: float) -> float:
     """Return a pitch rounded up to the digits of a study's pitches."""
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
+
+
+def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
+    """Return the scene on the film of its first render, which is fine enough for the study's smallest photodiode, and its plan."""
+    plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+    finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
+    resolution, _ = decide_oversampling(scene, plan, camera, finest, study.display, full=False)
+    if resolution is None:
+        return scene, plan
+    scene = scene.with_resolution(resolution)
+    return scene, make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
 
 
 # Costs on one core of an ordinary machine, for an estimate before a render.

@@ -25,7 +25,16 @@ from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, refer
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import ResultsFile
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
-from pixsim.studies.study import Light, check_pitches, check_technologies, load_study, prepare, render_for, sweep_pitches
+from pixsim.studies.study import (
+    Light,
+    check_pitches,
+    check_technologies,
+    load_study,
+    prepare,
+    render_for,
+    repeating_command,
+    sweep_pitches,
+)
 
 
 class Setting(Record):
@@ -127,13 +136,18 @@ class Case:
 
 @dataclass(frozen=True)
 class SensitivityResult:
-    """The base case and all others, in file order; `notes` are warnings while they were computed."""
+    """The base case and all others, in file order.
+
+    notes : warnings while they were computed
+    variant : of Mitsuba, as asked for; None means the fastest
+    """
 
     sensitivity: Sensitivity
     base: StudyResult
     base_case: Case
     cases: tuple[Case, ...]
     notes: tuple[str, ...] = ()
+    variant: str | None = None
 
     def turning(self, statement: str) -> list[Case]:
         """Return the cases whose verdict on a statement differs from the base's."""
@@ -252,7 +266,7 @@ def run_sensitivity(
         rows: list[tuple[Finding, ...]] = [()] * len(results)
         if base.paper:
             rows = claims(results, workers, stage("claims"))
-    return replace(assemble(sensitivity, results, rows, moves), notes=tuple(sorted(notes)))
+    return replace(assemble(sensitivity, results, rows, moves), notes=tuple(sorted(notes)), variant=variant)
 
 
 def claims(results: list[StudyResult], workers: Workers, progress: Progress) -> list[tuple[Finding, ...]]:
@@ -393,7 +407,7 @@ def write_sensitivity_report(result: SensitivityResult, folder: Path, seconds: d
     name = result.sensitivity.base
     base = name if name in packaged("data/studies") else whole_path(name)
     with output_folder(folder), publishing(folder, "study", {"seconds": seconds}) as unfinished:
-        text = settings_text(result.sensitivity, f"pixsim study {SETTINGS_FILE}", base=base)
+        text = settings_text(result.sensitivity, repeating_command(result.variant), base=base)
         (unfinished / SETTINGS_FILE).write_text(text, encoding="utf-8")
         (page["drawn"],) = write_figures(unfinished, [tornado(result).drawn()])
         write_json(unfinished / "summary.json", result.as_dict())

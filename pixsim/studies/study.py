@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +24,8 @@ from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
-from pixsim.studies.oversampling import FilmError, cached_film_error, film_for_tolerance, render_on_film
-from pixsim.studies.preparation import View, choose_view, die_um, fitted_range, fitting_jobs
+from pixsim.studies.oversampling import FilmError, render_and_measure
+from pixsim.studies.preparation import View, choose_view, die_um, first_film, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import SceneCache
@@ -102,28 +103,27 @@ def checked_study(layers: Sequence[Layer]) -> Study:
     return study
 
 
-NO_TIME_LIMIT_S = 1e9
-ROUNDING = 1e-5  # of the noise in an image's header
-
-
-def repeated_settings(prepared: Prepared, chosen: Study, noise: Mapping[str, Any]) -> str:
+def repeated_settings(prepared: Prepared, chosen: Study, image: SpectralImage) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
     chosen : the study as it was run, with the settings for its tolerance
-    noise : of the render, from the header of its image
+    image : its render
     """
-    scene, kept = prepared.scene, prepared.study
-    if noise["ended_by"] == "max_seconds":  # its noise as the target makes the same picture, whatever the clock says
-        limits = {"render_noise": noise["fraction"] * (1 + ROUNDING), "max_seconds": NO_TIME_LIMIT_S, "tolerance_delta_e": None}
-        kept = chosen.model_copy(update=limits)
+    from pixsim.scene.convergence import without_clock
+
+    scene, kept = prepared.scene, without_clock(prepared.study, chosen, image)
     file = kept.scene.file
     of_scene = {
         "file": file if file in packaged_scenes() else str(scene.path),
         "parameters": scene_table(scene.path.parent, kept.scene.parameters),
     }
     camera = scene.camera(kept.camera).model_dump(exclude_none=True)
-    command = f"pixsim study {SETTINGS_FILE}" + (f" --variant {prepared.variant}" if prepared.variant else "")
-    return settings_text(kept, command, scene=of_scene, camera=camera)
+    return settings_text(kept, repeating_command(prepared.variant), scene=of_scene, camera=camera)
+
+
+def repeating_command(variant: str | None) -> str:
+    """Return the command that repeats a study in the folder of its settings.toml."""
+    return f"pixsim study {SETTINGS_FILE}" + (f" --variant {variant}" if variant else "")
 
 
 def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling) -> Sampling:
@@ -234,45 +234,17 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
     photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
     """
-    from pixsim.scene.convergence import RenderNoise, render_until
-    from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
+    from pixsim.scene.plan import make_render_plan
 
     scene, camera = scene_for(study, variant)
     first = study.technologies[0]
     largest = [physics_of(study, first, study.pitch.max_um)]
-    limits: dict[str, Any] = {"render_noise": study.render_noise, "max_seconds": study.max_seconds}
-    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-    finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
     pitches_um = study_pitches_um(study, first)
     tried = [physics_of(study, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
-
-    def plan_of(scene: Scene) -> Plan:
-        return make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
-
-    def render(scene: Scene, plan: Plan) -> tuple[SpectralImage, RenderNoise]:
-        return render_until(scene, camera, plan, largest, study.exposure, study.seed, progress=progress, keep=True, **limits)
-
-    def measure(image: SpectralImage, plan: Plan) -> FilmError:
-        if settled and study.tolerance_delta_e:
-            return film_for_tolerance(image, tried, settled.calibration.film(image.shape[1]).delta_e, study.tolerance_delta_e)
-        given: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": study.tolerance_delta_e}
-        return cached_film_error(image, camera, tried, study.exposure, study.display, **given)
-
-    plan = plan_of(scene)
-    resolution, _ = decide_oversampling(scene, plan, camera, finest, study.display, full=False)
-    if resolution:
-        scene = scene.with_resolution(resolution)
-        plan = plan_of(scene)
-    made = render_on_film(
-        scene,
-        camera,
-        plan,
-        render=render,
-        plan_of=plan_of,
-        measure=measure,
-        fixed="set by --resolution" if study.resolution else "",
-        max_seconds=study.max_seconds,
-    )
+    scene, plan = first_film(study, scene, camera)
+    plan_of = partial(make_render_plan, camera=camera, tolerance_e=study.tolerance_e)
+    options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}
+    made = render_and_measure(scene, camera, plan, study, largest, tried, **options)
     made.image.header.update(white_header(made.image, camera, study.display))
     return made.image, camera, made.film
 
@@ -386,7 +358,11 @@ def run_prepared(
         for technology in chosen.technologies:
             light_of(chosen, result.scenes, technology)  # whose warnings a resumed study, with all rows, would miss
     noise = irradiance.header["render_noise"]
-    changes: dict[str, Any] = {"warned": tuple(notes), "settings_toml": repeated_settings(prepared, chosen, noise), "film": film}
+    changes: dict[str, Any] = {
+        "warned": tuple(notes),
+        "settings_toml": repeated_settings(prepared, chosen, irradiance),
+        "film": film,
+    }
     if settled is not None:
         sensors = int(result.curves[0].sensors.min())
         changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import shlex
+import tomllib
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.tiny import rows
@@ -14,6 +16,9 @@ from helpers.tiny import rows
 import pixsim
 from pixsim.base.config import packaged, read_toml
 from pixsim.scene.charts import siemens_star, write_chart
+from pixsim.scene.convergence import NO_TIME_LIMIT_S
+from pixsim.studies.result import StudyResult
+from pixsim.studies.study import load_study
 
 SHEET = """
 [pixel]
@@ -103,6 +108,42 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     assert (tmp_path / "again/raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()
 
 
+def repeated(result: StudyResult, folder: Path) -> StudyResult:
+    """The study of a result's settings.toml, in another folder."""
+    folder.mkdir()
+    (folder / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings(action="ignore"):
+        patch.chdir(folder)
+        return pixsim.study("settings.toml", "again", jobs=1)
+
+
+def small_study(desk: Path, name: str, toml: str, **options: object) -> StudyResult:
+    (desk / f"{name}.toml").write_text(f'name = "{name}"\nrepeats = 2\n{toml}', encoding="utf-8")
+    with warnings.catch_warnings(action="ignore"):
+        return pixsim.study(desk / f"{name}.toml", desk / "out", jobs=1, parameters={"spp": 4}, **options)
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "ended_by"),
+    [
+        ("macbeth", {"max_seconds": 1e-9, "render_noise": 1e-3, "resolution": 32}, "max_seconds"),
+        ("flat", {"max_seconds": 1e6}, "target"),
+    ],
+)
+def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
+    scene: str, options: dict[str, float], ended_by: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock may have ended the render, or chosen the film of one that it did not end."""
+    result = small_study(desk, "own", "pitch = { count = 5 }", scene=scene, config="sheet.toml", window_mm=0.5, **options)
+    assert result.irradiance.header["render_noise"]["ended_by"] == ended_by
+    kept = tomllib.loads(result.settings_toml)
+    assert (kept["resolution"], kept["max_seconds"]) == (result.irradiance.shape[1], NO_TIME_LIMIT_S)
+    monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
+    again = repeated(result, tmp_path / "again")
+    assert np.array_equal(again.curves[0].delta_e, result.curves[0].delta_e)
+    assert tomllib.loads(again.settings_toml) == kept
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -122,6 +163,24 @@ def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Pa
     assert read_toml(tmp_path / "again/settings.toml") == read_toml(desk / "out/settings.toml")
 
 
+def test_study_settings_of_data_sheets_make_same_numbers(desk: Path, tmp_path: Path) -> None:
+    """Options replace values of the sheets, and settings.toml has them; the sheets are not read again."""
+    (desk / "part.toml").write_text("[pixel]\ntechnology = 'mine.toml'\npitch_um = 9.0\nread_noise_e = 4.0\n", encoding="utf-8")
+    table = 'technologies = ["sheet.toml", "part.toml"]\n[pitch]\nvalues_um = [8, 10, 14, 20, 28]\n'
+    result = small_study(desk, "two", table, scene="flat", pixel={"bits": 6}, camera={"die_mm": 1}, resolution=64)
+    kept = tomllib.loads(result.settings_toml)
+    assert list(kept["sensors"]) == kept["technologies"] == [str(desk / "sheet.toml"), str(desk / "part.toml")]
+    (desk / "sheet.toml").write_text(SHEET.replace("12000", "50000"), encoding="utf-8")
+    (desk / "part.toml").unlink()
+    again = repeated(result, tmp_path / "again")
+    for first, second in zip(result.curves, again.curves, strict=True):
+        assert np.array_equal(first.delta_e, second.delta_e)
+    assert tomllib.loads(again.settings_toml) == kept
+    assert {sensor.bits for sensor in again.study.sensors.values()} == {6}
+    other = load_study(tmp_path / "again/settings.toml", pixel={"bits": 8})
+    assert {(sensor.bits, sensor.full_well_e) for sensor in other.sensors.values()} == {(8, 12000), (8, None)}, "an option wins"
+
+
 def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     """Rows of another chart or other dots are never put side by side."""
     (desk / "own.toml").write_text('name = "own"\nrepeats = 2\n[pitch]\ncount = 5\nmin_um = 10\nmax_um = 40\n', encoding="utf-8")
@@ -135,16 +194,18 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
 def test_sensitivity_settings_repeat_it(tmp_path: Path) -> None:
     from helpers.tiny import tiny_toml
 
-    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    (tmp_path / "tiny.toml").write_text(tiny_toml(resolution=64), encoding="utf-8")
     table = (
         'name = "s"\nbase = "tiny.toml"\n[[vary]]\nname = "bits"\n[[vary.settings]]\nlabel = "8"\nset = { pixel = { bits = 8 } }\n'
     )
     (tmp_path / "s.toml").write_text(table, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
-        done("study s.toml --jobs 1 --out out")
+        done("study s.toml --variant scalar_spectral --jobs 1 --out out")
         patch.chdir(tmp_path / "out")
-        done("study settings.toml --jobs 1 --out again")
+        line = command_in(tmp_path / "out")
+        assert line == "study settings.toml --variant scalar_spectral"
+        done(f"{line} --jobs 1 --out again")
     first, again = (tmp_path / "out", tmp_path / "out/again")
     for name in ("base.csv", "00-bits-8.csv"):
         assert (again / "cases" / name).read_bytes() == (first / "cases" / name).read_bytes()

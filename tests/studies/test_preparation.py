@@ -18,8 +18,11 @@ from helpers.commands import assert_refused, command
 from helpers.tiny import rows, tiny
 
 import pixsim
-from pixsim.base.parameters import Study
+from pixsim.base.parameters import Run, Study
 from pixsim.optics.diffraction import diffraction_otf
+from pixsim.report.outline import run_outline, study_outline
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import packaged_scenes
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.optimum import fit_curve
@@ -34,7 +37,7 @@ from pixsim.studies.preparation import (
     window_within,
 )
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, WIDE_RATIO, Curve
-from pixsim.studies.study import load_study, prepare
+from pixsim.studies.study import load_study, prepare, render_for
 
 SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}
 SMALL = {"resolution": 64, "spp": 4, "luminance_cd_per_m2": 50.0}
@@ -349,11 +352,39 @@ def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
     assert list(outline["film"]["samples"]) == [64, 64]
 
 
+@pytest.mark.parametrize(
+    ("scene", "parameters"), [("siemens_star", {"resolution": 128}), ("macbeth", {"resolution": 64}), ("flat", {})]
+)
+def test_dry_run_states_rays_of_the_film_that_is_rendered(
+    scene: str, parameters: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cells of a finer or coarser film than the XML's have fewer or more rays each."""
+    rendered = []
+
+    def stop(job: Renderer, *_: object) -> None:
+        rendered.append((list(job.size), job.plan.spp, job.plan.passes))
+        raise InterruptedError
+
+    monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", stop)
+    die = {"die_mm": 0.6}
+    over = {"camera": die, "pitch": {"values_um": [6, 8, 12, 16, 20]}}
+    study = Study.model_validate(
+        {"name": "own", "scene": {"file": scene, "parameters": parameters}, "display": {"dots": 128}, **over}
+    )
+    film = study_outline(prepare(study))["film"]
+    with pytest.raises(InterruptedError):
+        render_for(study)
+    assert rendered == [(film["samples"], film["spp"], film["passes"])]
+    run = Run.model_validate({"scene": parameters, "camera": die, "display": study.display, "pixel": {"pitch_um": 6.0}})
+    assert run_outline(scene, run)["film"] == film
+    scene_file = make_render_plan(pixsim.load_scene(scene, **parameters))
+    assert (film["spp"] == scene_file.spp) == (scene == "flat")
+    assert film["samples"][1] > 128 or scene == "flat"
+
+
 def test_window_within_takes_less_than_a_minute() -> None:
     study = sheet_study(8.5)
     prepared = prepare_quietly(study)
-    from pixsim.scene.plan import make_render_plan
-
     plan = make_render_plan(prepared.scene, prepared.camera)
     cost = study_cost(prepared.study, prepared.camera, plan, 1024**2, jobs=1)
     assert cost.seconds > 60
