@@ -25,7 +25,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, chart_parameters, load_scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
-from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe, without_warnings
+from pixsim.studies.budget import MAX_DOTS, Setup, calibrate, effects, pitches_around_optimum_um, probe
 from pixsim.viewer import display as displays
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
@@ -57,7 +57,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     physics, ends = derive(setup.pixel), [time.perf_counter()]
-    with without_warnings(), tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder:
         diffracted_rate(image, setup.camera, physics)
         ends.append(time.perf_counter())
         light = prepare_scene(without_diffraction, setup.camera, physics, setup.display)
@@ -166,8 +166,7 @@ def middle_of(subject: Subject, parts: int) -> Subject:
     free = scene.names - scene.parameters.keys()
     chart_size = {name: value for name, value in chart_parameters(given).items() if name in free}
     scene = scene.with_parameters(**chart_size).with_resolution(subject.image.shape[1] // parts)
-    height_mm = None if given.die_height_mm is None else given.die_height_mm / parts
-    camera = given.model_copy(update={"die_mm": given.die_mm / parts, "die_height_mm": height_mm})
+    camera = given.window(given.die_mm / parts)
     display = setup.display.model_copy(update={"dots": max(MIN_DOTS, setup.display.dots // parts)})
     setup = replace(setup, camera=camera, display=display)
     plan = make_plan(scene, camera, setup.pixel, exposure=setup.exposure, tolerance_e=subject.plan.tolerance_e)

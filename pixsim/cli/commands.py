@@ -262,13 +262,22 @@ def study(
 
 @contextmanager
 def interruption_says_what_is_kept(folder: Path) -> Iterator[None]:
-    """Add to a KeyboardInterrupt how many evaluations of a study lie in its folder, if there are any."""
+    """Add to a KeyboardInterrupt how many evaluations of this study lie in its folder, if there are any.
+
+    A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
+    rewritten yet may be of other settings: they are not counted.
+    """
     from pixsim.studies.evaluations import ResultsFile
 
+    def files() -> dict[Path, int]:
+        paths = [folder / "results.csv", *folder.glob("cases/*.csv")]
+        return {path: path.stat().st_mtime_ns for path in paths if path.is_file()}
+
+    before = files()
     try:
         yield
     except KeyboardInterrupt:
-        kept = sum(len(ResultsFile(path).read()) for path in [folder / "results.csv", *folder.glob("cases/*.csv")])
+        kept = sum(len(ResultsFile(path).read()) for path, time_ns in files().items() if before.get(path) != time_ns)
         words = f"{kept} finished evaluations are kept in '{folder}', and the same command continues from them"
         raise KeyboardInterrupt(*([words] if kept else [])) from None
 

@@ -159,16 +159,15 @@ def relative_rms(got: Array, reference: Array) -> float:
 def probe(image: SpectralImage, setup: Setup) -> Probe:
     """Return the mean ΔE of an irradiance at the set-up's pixel and at its pitches."""
     start = time.perf_counter()
-    with without_warnings():
-        chain_at = chains_of(image, setup, setup.pitches_um)
-        chain = chain_at(setup.pixel.pitch_um)
-        middle = time.perf_counter()
-        first = sensor_delta_e(chain, setup, setup.pixel.pitch_um, 0)
-        end = time.perf_counter()
-        others = (sensor_delta_e(chain, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))
-        delta_e = np.array([first, *others])
-        swept = zip(setup.pitches_um, map(chain_at, setup.pitches_um), strict=True)
-        sweep = np.array([[sensor_delta_e(pixels, setup, p, k) for k in range(setup.sensors)] for p, pixels in swept])
+    chain_at = chains_of(image, setup, setup.pitches_um)
+    chain = chain_at(setup.pixel.pitch_um)
+    middle = time.perf_counter()
+    first = sensor_delta_e(chain, setup, setup.pixel.pitch_um, 0)
+    end = time.perf_counter()
+    others = (sensor_delta_e(chain, setup, setup.pixel.pitch_um, k) for k in range(1, setup.sensors))
+    delta_e = np.array([first, *others])
+    swept = zip(setup.pitches_um, map(chain_at, setup.pitches_um), strict=True)
+    sweep = np.array([[sensor_delta_e(pixels, setup, p, k) for k in range(setup.sensors)] for p, pixels in swept])
     shape = len(setup.pitches_um), setup.sensors
     return Probe(chain.signal_e_per_s, delta_e, np.array(setup.pitches_um), sweep.reshape(shape), end - start, end - middle)
 
@@ -250,10 +249,9 @@ def pitches_around_optimum_um(image: SpectralImage, setup: Setup, count: int) ->
     low, high = pitch_range_um(setup)
     if low * AROUND >= high:
         return ()
-    with without_warnings():
-        scanned = np.geomspace(low, high, SCAN_PITCHES)
-        chain_at = chains_of(image, setup, scanned.tolist())
-        errors = [sensor_delta_e(chain_at(p), setup, p, 0) for p in scanned.tolist()]
+    scanned = np.geomspace(low, high, SCAN_PITCHES)
+    chain_at = chains_of(image, setup, scanned.tolist())
+    errors = [sensor_delta_e(chain_at(p), setup, p, 0) for p in scanned.tolist()]
     best = float(scanned[int(np.argmin(errors))])
     around = np.geomspace(max(low, best / AROUND), min(high, best * AROUND), count)
     return tuple(float(f"{p:.4g}") for p in around)

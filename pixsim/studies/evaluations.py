@@ -34,7 +34,17 @@ from pixsim.sensor.readout import make_frame
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
 from pixsim.studies.engine import Workers, results_of
-from pixsim.viewer.score import ImagingChain, SceneCache, Score, SharedLight, chain_at_pitch, prepare_scene
+from pixsim.viewer.score import (
+    ImagingChain,
+    SceneCache,
+    Score,
+    SharedLight,
+    chain_at_pitch,
+    fraction_beyond_white,
+    ideal_on_dots,
+    prepare_scene,
+    warn_of_clipping,
+)
 
 DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e")
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
@@ -200,6 +210,17 @@ def chain_at(
     if isinstance(light, SpectralImage):
         light = prepare_scene(light, camera, physics, study.display, border_um=study.pitch.largest_um)
     return chain_at_pitch(light, physics, study.exposure)
+
+
+def warn_of_clipped_white(study: Study, irradiance: SpectralImage, camera: Camera) -> None:
+    """Warn if the display clips the ideal image, of each technology's smallest pixels if pixels are its dots.
+
+    It follows from the light, not from the rows, so that a resumed study warns as one that evaluates them.
+    """
+    for technology in study.technologies:
+        smallest = physics_of(study, technology, float(study_pitches_um(study, technology).min()))
+        _, luminance = ideal_on_dots(irradiance, camera, smallest, study.display, study.pitch.largest_um)
+        warn_of_clipping(fraction_beyond_white(luminance))
 
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:

@@ -23,7 +23,7 @@ from pixsim.sensor.pixel import physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, light_of, study_pitches_um
+from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, study_pitches_um, warn_of_clipped_white
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, die_um, first_film, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
@@ -270,6 +270,7 @@ def sweep_pitches(
                 break
             sampling = more
         evaluations.finish(rows)
+    warn_of_clipped_white(study, irradiance, camera)
     result = StudyResult(study, curves, irradiance, camera, view=(view or View()).as_dict())
     result.__dict__["scenes"] = scenes  # expensive to prepare again
     return result
@@ -355,8 +356,6 @@ def run_prepared(
         chosen = chosen.model_copy(update={"resolution": irradiance.shape[1]})
         results = folder / "results.csv"
         result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)
-        for technology in chosen.technologies:
-            light_of(chosen, result.scenes, technology)  # whose warnings a resumed study, with all rows, would miss
     noise = irradiance.header["render_noise"]
     changes: dict[str, Any] = {
         "warned": tuple(notes),

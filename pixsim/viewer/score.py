@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 
 CLIPPED_WARNING = 0.01
+ROUNDING = 1e-6  # of white, in the luminance of a dot
 HISTOGRAM_BINS = 1 << 14
 PANEL_IN = 3.1  # width of each picture of a figure
 SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
@@ -205,6 +206,7 @@ class PreparedScene:
     rate_e_per_s_um2 : (H, W) photo-electrons s⁻¹ µm⁻² of photodiode behind the diffracting lens, means over samples
     white_e_per_s_um2 : of the scene's white, on axis
     array_um : (height, width) that the pixels fill
+    beyond_white : fraction of the ideal image's dots that are brighter than display white
     """
 
     rate_e_per_s_um2: Array = field(repr=False)
@@ -212,11 +214,36 @@ class PreparedScene:
     white_e_per_s_um2: float
     screen: Screen
     array_um: tuple[float, float]
+    beyond_white: float = 0.0
 
     @cached_property
     def running_integral(self) -> Array | None:
         """Running integral down the picture, which takes longer than all steps of a pitch; None if too large to store."""
         return running_integral(self.rate_e_per_s_um2) if self.rate_e_per_s_um2.size <= MAX_STORED_SAMPLES else None
+
+
+def ideal_on_dots(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, border_um: float
+) -> tuple[tuple[Array, Array], Array]:
+    """Return the edges of the dots, as `displays.dot_edges_um`, and `displays.ideal_luminance` on them, (H, W).
+
+    border_um : largest pitch scored on the same dots
+    """
+    size_um, array_um = displays.picture_size_um(irradiance), array_size_um(irradiance, camera)
+    edges_um = displays.dot_edges_um(size_um, physics.pitch_um, display, border_um, array_um)
+    return edges_um, displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
+
+
+def fraction_beyond_white(luminance: Array) -> float:
+    """Return the fraction of dots of an ideal image that are brighter than display white."""
+    return float(np.mean(luminance > 1 + ROUNDING))
+
+
+def warn_of_clipping(beyond_white: float) -> None:
+    """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
+    if beyond_white > CLIPPED_WARNING:
+        text = f"{beyond_white:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2"
+        warnings.warn(text, stacklevel=4)
 
 
 def prepare_scene(
@@ -235,20 +262,15 @@ def prepare_scene(
     Raises PixsimError if the irradiance is negative or not finite.
     """
     irradiance.validate()
-    size_um = displays.picture_size_um(irradiance)
     border_um = physics.pitch_um if border_um is None else border_um
-    array_um = array_size_um(irradiance, camera)
-    edges_um = displays.dot_edges_um(size_um, physics.pitch_um, display, border_um, array_um)
-    luminance = displays.ideal_luminance(irradiance, camera, physics, display, edges_um)
-    if (beyond := float(np.mean(luminance > 1 + 1e-6))) > CLIPPED_WARNING:
-        warnings.warn(
-            f"{beyond:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2", stacklevel=4
-        )
+    edges_um, luminance = ideal_on_dots(irradiance, camera, physics, display, border_um)
     ideal = displays.shown_luminance(luminance, display)
     rate = diffracted_rate(irradiance, camera, physics)
     white = displays.white_rate(irradiance, camera, physics, display)
-    screen = Screen(display, size_um, edges_um, ideal, perceived_lab(ideal, display, full), full)
-    return PreparedScene(rate, irradiance.pitch_um, white, screen, array_um)
+    lab = perceived_lab(ideal, display, full)
+    screen = Screen(display, displays.picture_size_um(irradiance), edges_um, ideal, lab, full)
+    array_um = array_size_um(irradiance, camera)
+    return PreparedScene(rate, irradiance.pitch_um, white, screen, array_um, fraction_beyond_white(luminance))
 
 
 # What the pitches of a technology share. With one_to_one, where dots are pixels, that is the irradiance only.
@@ -299,7 +321,9 @@ def make_imaging_chain(
         warnings.warn("the irradiance was rendered with another camera than the one given", stacklevel=3)
     physics = derive(pixel)
     warn_of_disagreements(pixel)
-    return chain_at_pitch(prepare_scene(irradiance, camera, physics, display, full), physics, exposure)
+    light = prepare_scene(irradiance, camera, physics, display, full)
+    warn_of_clipping(light.beyond_white)
+    return chain_at_pitch(light, physics, exposure)
 
 
 def evaluate(

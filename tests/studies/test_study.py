@@ -6,8 +6,10 @@ import shlex
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -25,6 +27,7 @@ from pixsim.report.study import light_against_detail, report_files, write_report
 from pixsim.report.wording import optimum_line
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import technology_of
+from pixsim.studies import evaluations as rows_module
 from pixsim.studies.budget import Setup
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study import load_study
@@ -119,7 +122,7 @@ def test_study_second_run_evaluates_nothing(done: tuple[StudyResult, Path], eval
 
 @pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
 def test_study_notes_reach_result_summary_page_and_json(raster: str, tmp_path: Path) -> None:
-    """Of the worker processes too (one_to_one, where they prepare the light); in an order that does not depend on them."""
+    """Once each, whatever the workers do, and from a resumed study too."""
     over: dict[str, Any] = {"display": {"white_cd_per_m2": 40.0, "raster": raster}, "pixel": {"bits": 8}}
     toml = tmp_path / "tiny.toml"
     toml.write_text(tiny_toml(**over), encoding="utf-8")
@@ -128,18 +131,15 @@ def test_study_notes_reach_result_summary_page_and_json(raster: str, tmp_path: P
     summary = json.loads(message)
     bright = [note for note in summary["notes"] if "of the ideal image is brighter than display white" in note]
     dark = [note for note in summary["notes"] if "the black level of 0 DN clips dark noise" in note]
-    assert len(bright) >= 1
-    assert len(dark) == 1
-    assert len(summary["notes"]) == len(bright) + len(dark)
+    assert (len(bright), len(dark), len(summary["notes"])) == (1, 1, 2)
     assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["notes"] == summary["notes"]
     page = html.unescape((tmp_path / "out/report.html").read_text(encoding="utf-8"))
     assert all(note in page for note in summary["notes"])
     assert all(f"warning: {note}" in err for note in bright)
     with pytest.warns(UserWarning, match="brighter than display white"):
         assert pixsim.study(tiny_study(**over), tmp_path / "python", jobs=1).notes == summary["notes"]
-    if raster == "fixed_size":  # with one_to_one, only a pitch that is evaluated anew prepares its light
-        with pytest.warns(UserWarning, match="brighter than display white"):
-            assert pixsim.study(tiny_study(**over), tmp_path / "out", jobs=1).notes == summary["notes"]
+    with pytest.warns(UserWarning, match="brighter than display white"):
+        assert pixsim.study(tiny_study(**over), tmp_path / "out", jobs=1).notes == summary["notes"]
 
 
 # 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
@@ -421,6 +421,28 @@ def test_study_interrupt_keeps_finished_rows(done: tuple[StudyResult, Path], tmp
     pixsim.study(toml, out, jobs=1)
     assert len(evaluations) == 18 - 3
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+
+
+def test_study_interrupt_counts_rows_of_its_settings_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C before and after the first row of a study, in the folder of a study with another seed."""
+    toml, out = tmp_path / "tiny.toml", tmp_path / "out"
+    toml.write_text(TINY_TOML, encoding="utf-8")
+    pixsim.study(toml, out, jobs=1, seed=2)
+    line, render = f"study {toml} --out {out} --jobs 1", Mock(side_effect=KeyboardInterrupt)
+    with monkeypatch.context() as patch:
+        patch.setattr("pixsim.studies.study.render_for", render)
+        assert command(line) == (130, "", "pixsim: interrupted\n")
+    results_of = rows_module.results_of
+    monkeypatch.setattr(rows_module, "results_of", lambda *arguments: interrupted(results_of(*arguments)))
+    kept = f"3 finished evaluations are kept in '{out}', and the same command continues from them"
+    assert command(line)[2].splitlines()[-1] == f"pixsim: interrupted; {kept}"
+    assert len(rows(out)) == 3
+
+
+def interrupted(results: Iterator[Any]) -> Iterator[Any]:
+    """The first result, then Ctrl-C."""
+    yield next(results)
+    raise KeyboardInterrupt
 
 
 def test_study_chen2000_matches_paper(tmp_path: Path) -> None:
