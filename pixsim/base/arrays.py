@@ -1,4 +1,4 @@
-"""Arrays: type alias, in-place DCT, strips of rows, random streams, and validated reading of .npy and .npz files."""
+"""Arrays: type alias, in-place DCT, strips and parts of a picture, random streams, and validated reading of .npy and .npz files."""
 
 from __future__ import annotations
 
@@ -55,6 +55,16 @@ def strips_of(shape: tuple[int, ...]) -> Iterator[tuple[slice, Array]]:
         if scratch is None:
             scratch = np.empty((*shape[:-2], rows.stop, shape[-1]))
         yield rows, scratch[..., : rows.stop - rows.start, :]
+
+
+PARTS = 4  # down and across, of a picture too large to be measured whole
+MEASURED = 1 << 21  # film cells, pixels or a quarter of the display's dots that are measured of a picture
+
+
+def spread_parts(count: int, size: int) -> list[slice]:
+    """Slices of `size` cells, each in the middle of one of `PARTS` equal shares of `count` cells."""
+    firsts = (round((place + 0.5) * count / PARTS - size / 2) for place in range(PARTS))
+    return [slice(max(0, first), max(0, first) + size) for first in firsts]
 
 
 @cache

@@ -214,6 +214,17 @@ def missing_of_data_sheet(given: Iterable[str]) -> list[str]:
     return [name for name in DATA_SHEET if name not in names]
 
 
+def is_data_sheet(values: dict[str, Any], pitch: str) -> bool:
+    """The one rule of the technology, for files, options and Python: a complete data sheet with its pitch needs none.
+
+    It looks at what was given, after layers are merged.
+
+    pitch : name of the data sheet's pitch
+    """
+    given = {name for name, value in values.items() if value is not None}
+    return pitch in given and not missing_of_data_sheet(given)
+
+
 def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Merge nested tables; values of `over` replace those of `base`, in [pixel] under whatever word the base states them."""
     merged = dict(base)
@@ -364,9 +375,14 @@ class PixelOptions(Record):
 
     @model_validator(mode="after")
     def _black_below_white(self) -> Self:
-        if self.black_level_dn >= 2**self.bits - 1:
+        if self.codes_dn <= 0:
             raise ValueError(f"black_level_dn = {self.black_level_dn:g} is not below the highest code, {2**self.bits - 1}")
         return self
+
+    @property
+    def codes_dn(self) -> float:
+        """The codes above the black level."""
+        return 2**self.bits - 1 - self.black_level_dn
 
 
 class Pixel(PixelOptions):
@@ -392,14 +408,10 @@ class Pixel(PixelOptions):
     @model_validator(mode="before")
     @classmethod
     def _complete_data_sheet_needs_no_technology(cls, values: Any) -> Any:
-        """The one rule of the technology, for files, options and Python; it looks at what was given, after layers are merged."""
         if not isinstance(values, dict):
             return values
-        if "technology" in values:
-            return {**values, "technology": NO_TECHNOLOGY} if values["technology"] is None else values
-        given = {name for name, value in values.items() if value is not None}
-        complete = "pitch_um" in given and not missing_of_data_sheet(given)
-        return {**values, "technology": NO_TECHNOLOGY} if complete else values
+        none = values["technology"] is None if "technology" in values else is_data_sheet(values, "pitch_um")
+        return {**values, "technology": NO_TECHNOLOGY} if none else values
 
     @model_validator(mode="after")
     def _data_sheet_complete(self) -> Self:
@@ -471,6 +483,11 @@ class Camera(Record):
     def height_mm(self) -> float:
         """Height of the die."""
         return self.die_mm if self.die_height_mm is None else self.die_height_mm
+
+    @property
+    def die_um(self) -> tuple[float, float]:
+        """Height and width of the die."""
+        return 1e3 * self.height_mm, 1e3 * self.die_mm
 
     @property
     def magnification(self) -> float:
@@ -745,9 +762,7 @@ class Study(Effort):
             return values
         pixel = values.get("pixel")
         table = pixel if isinstance(pixel, dict) else dict(pixel) if isinstance(pixel, PixelOptions) else {}
-        given = {name for name, value in table.items() if value is not None}
-        complete = "data_sheet_pitch_um" in given and not missing_of_data_sheet(given)
-        return {**values, "technologies": (NO_TECHNOLOGY,)} if complete else values
+        return {**values, "technologies": (NO_TECHNOLOGY,)} if is_data_sheet(table, "data_sheet_pitch_um") else values
 
     @model_validator(mode="after")
     def _pixels_make_the_die(self) -> Self:

@@ -194,13 +194,24 @@ class SpectralImage:
             raise invalid("columns", columns, f"1 to {width}, and at least one row of square samples")
         before = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
         header = self.header | {"reduced": {"samples": before["samples"], "factor": float(f"{before['factor'] * ratio:.12g}")}}
-        more: dict[str, Any] = {"within": self.within, "header": header}
-        if self.factors:
-            more["factors"] = self.factors[0], np.stack([_box_means(picture, rows, columns) for picture in self.factors[1]])
-        else:
-            bands = (_box_means(self.band(band), rows, columns) for band in range(self.wavelength_nm.size))
-            more["data"] = np.stack(list(bands), axis=2)
-        return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um * ratio, **more)
+        planes = np.stack([_box_means(plane, rows, columns) for plane in self.planes])
+        return self.with_planes(planes, pitch_um=self.pitch_um * ratio, header=header)
+
+    @property
+    def planes(self) -> NDArray[np.float32]:
+        """The pictures of the factors, or else those of the bands, (n, H, W) float32."""
+        return self.factors[1] if self.factors else np.moveaxis(self.data, 2, 0)
+
+    def with_planes(
+        self, planes: NDArray[np.float32], *, pitch_um: float | None = None, header: dict[str, Any] | None = None
+    ) -> SpectralImage:
+        """Return an image of the same bands with other `planes`, of any height and width.
+
+        pitch_um, header : None keeps those of this image
+        """
+        content: dict[str, Any] = {"factors": (self.factors[0], planes)} if self.factors else {"data": np.moveaxis(planes, 0, 2)}
+        content |= {"within": self.within, "header": self.header if header is None else header}
+        return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um if pitch_um is None else pitch_um, **content)
 
     def mean_spectrum(self) -> Array:
         """Return the mean over all samples, (B,) W m⁻² nm⁻¹."""

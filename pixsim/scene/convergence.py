@@ -7,11 +7,12 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
@@ -25,7 +26,6 @@ from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
 
 RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_RUNS = 1 << 12
-MEASURED, PARTS = 1 << 21, 4  # pixels on which the noise is measured, in PARTS × PARTS parts of a larger picture
 MAX_SPP = 1024  # samples per film cell of one render
 PAIR, PAIRS_A_LEVEL = 2, 2
 RAISE = "Raise --max-seconds or --render-noise"
@@ -209,12 +209,9 @@ def measured_parts(shape: tuple[int, int], pixels_per_cell: float) -> list[tuple
     if thinner <= 1 or min(shape) < PARTS:
         return [(slice(0, shape[0]), slice(0, shape[1]))]
 
-    def spans(count: int) -> list[slice]:
-        size = max(1, math.ceil(1 / pixels_per_cell), round(count / PARTS / thinner))  # at least one pixel
-        firsts = [round((place + 0.5) * count / PARTS - size / 2) for place in range(PARTS)]
-        return [slice(max(0, first), max(0, first) + size) for first in firsts]
-
-    return [(rows, columns) for rows in spans(shape[0]) for columns in spans(shape[1])]
+    one = math.ceil(1 / pixels_per_cell)
+    down, across = (spread_parts(count, max(1, one, round(count / PARTS / thinner))) for count in shape)
+    return list(product(down, across))
 
 
 def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Columns:

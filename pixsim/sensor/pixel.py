@@ -360,19 +360,14 @@ class PixelPhysics:
         return math.sqrt(self.fill_factor) * self.pitch_um
 
     @property
-    def codes_dn(self) -> float:
-        """The codes above the black level."""
-        return 2**self.pixel.bits - 1 - self.pixel.black_level_dn
-
-    @property
     def dn_per_e(self) -> float:
         """Gain: the given one, or the codes above the black level over the full well."""
-        return self.codes_dn / self.full_well_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
+        return self.pixel.codes_dn / self.full_well_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
 
     @property
     def adc_range_e(self) -> float:
         """Signal at the ADC's top code: the full well, if no gain is given."""
-        return self.full_well_e if self.gain_e_per_dn is None else self.codes_dn * self.gain_e_per_dn
+        return self.full_well_e if self.gain_e_per_dn is None else self.pixel.codes_dn * self.gain_e_per_dn
 
     @property
     def saturation_e(self) -> float:
@@ -469,6 +464,7 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float
 
 
 MAX_CURRENT_E_PER_S = 1e18  # as the record allows
+WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
 
 
 def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
@@ -532,14 +528,14 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         """The full well of the measured pixel: as given, or as its saturation capacity needs it."""
         if pixel.saturation_capacity_e is None:
             return pixel.full_well_e
+        adc_range_e = None if pixel.gain_e_per_dn is None else pixel.codes_dn * pixel.gain_e_per_dn
         process_well = well(pixel, technology, area_um2 / growth, given(measured_dark_e_per_s, dark_e_per_s / growth))
         full_well_e = pixel.saturation_capacity_e
         for _ in range(WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
             reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
             noise_e = math.hypot(reset_noise_e(reset_ff, pixel.temperature_k, factor), read_noise_e)
-            full_well_e = full_well_for_e(
-                pixel.saturation_capacity_e, adc_range_of_e(pixel), noise_e, prnu, math.hypot(*offsets_e(full_well_e))
-            )
+            offset_e = math.hypot(*offsets_e(full_well_e))
+            full_well_e = full_well_for_e(pixel.saturation_capacity_e, adc_range_e, noise_e, prnu, offset_e)
         return full_well_e
 
     measured_e = measured_well_e(growth_from_data_sheet(pixel, technology, area_um2))
@@ -568,16 +564,6 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     )
 
 
-WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
-
-
-def adc_range_of_e(pixel: Pixel) -> float | None:
-    """Return the signal at the top code of a measured pixel; None if its full well is there."""
-    if pixel.gain_e_per_dn is None:
-        return None
-    return (2**pixel.bits - 1 - pixel.black_level_dn) * pixel.gain_e_per_dn
-
-
 CAPACITY_WITHIN = 0.01  # of a saturation capacity: rounding of the data sheet's other numbers
 DECIBEL_WITHIN = 0.5  # data sheets round ratios to whole decibels, and electrons to two digits (0.4 dB)
 CAUSES = (
@@ -599,7 +585,7 @@ def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> l
     own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
     p = derive(pixel.model_copy(update=own), technology)
     noise_e, offset_e = p.noise_floor_e, math.hypot(p.offset_fpn_e, p.column_fpn_e)
-    saturation_e = saturation_capacity_e(p.full_well_e, adc_range_of_e(pixel), noise_e, p.prnu, offset_e)
+    saturation_e = saturation_capacity_e(p.full_well_e, p.adc_range_e, noise_e, p.prnu, offset_e)
     found = []
     asked_e = pixel.saturation_capacity_e
     if asked_e is not None and abs(saturation_e / asked_e - 1) > CAPACITY_WITHIN:

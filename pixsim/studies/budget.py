@@ -478,27 +478,16 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     if not merges(image.shape, factor):
         raise invalid("film", f"{image.shape} samples", f"a multiple of {factor} on each side, at least {MIN_CELLS * factor}")
 
-    def merged(plane: Any) -> Any:  # (H, W)
-        height, width = plane.shape
-        return plane.reshape(height // factor, factor, width // factor, factor).mean(axis=(1, 3), dtype=float)
-
-    return _mapped(image, merged, image.pitch_um * factor)
+    height, width = image.shape
+    blocks = height // factor, factor, width // factor, factor
+    # One plane at a time, to save memory in float64.
+    planes = [plane.reshape(blocks).mean(axis=(1, 3), dtype=float).astype(np.float32) for plane in image.planes]
+    return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor)
 
 
 def brighter(image: SpectralImage, factor: float) -> SpectralImage:
     """Return the image times a factor; the scene's white stays."""
-    return _mapped(image, lambda plane: plane * np.float32(factor), image.pitch_um)
-
-
-def _mapped(image: SpectralImage, change: Callable[[Any], Any], pitch_um: float) -> SpectralImage:
-    """Return the image with each plane changed, one at a time to save memory in float64."""
-    if image.factors:
-        pictures = np.stack([np.asarray(change(plane), np.float32) for plane in image.factors[1]])
-        content: dict[str, Any] = {"factors": (image.factors[0], pictures)}
-    else:
-        planes = (image.data[:, :, band] for band in range(image.wavelength_nm.size))
-        content = {"data": np.stack([np.asarray(change(plane), np.float32) for plane in planes], axis=2)}
-    return SpectralImage(image.wavelength_nm, image.band_width_nm, pitch_um, within=image.within, header=image.header, **content)
+    return image.with_planes(image.planes * np.float32(factor))
 
 
 def effects(calibration: Calibration, width: int, noise: float, bound_e: float, sensors: int) -> dict[str, Effect]:

@@ -10,13 +10,14 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Run, Study, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
@@ -32,8 +33,6 @@ from pixsim.viewer.display import white_header
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
-PARTS = 4  # down and across, of a large picture
-MEASURED = 1 << 21  # film cells, pixels or a quarter of the display's dots that are measured on one film
 MIN_PIXELS, MIN_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
 STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of the picture
 WORTH_WIDENING = 1.2
@@ -118,21 +117,32 @@ def measure_film(
     *,
     chart: Chart | None = None,
     tolerance_delta_e: float | None = None,
+    keep: bool = False,
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
 
     chart : that the film shows, if nothing else; its detail is known
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
+    keep : use the cache, for the picture of a render, whose header states everything that it depends on
     """
-    with without_warnings():  # of the white, which the run itself gives
-        image = _with_header(image, image.header | white_header(image, camera, display))
-        measured = [_error_of_pixel(image, camera, physics, exposure, display, chart) for physics in pixels]
-    if tolerance_delta_e is None:
-        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
-    else:
-        tolerated = [tolerance_delta_e] * len(measured)
-    pitches = tuple(physics.pitch_um for physics in pixels)
-    return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in measured), tuple(tolerated))
+
+    def measure() -> FilmError:
+        with without_warnings():  # the run itself warns of the white
+            shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
+        measured = [_error_of_pixel(shown, camera, physics, exposure, display, chart) for physics in pixels]
+        if tolerance_delta_e is None:
+            tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
+        else:
+            tolerated = [tolerance_delta_e] * len(measured)
+        pitches = tuple(physics.pitch_um for physics in pixels)
+        return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in measured), tuple(tolerated))
+
+    if not keep:
+        return measure()
+    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in pixels]
+    settings = camera.model_dump(), exposure.model_dump(), display.model_dump(), tolerance_delta_e
+    key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
+    return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
 
 
 def film_for_tolerance(
@@ -171,36 +181,12 @@ def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterato
     fewest = max(BLOCK * MIN_CELLS, MIN_PIXELS * pitch_um / image.pitch_um, MIN_DOTS * width / display.dots)
     thinner = min(thinner, shortest / fewest)
     if thinner <= 1:
-        yield _part(image, slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK)), display
+        yield image.with_planes(image.planes[:, : height // BLOCK * BLOCK, : width // BLOCK * BLOCK]), display
         return
-    for row in range(PARTS):
-        for column in range(PARTS):
-            rows, columns = (_span(n, place, thinner) for n, place in ((height, row), (width, column)))
-            shown = display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
-            yield _part(image, rows, columns), shown
-
-
-def _span(count: int, place: int, thinner: float) -> slice:
-    """Return the cells of one part, in the middle of its share of `count` cells."""
-    size = int(count / PARTS / thinner) // BLOCK * BLOCK
-    first = round((place + 0.5) * count / PARTS - size / 2)
-    return slice(first, first + size)
-
-
-def _part(image: SpectralImage, rows: slice, columns: slice) -> SpectralImage:
-    content: dict[str, Any]
-    if image.factors:
-        content = {"factors": (image.factors[0], image.factors[1][:, rows, columns])}
-    else:
-        content = {"data": image.data[rows, columns]}
-    return SpectralImage(
-        image.wavelength_nm, image.band_width_nm, image.pitch_um, within=image.within, header=image.header, **content
-    )
-
-
-def _with_header(image: SpectralImage, header: dict[str, Any]) -> SpectralImage:
-    content: dict[str, Any] = {"factors": image.factors} if image.factors else {"data": image.data}
-    return SpectralImage(image.wavelength_nm, image.band_width_nm, image.pitch_um, within=image.within, header=header, **content)
+    down, across = (spread_parts(count, int(count / PARTS / thinner) // BLOCK * BLOCK) for count in image.shape)
+    for rows, columns in product(down, across):
+        shown = display.model_copy(update={"dots": round(display.dots * (columns.stop - columns.start) / width)})
+        yield image.with_planes(image.planes[:, rows, columns]), shown
 
 
 def _mean_delta_e(
@@ -215,27 +201,6 @@ def _mean_delta_e(
     exposed = [replace(chain, exposure=Exposure(integration_s=time_s)) for chain in chains]
     setup = Setup(camera, physics.pixel, exposure, parts[0][1])
     return np.array([sensor_delta_e(chain, setup, physics.pitch_um, number) for number, chain in enumerate(exposed)])
-
-
-def cached_film_error(
-    image: SpectralImage,
-    camera: Camera,
-    pixels: Sequence[PixelPhysics],
-    exposure: Exposure,
-    display: Display,
-    *,
-    chart: Chart | None = None,
-    tolerance_delta_e: float | None = None,
-) -> FilmError:
-    """Return `measure_film` of a render, measured or from the cache: its header states everything that it depends on."""
-    sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in pixels]
-    settings = camera.model_dump(), exposure.model_dump(), display.model_dump(), tolerance_delta_e
-    key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
-
-    def measure() -> FilmError:
-        return measure_film(image, camera, pixels, exposure, display, chart=chart, tolerance_delta_e=tolerance_delta_e)
-
-    return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
 
 
 Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
@@ -280,8 +245,8 @@ def render_and_measure(
         if settled:
             calibrated = settled.calibration.film(image.shape[1]).delta_e
             return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
-        tolerance = {"tolerance_delta_e": settings.tolerance_delta_e}
-        return cached_film_error(image, camera, measured, settings.exposure, settings.display, chart=plan.chart, **tolerance)
+        options: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": settings.tolerance_delta_e, "keep": True}
+        return measure_film(image, camera, measured, settings.exposure, settings.display, **options)
 
     fixed = "set by --resolution" if settings.resolution else ""
     fixed = "chosen for the tolerance" if settled and settled.film_is_free else fixed
