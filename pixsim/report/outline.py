@@ -11,14 +11,13 @@ from pixsim.base.machine import processors
 from pixsim.base.parameters import Camera, Effort, Run, Study
 from pixsim.report.run import PICTURE_SUFFIXES, light_of_picture, prepared_run
 from pixsim.report.wording import view_words
-from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.integration import pixels_along, pixels_on
 from pixsim.sensor.technology import label_of
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.preparation import (
     LONG_S,
     PAGE_S,
     Cost,
-    die_um,
     duration_words,
     first_film,
     frame_cost,
@@ -63,7 +62,12 @@ def run_outline(
     frame = frame_cost(camera, pitch_um, settings.display)
     cost = Cost(cost.seconds + PAGE_S + 2 * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = [
-        {"technology": settings.pixel.technology, "pitch_um": [pitch_um], "pixels": [pixels_of(camera, pitch_um)], "sensors": 1}
+        {
+            "technology": settings.pixel.technology,
+            "pitch_um": [pitch_um],
+            "pixels": [list(pixels_on(camera.die_um, pitch_um))],
+            "sensors": 1,
+        }
     ]
     return outline | common(source, header, settings, camera, view, sensors) | {"estimate": asdict(cost)}
 
@@ -82,7 +86,7 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     sensors = []
     for name in study.technologies:
         pitches_um = study_pitches_um(study, name).tolist()
-        counts = [pixels_of(camera, pitch_um) for pitch_um in pitches_um]
+        counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
         sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
     more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name}
     if cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, cells, jobs)):
@@ -124,20 +128,19 @@ def film_of(scene: Scene, camera: Camera, plan: Plan) -> dict[str, Any]:
     return {"samples": [height, width], "pitch_um": 1e3 * camera.die_mm / width, "spp": plan.spp, "passes": plan.passes}
 
 
-def pixels_of(camera: Camera, pitch_um: float) -> list[int]:
-    """Return rows and columns of pixels on the die."""
-    return [pixels_along(length_um, pitch_um) for length_um in die_um(camera)]
-
-
 def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
     """Return the outline as lines of text.
 
     out : folder that would be written
     """
     camera, film, display, limits = (outline[name] for name in ("camera", "film", "display", "limits"))
-    height_um, width_um = die_um(Camera.model_validate(camera))
+    height_um, width_um = Camera.model_validate(camera).die_um
     parameters = ", ".join(f"{name} = {value}" for name, value in outline["irradiance"].get("parameters", {}).items())
-    rays = f", {film['spp']} rays each, {film['passes']} pass{'es' * (film['passes'] > 1)}, at least twice" if "spp" in film else ""
+    rays = ""
+    if spp := film.get("spp"):
+        rays = f", {spp} rays each, {film['passes']} pass{'es' * (film['passes'] > 1)}, at least twice"
+    elif spp == 0:
+        rays = ", each computed from the chart"
     rows = [
         ("scene", outline["scene"] + (f": {parameters}" if parameters else "")),
         (

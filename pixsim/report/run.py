@@ -26,7 +26,7 @@ from pixsim.report.merit import blur_words
 from pixsim.report.pictures import crops, extent, picture_axes
 from pixsim.report.settings import FILLED, LightLevel, record_rows, scene_rows
 from pixsim.report.wording import budget_lines, dark_notes, film_words, score_line, view_words
-from pixsim.sensor.integration import check_pixel_count, pixels_along
+from pixsim.sensor.integration import check_pixel_count, pixels_along, pixels_on
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
@@ -89,7 +89,7 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
     display = Display.model_validate(summary["display"])
     light = LightLevel.of(irradiance, display, [summary["integration_s"]])
     sheet = physics.technology.name == NO_TECHNOLOGY
-    statistics = score.statistics()
+    statistics = {name: summary[name] for name in MEANINGS}
     if sheet and statistics["fill_factor"] > FILLED:
         del statistics["fill_factor"]  # the data sheet states none
     others = {
@@ -276,15 +276,15 @@ def prepared_run(
     Raises PixsimError for invalid input.
     """
     from pixsim.scene.scene import load_scene
-    from pixsim.studies.preparation import View, choose_view, die_um
+    from pixsim.studies.preparation import View, choose_view
 
     scene = load_scene(source, variant=variant, sensor=sensor, **settings.scene)
     whole = scene.camera(settings.camera)
     camera, pitch_um = whole.window(settings.window_mm), settings.pixel.pitch_um
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if sheet else View()
-    check_pixel_count([pixels_along(length_um, pitch_um) for length_um in die_um(camera)], pitch_um)
-    dot_edges_um(die_um(camera), pitch_um, settings.display, pitch_um)
+    check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
+    dot_edges_um(camera.die_um, pitch_um, settings.display, pitch_um)
     chosen = {"camera": CameraOptions.model_validate(whole.model_dump()), "display": view.display(settings.display)}
     scene = scene.with_resolution(settings.resolution) if settings.resolution else scene
     return view.scene(scene), camera, settings.model_copy(update=chosen | {"scene": view.parameters(settings.scene)}), view
@@ -342,7 +342,7 @@ def light_of_picture(source: str, settings: Run, units: str | None) -> Light:
     from pixsim.studies.preparation import View, choose_view
 
     image, camera = read_with_camera(source, settings.camera, units)
-    pixels_along(1e3 * camera.die_mm, settings.pixel.pitch_um)
+    pixels_along(camera.die_um[1], settings.pixel.pitch_um)
     sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(settings.pixel.pitch_um, camera, settings.display, None) if sheet else View()
     chosen = {"camera": CameraOptions.model_validate(camera.model_dump()), "display": view.display(settings.display)}
@@ -366,7 +366,7 @@ def write_all(
     write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
     save_png(folder / "ideal.png", score.ideal)
     save_png(folder / "image.png", score.image)
-    end = scale_end(score.statistics()["p99_delta_e"])
+    end = scale_end(summary["p99_delta_e"])
     save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um), end)
     write_json(folder / "score.json", summary)
     write_run_page(folder, score, image, summary)

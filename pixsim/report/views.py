@@ -14,7 +14,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.parameters import Exposure
 from pixsim.report.pictures import crops, picture_axes
-from pixsim.sensor.integration import array_size_um, pixels_along
+from pixsim.sensor.integration import array_size_um, pixels_on
 from pixsim.sensor.pixel import physics_of
 from pixsim.sensor.readout import make_frame
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, Look, draw_delta_e, draw_picture, label_axes, new_figure
@@ -189,7 +189,7 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     key = block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0)
     cached = ((cache.arrays("frames", key) if key else None) or {}).get("0")
     physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
-    whole = tuple(pixels_along(um, pitch_um) for um in array_size_um(result.irradiance, result.camera))
+    whole = pixels_on(array_size_um(result.irradiance, result.camera), pitch_um)
     if not isinstance(light, PreparedScene) or cached is None or cached.shape != whole:
         chain = chain_at(study, light, result.camera, curve.technology, pitch_um)
         frame = chain.capture(*stream_key(study, physics.technology.name, pitch_um, 0))

@@ -111,11 +111,12 @@ def view_words(display: dict[str, Any], result: dict[str, Any], columns: float |
 
 def study_view_line(result: Any) -> list[str]:
     """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other studies."""
-    study, summary = result.study, result.as_dict()
+    study = result.study
     if study.own_um is None and study.window_mm is None:
         return []
-    columns = None if study.own_um is None else pixels_along(1e3 * result.camera.die_mm, study.own_um)
-    words = "; ".join(view_words(summary["study"]["display"], summary, columns))
+    columns = None if study.own_um is None else pixels_along(result.camera.die_um[1], study.own_um)
+    shown = {"irradiance": result.irradiance.header, "chosen": result.view, "window_mm": study.window_mm}
+    words = "; ".join(view_words(study.display.model_dump(), shown, columns))
     own = "" if study.own_um is None else f" (pixels of {study.own_um:g} µm, as on the data sheet)"
     return [f"{words}{own}"] if words else []
 

@@ -196,6 +196,12 @@ def pixels_along(length_um: float, pitch_um: float) -> int:
     return count
 
 
+def pixels_on(size_um: Iterable[float], pitch_um: float) -> tuple[int, int]:
+    """Return the rows and columns of pixels on a (height, width). Raises PixsimError if not one pixel fits."""
+    rows, columns = (pixels_along(length_um, pitch_um) for length_um in size_um)
+    return rows, columns
+
+
 def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
     """Raise PixsimError if there are more than `MAX_PIXELS` pixels."""
     if (pixels := math.prod(shape)) > MAX_PIXELS:
@@ -239,7 +245,7 @@ def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, flo
     height_um, width_um = (count * irradiance.pitch_um for count in irradiance.shape)
     if camera.die_height_mm is None:
         return height_um, width_um
-    return min(height_um, 1e3 * camera.height_mm), min(width_um, 1e3 * camera.die_mm)
+    return min(height_um, camera.die_um[0]), min(width_um, camera.die_um[1])
 
 
 def integrate_pixels(
@@ -263,7 +269,7 @@ def integrate_pixels(
     Raises PixsimError if not one pixel fits.
     """
     picture_um = [n * sample_pitch_um for n in rate.shape]
-    counts = [pixels_along(length_um, pitch_um) for length_um in size_um or picture_um]
+    counts = pixels_on(size_um or picture_um, pitch_um)
     check_pixel_count(counts, pitch_um)
     y_um, x_um = (photodiode_edges_um(um, n, pitch_um, photodiode_side_um) for um, n in zip(picture_um, counts, strict=True))
     down = integrate_axis(rate, sample_pitch_um, *y_um, 0, running)

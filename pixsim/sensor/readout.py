@@ -12,7 +12,7 @@ from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_along
+from pixsim.sensor.integration import check_pixel_count, mean_signal_rate, pixels_on
 from pixsim.sensor.photodiode import saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 
@@ -108,8 +108,8 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | 
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
     if not 0 < aspect < math.inf:
         raise invalid("aspect", aspect, "width over height, a finite number above 0")
-    physics, die_um = derive(pixel), 1e3 * camera.die_mm
-    shape = pixels_along(die_um / aspect, pixel.pitch_um), pixels_along(die_um, pixel.pitch_um)
+    physics, width_um = derive(pixel), camera.die_um[1]
+    shape = pixels_on((width_um / aspect, width_um), pixel.pitch_um)
     check_pixel_count(shape, pixel.pitch_um)
     return sample_sensor(physics, shape, np.random.default_rng(seed))
 

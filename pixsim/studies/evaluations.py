@@ -28,7 +28,7 @@ from pixsim.base.files import opened, read_bytes, replacing
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.integration import pixels_along
+from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.readout import make_frame
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
@@ -351,12 +351,12 @@ class Fingerprints:
     @cached_property
     def frames_fit_in_cache(self) -> bool:
         """Whether all frames of the study fit in the cache without displacing most of it."""
-        study, die_um = self.study, (1e3 * self.camera.height_mm, 1e3 * self.camera.die_mm)
+        study = self.study
         bits = max(study.options_of(technology).bits for technology in study.technologies)
         code_bytes = np.min_scalar_type(2**bits - 1).itemsize
         sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
         pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
-        pixels = sum(math.prod(pixels_along(length_um, pitch_um) for length_um in die_um) for pitch_um in pitches)
+        pixels = sum(math.prod(pixels_on(self.camera.die_um, pitch_um)) for pitch_um in pitches)
         return cache.has_room(pixels * code_bytes * sensors_per_pitch)
 
 

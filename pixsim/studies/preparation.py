@@ -21,7 +21,7 @@ from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.plan import Plan, decide_oversampling, make_render_plan
 from pixsim.scene.scene import Scene
-from pixsim.sensor.integration import MAX_PIXELS, pixels_along
+from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.pixel import physics_of
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import study_pitches_um
@@ -72,7 +72,7 @@ def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene 
     Raises PixsimError if not one pixel fits on the die.
     """
     fixed = display.raster == "fixed_size"
-    columns = pixels_along(1e3 * camera.die_mm, pitch_um)
+    columns = pixels_along(camera.die_um[1], pitch_um)
     dots = min(max(columns, ALLOWED_DOTS[0]), ALLOWED_DOTS[1])
     free = fixed and "dots" not in display.model_fields_set
     if scene is None or not scene.shows_csf or MAX_LP_PER_MM in scene.parameters:
@@ -102,13 +102,8 @@ def most_pixels(camera: Camera, own_um: float | None) -> float:
     """
     if own_um is None:
         return MAX_PIXELS
-    own = math.prod(pixels_along(length_um, own_um) for length_um in die_um(camera))
+    own = math.prod(pixels_on(camera.die_um, own_um))
     return min(max(MAX_FRAME_BYTES / BYTES_PER_PIXEL, own), MAX_PIXELS)
-
-
-def die_um(camera: Camera) -> tuple[float, float]:
-    """Return height and width of the die."""
-    return 1e3 * camera.height_mm, 1e3 * camera.die_mm
 
 
 def fitted_range(study: Study, camera: Camera) -> Study:
@@ -120,7 +115,7 @@ def fitted_range(study: Study, camera: Camera) -> Study:
     Raises PixsimError if a pixel size that was set makes too many pixels.
     """
     pitch, own_um = study.pitch, study.own_um
-    height_um, width_um = die_um(camera)
+    height_um, width_um = camera.die_um
     if pitch.values_um is not None:
         check_smallest(min(pitch.values_um), camera, "pitch.values_um")
         return study
@@ -163,7 +158,7 @@ def fitted_range(study: Study, camera: Camera) -> Study:
 
 def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
     """Raise PixsimError if pixels of a size that was set are too many for the die."""
-    height_um, width_um = die_um(camera)
+    height_um, width_um = camera.die_um
     count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
     if count > MAX_PIXELS:
         least = rounded_up(math.sqrt(height_um * width_um / MAX_PIXELS))
@@ -234,18 +229,12 @@ def render_cost(plan: Plan, cells: int, cores: int) -> Cost:
 
 def frame_cost(camera: Camera, pitch_um: float, display: Display) -> Cost:
     """Estimate one frame of a pitch and its ΔE."""
-    pixels = float(math.prod(pixels_along(length_um, pitch_um) for length_um in die_um(camera)))
-    dots = shown_dots(camera, pitch_um, display)
+    pixels = dots = math.prod(pixels_on(camera.die_um, pitch_um))
+    if display.raster == "fixed_size":
+        height_um, width_um = camera.die_um
+        dots = display.dots * max(1, round(display.dots * height_um / width_um))
     seconds = pixels * FRAME_S_PER_PIXEL + dots * SCORE_S_PER_DOT
     return Cost(seconds, pixels * BYTES_PER_PIXEL + dots * DOT_BYTES, 1)
-
-
-def shown_dots(camera: Camera, pitch_um: float, display: Display) -> int:
-    """Return the number of dots of a whole picture."""
-    if display.raster == "one_to_one":
-        return math.prod(pixels_along(length_um, pitch_um) for length_um in die_um(camera))
-    height_um, width_um = die_um(camera)
-    return display.dots * max(1, round(display.dots * height_um / width_um))
 
 
 def sampled_pitches_um(study: Study) -> list[float]:

@@ -25,7 +25,7 @@ from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, study_pitches_um, warn_of_clipped_white
 from pixsim.studies.oversampling import FilmError, render_and_measure
-from pixsim.studies.preparation import View, choose_view, die_um, first_film, fitted_range, fitting_jobs
+from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import SceneCache
@@ -224,7 +224,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
-        dot_edges_um(die_um(camera), largest_um, study.display, study.pitch.largest_um)
+        dot_edges_um(camera.die_um, largest_um, study.display, study.pitch.largest_um)
     return Prepared(study, scene, camera, view, variant)
 
 

@@ -19,7 +19,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
-from pixsim.sensor.integration import M2_PER_UM2, MAX_PIXELS, electrons_per_joule, ideal_rate, integrate_axis, pixels_along
+from pixsim.sensor.integration import M2_PER_UM2, MAX_PIXELS, electrons_per_joule, ideal_rate, integrate_axis, pixels_on
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame
 
@@ -118,7 +118,7 @@ def dot_edges_um(
     Returns ((rows + 1,), (columns + 1,)). Raises PixsimError if no whole pixel fits, no whole dot is left, or there are more
     than 2^26 dots.
     """
-    pixels = [pixels_along(length_um, pitch_um) for length_um in array_um or size_um]
+    pixels = pixels_on(array_um or size_um, pitch_um)
     if display.raster == "one_to_one":
         rows, columns = (pixel_edges_um(um, count, pitch_um) for um, count in zip(size_um, pixels, strict=True))
         return rows, columns
