@@ -48,7 +48,7 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
     ("failure", "code", "message"),
     [
         (RuntimeError("the moon is out"), 1, "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose"),
-        (MemoryError(), 1, "the system is out of memory"),
+        (MemoryError(), 1, "the system is out of memory; use a coarser film (--resolution 512)"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )

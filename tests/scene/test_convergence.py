@@ -15,8 +15,17 @@ from helpers.commands import command
 from helpers.edits import load
 
 import pixsim
+from pixsim.base.parameters import Run
 from pixsim.scene import convergence, film
-from pixsim.scene.convergence import MAX_SPP, RENDER_NOISE, RenderNoise, measured_parts, render_until
+from pixsim.scene.convergence import (
+    MAX_SPP,
+    NO_TIME_LIMIT_S,
+    RENDER_NOISE,
+    RenderNoise,
+    measured_parts,
+    render_until,
+    without_clock,
+)
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
@@ -366,3 +375,26 @@ def test_noise_of_parts_equals_that_of_whole(monkeypatch):
     parts = until(LOOSE)[1]
     assert parts.fraction != whole.fraction
     assert parts.fraction == pytest.approx(whole.fraction, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("ended_by", "tolerance", "changed"),
+    [
+        ("target", None, {"resolution": 3}),
+        ("target", 0.1, {}),  # the calibration chooses the film
+        ("max_seconds", None, {"resolution": 3, "render_noise": pytest.approx(0.5, rel=2e-5)}),
+        ("max_seconds", 0.1, {"resolution": 3, "render_noise": pytest.approx(0.5, rel=2e-5), "tolerance_e": 0.01}),
+    ],
+)
+def test_without_clock_states_what_the_limit_led_to(ended_by, tolerance, changed):
+    header = {"render_noise": {"fraction": 0.5, "ended_by": ended_by}}
+    image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((2, 3, 1)), header=header)
+    asked = Run(seed=4, max_seconds=7.0, tolerance_delta_e=tolerance)
+    chosen = asked.model_copy(update={"tolerance_e": 0.01, "render_noise": 0.3} if tolerance else {})
+    by_clock = ended_by == "max_seconds"
+    expected = asked.model_dump() | {"max_seconds": NO_TIME_LIMIT_S} | ({"tolerance_delta_e": None} if by_clock else {}) | changed
+    got = without_clock(asked, chosen, image)
+    assert got.model_dump() == expected
+    assert not by_clock or got.render_noise > 0.5, "or rounding could ask for one more render"
+    free = Run(seed=4)
+    assert without_clock(free, free, image) == free
