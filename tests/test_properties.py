@@ -1,6 +1,6 @@
 """Property tests of the whole chain: for all settings the result is finite, in range and repeatable, or an error with a message.
 
-The strategies read the bounds from the records, so that new fields are covered. The 2000 examples are the same in every run.
+The strategies read the bounds from the records, so that new fields are covered. The examples are the same in every run.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def values(record: type[Record]) -> st.SearchStrategy[dict[str, Any]]:
 
 # --- Scenes on a sensor ---
 
-USUALLY = st.integers(0, 9).map(lambda tenth: tenth < 9)
+USUALLY = st.integers(0, 9).map(lambda tenth: tenth != 6)  # Hypothesis draws the ends more often
 TECHNOLOGIES = ("0.35um", "0.18um", "4t-bsi", "4t-fsi")
 KINDS = ("dark", "even", "random", "halves", "point", "one lit corner")
 SHAPES = st.tuples(st.integers(1, 24), st.integers(1, 24))
@@ -163,8 +163,8 @@ def irradiances(draw: st.DrawFn, pitch_um: float) -> SpectralImage:
     factored, diffraction, white, width = draw(LIGHTS)
     header = {"luminance_cd_per_m2": 10.0**white, "diffraction": diffraction}
     light: dict[str, Any] = {"factors": (spectra, pictures)} if factored else {"data": np.einsum("rb,ryx->yxb", spectra, pictures)}
-    # The shorter side holds 8 pixels or more, the longer at most about 24; one in ten images is smaller than a pixel.
-    pixels_of_side = draw(st.floats(8.0, max(8.0, 24 * min(shape) / max(shape)))) if draw(USUALLY) else 0.7
+    # The shorter side holds 8 pixels or more, the longer at most about 24; one in 30 images is smaller than a pixel.
+    pixels_of_side = draw(st.floats(8.0, max(8.0, 24 * min(shape) / max(shape)))) if draw(st.integers(0, 29)) != 17 else 0.7
     return SpectralImage(nm, 10.0**width, pitch_um * pixels_of_side / min(shape), header=header, **light)
 
 
@@ -187,7 +187,7 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
     pixel = draw(values(Pixel)) | {"technology": draw(st.sampled_from(TECHNOLOGIES))}
     if draw(st.booleans()):
         pixel["dark_current"] = {"e_per_s": 1.0, "at_c": 20.0} | draw(values(DarkCurrent))
-    solved = draw(st.integers(0, 499)) == 0  # takes seconds
+    solved = draw(st.integers(0, 99)) == 66  # takes up to seconds at the extremes
     if not solved:
         pixel = {name: value for name, value in pixel.items() if name not in ("dynamic_range_db", "snr_max_db")}
     for word in STANDS_FOR if draw(USUALLY) else ():
@@ -203,7 +203,11 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
         pixel["black_level_dn"] = top * draw(st.sampled_from([0.0, 0.01, 0.5, 0.999999]))
         pixel.setdefault("fill_factor", draw(numbers(number_of(Pixel, "fill_factor"))))  # most pitches are outside the law
         if pixel["technology"].startswith("4t"):
-            pixel.pop("capacitance", None)
+            for name in ("capacitance", "well_limit", "conversion"):
+                pixel.pop(name, None)
+        if "data_sheet_pitch_um" in pixel:  # a well and a gain that scale to possible ones
+            limits, near = number_of(Pixel, "data_sheet_pitch_um"), pixel.get("pitch_um", 6.5) * draw(st.floats(0.1, 10.0))
+            pixel["data_sheet_pitch_um"] = min(max(near, limits.low), limits.high)
         if "infrared_cut_nm" in pixel:
             pixel["infrared_cut_nm"] = draw(st.floats(400, 1300))
     return pixel
@@ -265,7 +269,7 @@ def assert_possible(frame: Frame) -> None:
 def test_evaluate_is_finite_and_in_range_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=250, **REPEATABLE)
+    @settings(max_examples=500, **REPEATABLE)
     @given(chains())
     def scored(chain: dict[str, Any]) -> None:
         with only_explained_errors(outcomes):
@@ -277,7 +281,7 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
             assert all(math.isfinite(value) for value in score.statistics().values())
 
     scored()
-    assert outcomes["accepted"] > 0.5 * outcomes.total(), outcomes
+    assert outcomes["accepted"] > 0.6 * outcomes.total(), outcomes
 
 
 def any_technology() -> st.SearchStrategy[Technology]:

@@ -21,10 +21,14 @@ SHOT_NODES = 65
 GAIN_NODES, OFFSET_NODES = 37, 19  # at least; more if they would be wider apart than the temporal noise
 MAX_NODES = 1000  # of gain times offset
 MAX_NODE = 5.0  # σ
+CLIP_REACH = 8.0  # σ: a clip farther away cuts off less than 1e-15, and is not worth a normal distribution
 PEAK_RANGE, PEAK_POINTS = (0.3, 1.0), 15  # of the brightest light, and light levels that bracket the peak
 PEAK_WITHIN = 1e-5  # of the brightest light
+BRIGHTEST = 1.1  # of the lower clip: the brightest light, up to which the peak is sought
 MAX_WELL = 4.0  # saturation capacities: end of the search for the full well
 WELL_WITHIN = 1e-5  # of the saturation capacity
+RISE_OVER = 1e-4  # of the saturation capacity, either side
+CAPACITY_WITHIN = 1e-4  # of the saturation capacity: accepted for a full well at which the variance is level
 
 
 def normal_nodes(count: int, sigma: float) -> tuple[Array, Array]:
@@ -49,14 +53,15 @@ def node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
 
 def clipped_moments(mean: Array, sigma: float, top: float) -> tuple[Array, Array]:
     """E[x] and E[x²] of min(x, top) for a normal x."""
-    if sigma == 0:
-        clipped = np.minimum(mean, top)
-        return clipped, clipped**2
-    reach = (top - mean) / sigma
-    below, density = ndtr(reach), np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
-    first = mean * below - sigma * density + top * (1 - below)
-    second = (mean**2 + sigma**2) * below - sigma * (mean + top) * density + top**2 * (1 - below)
-    return first, second
+    above = mean - top
+    first = np.minimum(above, 0.0)
+    second = first**2 + sigma**2 * (above < 0)
+    near = np.abs(above) < CLIP_REACH * sigma
+    part = above[near]
+    below = ndtr(-part / sigma)
+    first[near] = part * below - sigma / math.sqrt(2 * math.pi) * np.exp(-((part / sigma) ** 2) / 2)
+    second[near] = part * first[near] + sigma**2 * below
+    return first + top, second + top * (2 * first + top)
 
 
 def level_moments(
@@ -100,6 +105,15 @@ def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
     return float(minimize_scalar(lambda electrons: -variance(electrons), bounds=bounds, method="bounded", options=options).x)
 
 
+def clipping_variance_e2(
+    mean_e: float, full_well_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
+) -> float:
+    """Mean temporal variance over the pixels of a hard clip, in a dark so short that it adds no charge."""
+    top_e = full_well_e if adc_range_e is None else adc_range_e
+    spreads = {"noise_e": noise_e, "gain_spread": gain_spread, "offset_spread_e": offset_spread_e}
+    return level_moments(mean_e, 0.0, top_e, lambda generated: np.minimum(generated, full_well_e), **spreads)[1]
+
+
 @lru_cache(maxsize=4096)
 def saturation_capacity_e(
     full_well_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
@@ -109,26 +123,41 @@ def saturation_capacity_e(
     adc_range_e : signal at the ADC's top code; None: the full well
     noise_e, gain_spread, offset_spread_e : as in `level_moments`
     """
-    top_e = full_well_e if adc_range_e is None else adc_range_e
-
-    def variance(mean_e: float) -> float:
-        spreads = {"noise_e": noise_e, "gain_spread": gain_spread, "offset_spread_e": offset_spread_e}
-        return level_moments(mean_e, 0.0, top_e, lambda generated: np.minimum(generated, full_well_e), **spreads)[1]
-
-    return peak_e(variance, 1.1 * min(full_well_e, top_e))
+    clip = full_well_e, adc_range_e, noise_e, gain_spread, offset_spread_e
+    brightest_e = BRIGHTEST * min(full_well_e, math.inf if adc_range_e is None else adc_range_e)
+    return peak_e(lambda mean_e: clipping_variance_e2(mean_e, *clip), brightest_e)
 
 
 @lru_cache(maxsize=4096)
 def full_well_for_e(
     capacity_e: float, adc_range_e: float | None, noise_e: float, gain_spread: float, offset_spread_e: float
 ) -> float:
-    """The full well with which `saturation_capacity_e` is `capacity_e`; without the ADC's limit if that alone is lower."""
+    """The full well with which `saturation_capacity_e` is `capacity_e`; without the ADC's limit if that alone is lower.
+
+    It is sought where the variance is level at the capacity, in two evaluations for each full well where a search for the peak
+    takes thirty; that it is the highest peak is then checked.
+    """
 
     def excess_e(full_well_e: float, range_e: float | None) -> float:
         return saturation_capacity_e(full_well_e, range_e, noise_e, gain_spread, offset_spread_e) - capacity_e
 
+    def rise_e2(full_well_e: float, range_e: float | None) -> float:
+        """Rise of the variance at the capacity, 0 at the peak."""
+        below, above = (
+            clipping_variance_e2(capacity_e * (1 + side), full_well_e, range_e, noise_e, gain_spread, offset_spread_e)
+            for side in (-RISE_OVER, RISE_OVER)
+        )
+        return above - below
+
+    low_e, high_e = capacity_e, MAX_WELL * capacity_e
     for range_e in (adc_range_e, None):
-        low_e, high_e = capacity_e, MAX_WELL * capacity_e
+        if range_e is not None and BRIGHTEST * range_e <= capacity_e:
+            continue
+        if rise_e2(low_e, range_e) < 0 < rise_e2(high_e, range_e):
+            full_well_e = float(brentq(rise_e2, low_e, high_e, args=(range_e,), xtol=WELL_WITHIN * capacity_e))
+            if abs(excess_e(full_well_e, range_e)) < CAPACITY_WITHIN * capacity_e:
+                return full_well_e
+        # The variance has several peaks, as with a spread of gains far above the temporal noise, or none: search for the highest.
         if excess_e(low_e, range_e) >= 0:
             return low_e
         if excess_e(high_e, range_e) > 0:

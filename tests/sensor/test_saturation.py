@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from pixsim.sensor.saturation import clipped_moments, full_well_for_e, level_moments, saturation_capacity_e
+from pixsim.sensor.saturation import CLIP_REACH, clipped_moments, full_well_for_e, level_moments, saturation_capacity_e
 
 
 def test_clipped_moments_at_the_mean_closed_form() -> None:
@@ -18,6 +18,23 @@ def test_clipped_moments_at_the_mean_closed_form() -> None:
     assert first[0] == pytest.approx(-3 / math.sqrt(2 * math.pi))
     assert second[0] == pytest.approx(4.5)
     assert clipped_moments(np.array([2.0]), 0.0, 1.0) == (1.0, 1.0)
+
+
+def test_clipped_moments_far_from_the_clip_are_limits() -> None:
+    """Far below, those of the normal distribution; far above, those of the clip; and the nearest that is not far joins them."""
+    first, second = clipped_moments(np.array([-50.0, 50.0]), 3.0, 0.0)
+    np.testing.assert_array_equal(first, [-50.0, 0.0])
+    np.testing.assert_array_equal(second, [2509.0, 0.0])
+    both_sides = clipped_moments(3.0 * CLIP_REACH * np.array([-1.000001, -0.999999, 0.999999, 1.000001]) + 100.0, 3.0, 100.0)
+    for moment, tiny in zip(both_sides, (1e-4, 1e-2), strict=True):
+        assert np.abs(np.diff(moment))[[0, 2]] == pytest.approx(0, abs=tiny)
+
+
+def test_clipped_moments_move_with_the_clip() -> None:
+    mean = np.linspace(-20.0, 20.0, 41)
+    first, second = clipped_moments(mean, 3.0, 0.0)
+    moved = clipped_moments(mean + 7.0, 3.0, 7.0)
+    np.testing.assert_allclose(moved, [first + 7.0, second + 14.0 * first + 49.0], rtol=1e-12, atol=1e-12)
 
 
 def variance_of_clipped(mean_e: float, well_e: float) -> float:
