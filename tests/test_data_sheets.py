@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import pixsim
 from pixsim.base.config import read_toml
 from pixsim.base.parameters import Study
 from pixsim.cli.options import SceneOptions
+from pixsim.measure import datasheet
 from pixsim.measure.datasheet import entries, make_datasheet, sheet_summary
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import sheet_disagreements
@@ -88,9 +90,11 @@ def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tm
         assert np.array_equal(dn, frames["file"]), name
 
 
-def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path) -> None:
+def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command's summary against that of `make_datasheet`: measured on the frames, it is equal only if they are."""
-    expected = json.loads(json.dumps(sheet_summary(make_datasheet(pixsim.Pixel(**SHEET)))))
+    few = partial(datasheet.make_datasheet, shape=(60, 60), stack_frames=8)
+    monkeypatch.setattr(datasheet, "make_datasheet", few)
+    expected = json.loads(json.dumps(sheet_summary(few(pixsim.Pixel(**SHEET)))))
     arguments = ways(SHEET, tmp_path / "sheets") | {"positional": [tmp_path / "sheets/0.toml"]}
     for name in ("both", "positional"):
         code, out, err = command("datasheet --json", *arguments[name], "--out", tmp_path / name)
@@ -119,8 +123,9 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
         assert text == texts["file"], name
 
 
-def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
+def test_later_layer_replaces_value_under_another_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An option in a data sheet's words replaces the file's field, and the other way round."""
+    monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, shape=(60, 60), stack_frames=8))
     path = file_of(tmp_path / "a.toml", SHEET)
     code, out, err = command("datasheet --json", path, "--pixel.temporal-dark-noise-e", 9, "--out", tmp_path / "out")
     assert code == 0, err

@@ -151,7 +151,7 @@ def test_doctor_old_libraries_no_home_no_cache_gives_notes(tmp_path: Path):
     assert [visited.about(subject)["mark"] for subject in ("llvm_ad_spectral", "libraries", "cache")] == [NOTE] * 3
     assert all("15 or older" in finding["found"] for finding in system if "/libLLVM-15" in finding["found"])
     assert "karellen-llvm-core" in visited.about("libraries")["mend"] or variant.LLVM_VARIABLE in visited.about("libraries")["mend"]
-    picture = visit(f"run flat -D resolution=8 --display.dots 8 --json --out '{tmp_path / 'out'}'", **lacking)
+    picture = visit(f"run flat --resolution 8 --display.dots 8 --json --out '{tmp_path / 'out'}'", **lacking)
     assert picture.code == 0
     assert "rendering with scalar_spectral, since no LLVM 17" in picture.err
 

@@ -89,11 +89,11 @@ def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     assert plain.returncode == 0, plain.stderr
     assert json.loads(plain.stdout)["pitch_um"] == 6.5
     assert "warning: " in plain.stderr
-    quiet = process(f"{line} --json --quiet")
-    assert (quiet.returncode, quiet.stderr, quiet.stdout) == (0, "", plain.stdout)
-    verbose = process(f"-v {line}")
-    assert re.search(r"^render: \d+\.\d\d s$", verbose.stderr, re.MULTILINE)
-    assert verbose.stdout.startswith("mean ΔE")
+    assert command(f"{line} --json --quiet") == (0, plain.stdout, "")
+    code, out, err = command(f"-v {line}")
+    assert code == 0
+    assert re.search(r"^render: \d+\.\d\d s$", err, re.MULTILINE)
+    assert out.startswith("mean ΔE")
 
 
 @pytest.mark.parametrize("line", ["--help", "run --help", "cache", "run nothing"])

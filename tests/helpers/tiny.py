@@ -17,6 +17,7 @@ TINY: dict[str, Any] = {
     "repeats": 2,
     "iso_delta_e": 1.0,
     "resolution": 384,
+    "render_noise": 10.0,  # two renders, not six
     "scene": {"file": "csf", "parameters": {"spp": 4, "luminance_cd_per_m2": 100.0}},
     "pitch": {"values_um": PITCHES_UM},
     "display": {"dots": 96, "samples_per_deg": 10.0},

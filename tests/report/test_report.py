@@ -183,7 +183,7 @@ SHEET = {"data_sheet_pitch_um": 2.0, "full_well_e": 8000.0, "read_noise_e": 5.0,
 SHEET |= {"quantum_efficiency": [[400.0, 0.3], [550.0, 0.6], [700.0, 0.4]]}
 
 
-def test_write_report_data_sheet_omits_process(tmp_path: Path) -> None:
+def test_write_report_data_sheet_omits_process(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
     result = pixsim.study(tiny(**more), tmp_path, jobs=1)
     write_report(result, tmp_path)
@@ -194,16 +194,10 @@ def test_write_report_data_sheet_omits_process(tmp_path: Path) -> None:
     assert "curve of 3 points, 400 to 700 nm" in words
     assert "Noise and non-uniformities that the data sheet does not state are zero." in words
     assert not [absent for absent in ("come from the technology", "ill factor") if absent in words]
-    assert "fill_factor_law" in text_of_a_process(tmp_path)
+    assert "fill_factor_law" in text_of(made[1]), "a process uses those settings"
 
 
-def text_of_a_process(folder: Path) -> str:
-    """The same pages of a process, which uses those settings."""
-    study = tiny(name="process")
-    return text_of(write_report(pixsim.study(study, folder / "process", jobs=1), folder / "process").parent)
-
-
-def test_write_report_paper_comparison(tmp_path: Path) -> None:
+def test_write_report_paper_comparison(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     """0.0415 is the largest number of the response file, 0.37 that of the process's."""
     own = {"name": "paper", "paper": True, "pixel": {"response": "literal"}}
     result = pixsim.study(tiny(**own), tmp_path, jobs=1)
@@ -215,7 +209,7 @@ def test_write_report_paper_comparison(tmp_path: Path) -> None:
     actual = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["paper"]
     assert "settings that change the verdict" in table
     assert f'<td rowspan="{len(actual)}"><code>pixsim study chen2000-sensitivity</code>' in table
-    assert "peaks at" not in text_of_a_process(tmp_path)
+    assert "peaks at" not in text_of(made[1])
 
 
 @needs_browser

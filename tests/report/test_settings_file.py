@@ -64,12 +64,14 @@ def command_in(folder: Path) -> str:
     [
         "--config sheet.toml",
         "--config sheet.toml --window 1.1 --camera.f-number 5.6 --seed 3",
-        "--pixel.technology mine.toml -D chart=star.exr --variant scalar_spectral --full",
+        "--pixel.technology mine.toml -D chart=star.exr --camera.die-mm 1.0 --variant scalar_spectral --full --resolution 32",
         "--config sheet.toml --tolerance-delta-e 0.5",
     ],
 )
 def test_run_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done(f"run csf {options} --resolution 64 -D spp=4 --irradiance none --out out")
+    film = "" if "--resolution" in options else "--resolution 64"
+    noise = "" if "--tolerance" in options else "--render-noise 10"  # two renders
+    done(f"run csf {options} {film} {noise} -D spp=4 --display.dots 64 --irradiance none --out out")
     first, line = json.loads((desk / "out/score.json").read_text(encoding="utf-8")), command_in(desk / "out")
     monkeypatch.chdir(desk / "out")
     done(f"{line} --irradiance none --out {tmp_path / 'again'}")
@@ -149,11 +151,13 @@ def test_study_settings_with_time_limit_do_not_depend_on_the_clock(
     [
         "--config sheet.toml",
         "--scene slanted_edge --config sheet.toml --window 0.9 --pitch.min-um 10 --display.dots 50",
-        "-D chart=star.exr --pixel.technology mine.toml --pitch.min-fill-factor 0.3",
+        "-D chart=star.exr --pixel.technology mine.toml --pitch.min-fill-factor 0.3 --camera.die-mm 1.0 --display.dots 64",
     ],
 )
 def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (desk / "own.toml").write_text('name = "own"\nrepeats = 3\n[pitch]\ncount = 6\n[quick]\nrepeats = 2\n', encoding="utf-8")
+    (desk / "own.toml").write_text(
+        'name = "own"\nrepeats = 3\nrender_noise = 10\n[pitch]\ncount = 6\n[quick]\nrepeats = 2\n', encoding="utf-8"
+    )
     done(f"study own.toml {options} --quick --resolution 64 -D spp=4 --jobs 1 --out out")
     monkeypatch.chdir(desk / "out")
     done(f"{command_in(desk / 'out')} --jobs 1 --out {tmp_path / 'again'}")
@@ -183,7 +187,10 @@ def test_study_settings_of_data_sheets_make_same_numbers(desk: Path, tmp_path: P
 
 def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     """Rows of another chart or other dots are never put side by side."""
-    (desk / "own.toml").write_text('name = "own"\nrepeats = 2\n[pitch]\ncount = 5\nmin_um = 10\nmax_um = 40\n', encoding="utf-8")
+    (desk / "own.toml").write_text(
+        'name = "own"\nrepeats = 2\nrender_noise = 10\n[pitch]\ncount = 5\nmin_um = 10\nmax_um = 40\n[display]\ndots = 64\n',
+        encoding="utf-8",
+    )
     keys = []
     for option in ("", "--display.dots 100", "-D max_lp_per_mm=15", "--camera.f-number 16"):
         done(f"study own.toml --config sheet.toml {option} --resolution 64 -D spp=4 --jobs 1 --out out")

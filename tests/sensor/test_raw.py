@@ -151,7 +151,7 @@ def run(line: str) -> int:
 
 def test_run_writes_frames_of_equal_sfr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    small = "-D resolution=192 --camera.die-mm 1.0 --pixel.black-level-dn 40 --exposure.well-target 0.7"
+    small = "--resolution 192 --display.dots 128 --camera.die-mm 1.0 --pixel.black-level-dn 40 --exposure.well-target 0.7"
     assert run(f"run slanted_edge {small} --raw tiff --raw png --raw npz --out {out}") == 0
     frames = {suffix: pixsim.read_frame(out / f"raw{suffix}") for suffix in (".exr", ".tiff", ".png", ".npz")}
     for result in frames.values():

@@ -168,17 +168,24 @@ def test_study_same_rows_from_toml_options_and_python(tmp_path: Path) -> None:
     path = sheet_toml(tmp_path)
     own = tmp_path / "own.toml"
     run = partial(quiet_command, folder=tmp_path)
-    text = ['name = "own"', "repeats = 2", "seed = 3", '[scene]\nfile = "slanted_edge"', f"parameters = {toml(SMALL)}"]
+    text = [
+        'name = "own"',
+        "repeats = 2",
+        "resolution = 64",
+        "seed = 3",
+        '[scene]\nfile = "slanted_edge"',
+        f"parameters = {toml(SMALL)}",
+    ]
     own.write_text("\n".join([*text, *(f"[{name}]\n{lines(table)}" for name, table in (tables | {"pitch": pitch}).items())]))
     run(f"study {own} --config {path} --out", "toml")
 
     (tmp_path / "bare.toml").write_text('name = "own"\nrepeats = 2\n[scene]\nparameters = { luminance_cd_per_m2 = 1.0 }\n')
     options = " ".join(f"--{t}.{k.replace('_', '-')} {v}" for t, table in tables.items() for k, v in table.items())
-    options += " --pitch.min-um 2 --pitch.max-um 12 --pitch.count 5 --seed 3 --scene slanted_edge"
+    options += " --pitch.min-um 2 --pitch.max-um 12 --pitch.count 5 --seed 3 --resolution 64 --scene slanted_edge"
     options += "".join(f" -D {name}={value}" for name, value in SMALL.items())
     run(f"study {tmp_path / 'bare.toml'} --config {path} {options} --out", "options")
 
-    given = {**tables, "pitch": pitch, "seed": 3, "scene": "slanted_edge", "parameters": SMALL}
+    given = {**tables, "pitch": pitch, "seed": 3, "resolution": 64, "scene": "slanted_edge", "parameters": SMALL}
     with quiet():
         pixsim.study(tmp_path / "bare.toml", tmp_path / "python", config=path, jobs=1, **given)
     numbers = [

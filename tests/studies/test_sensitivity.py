@@ -247,7 +247,7 @@ RANGED = SENSITIVITY | {
 @pytest.fixture(scope="module")
 def ranged(desk: Path) -> tuple[SensitivityResult, Path]:
     """So noisy a render that its number of runs depends on no sensor: the base's is that of every study."""
-    text = BASE_TOML.replace("target_ci_um = 0.5", "paper = true\nrender_noise = 10.0")
+    text = BASE_TOML.replace("target_ci_um = 0.5", "paper = true")
     (desk / "paper.toml").write_text(text, encoding="utf-8")
     return run_sensitivity(Sensitivity.model_validate(RANGED), desk / "ranged", jobs=1), desk / "ranged"
 
