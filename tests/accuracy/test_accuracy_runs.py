@@ -26,7 +26,6 @@ from pixsim.accuracy.ladders import QUICK, Clock, Rung, seed_rungs
 from pixsim.accuracy.reference import analytic_reference
 from pixsim.accuracy.report import FILES, accuracy_lines, plates_of, write_accuracy
 from pixsim.accuracy.result import METRICS, Accuracy
-from pixsim.accuracy.solvers import solvers
 from pixsim.accuracy.stability import compare
 from pixsim.accuracy.survey import survey
 from pixsim.base.files import FOLDER_VARIABLE
@@ -43,13 +42,14 @@ SMALL = replace(
     QUICK, seconds=math.inf, reference_s=0.0, spp=16, films=(-1,), bands=(2,), lens=(4,), plain=(4,), pool=8, dots=(0.5, 2)
 )
 NO_TIME = replace(SMALL, seconds=0.0, ladders_s=0.0)  # skips every rung on any machine
-cached_solvers = once(solvers)
+discharges_of_default = once(lambda: surveys.discharges(pixsim.Pixel()))
 
 
 @pytest.fixture(autouse=True)
 def few_extremes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two cases and cached discharges, for speed: other tests check them."""
-    monkeypatch.setattr(surveys, "solvers", cached_solvers)
+    """Two cases, and the discharges of one pixel for all, for speed: other tests check them."""
+    known = discharges_of_default()
+    monkeypatch.setattr(surveys, "discharges", lambda pixel: known if pixsim.derive(pixel).diode else ())
     cases = [
         replace(compare("one", 1.0, 1.0, 0.1, "by <hand>"), room="optics"),
         compare("two & three", 1.0, 2.0, 0.1, "it's wrong"),
