@@ -571,7 +571,7 @@ def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
     (tmp_path / "study.toml").write_text(
         f"name = 'x'\ntitle = '''{MARKUP} $\\frac{{$'''\nrepeats = 2\ntechnologies = ['t$<b>$.toml']\n"
         "pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0] }\ndisplay = { dots = 32, samples_per_deg = 10.0 }\n"
-        "resolution = 32\nscene = { file = 'csf', parameters = { spp = 4 } }\n"
+        "resolution = 32\ncamera = { die_mm = 0.7 }\nscene = { file = 'csf', parameters = { spp = 4 } }\n"
         f"[sources]\n'camera.f_number' = '''{MARKUP}'''\n"
     )
     code, _, err = run_command(f"{line} --out out")
