@@ -95,7 +95,8 @@ def run(
     with stages() as stage:
         result = run_and_write(scene, chosen, folder, progress=stage, **render_options, **files)
     noise = result.get("render_noise")
-    of_noise = f"; render noise {noise['fraction']:.2g} of the sensor's noise" if noise else ""
+    amount = f"render noise {noise['fraction']:.2g} of the sensor's noise" if noise and noise["fraction"] else "no render noise"
+    of_noise = f"; {amount}" if noise else ""
     line = f"{score_line(result)}{of_noise}; report: {folder / 'report.html'}"
     show(result, json, "\n".join([line, *(f"note: {note}" for note in dark_notes(result)), *budget_lines(result)]))
 
