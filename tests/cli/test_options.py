@@ -10,6 +10,7 @@ from typing import Annotated, Literal, get_args
 
 import pytest
 from helpers.commands import assert_refused, command
+from rich.console import Console
 
 from pixsim.base.config import packaged
 from pixsim.base.parameters import CameraOptions, Display, Effort, Exposure, Pixel, Record, Run
@@ -19,7 +20,8 @@ from pixsim.scene.scene import packaged_scenes
 
 
 def shown_help(name: str, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setenv("COLUMNS", "300")
+    # Cyclopts keeps the console of its first help, with the width that the terminal had then.
+    monkeypatch.setattr(app, "_console", Console(width=300))
     code, out, err = command(f"{name} --help")
     assert code == 0, err
     return out
