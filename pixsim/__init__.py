@@ -5,11 +5,9 @@ Names are imported on first use, so that `import pixsim` is fast.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
 from pixsim.base.version import VERSION
 
+TYPE_CHECKING = False  # as of `typing`, whose import takes as long as the rest of this file
 if TYPE_CHECKING:
     from pixsim import optics as optics, sensor as sensor
     from pixsim.base import parameters as parameters
@@ -74,7 +72,9 @@ _MODULES = {
 __all__ = [*_HOME, "optics"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
+    from importlib import import_module
+
     if name in _HOME:
         return getattr(import_module(f"pixsim.{_HOME[name]}"), name)
     if name in _MODULES:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from copy import copy
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 from pixsim.accuracy import ladders, stability
 from pixsim.accuracy.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
 from pixsim.accuracy.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
 from pixsim.accuracy.result import Accuracy
 from pixsim.accuracy.solvers import Solved, solvers
+from pixsim.base.locks import temporary_folder
 from pixsim.base.parameters import Camera, Display, Pixel, Run
 from pixsim.base.progress import Stage
 from pixsim.light.spectral import SpectralImage
@@ -57,7 +56,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
     without_diffraction = copy(image)
     without_diffraction.header = image.header | {"diffraction": False}
     physics, ends = derive(setup.pixel), [time.perf_counter()]
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         diffracted_rate(image, setup.camera, physics)
         ends.append(time.perf_counter())
         light = prepare_scene(without_diffraction, setup.camera, physics, setup.display)
@@ -68,7 +67,7 @@ def seconds_to_score(image: SpectralImage, setup: Setup) -> dict[str, float]:
         score = chain.score_frame(frame)
         ends.append(time.perf_counter())
         summary = summary_of(score, image, setup.camera, setup.exposure, setup.display, setup.seed)
-        write_all(Path(folder), image, score, summary)
+        write_all(folder, image, score, summary)
         ends.append(time.perf_counter())
     diffraction, ideal, sensor, shown, report = (end - start for start, end in pairwise(ends))
     return {"diffraction": diffraction, "sensor": sensor, "S-CIELAB": ideal + shown, "report": report}

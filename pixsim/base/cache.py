@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import read_arrays
 from pixsim.base.errors import invalid
 from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text
+from pixsim.base.locks import PARTIAL_FILE, unfinished
 from pixsim.base.notes import MachineWarning
 from pixsim.base.version import VERSION
 
@@ -138,13 +138,9 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A unique name, so that two processes with the same key do not write to one file.
-        partial = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
-        try:
+        with unfinished(path.parent, f".{path.name}.", PARTIAL_FILE, is_folder=False) as partial:
             write(partial)
             partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
     except OSError as error:
         text = f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}"
         warnings.warn(text, MachineWarning, stacklevel=4)

@@ -10,26 +10,34 @@ import io
 import json
 import os
 import platform
-import shutil
 import stat
-import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.locks import PARTIAL_FILE, PARTIAL_FOLDER, locked_folder, remove_leftovers, unfinished
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
 
 def cache_folder() -> Path:
-    """$PIXSIM_CACHE_DIR, or else `pixsim` in the user's cache folder (XDG base directories)."""
+    """$PIXSIM_CACHE_DIR, or else `pixsim` in the user's cache folder (XDG base directories).
+
+    Raises PixsimError if there is neither, nor a home folder.
+    """
     if folder := os.environ.get(FOLDER_VARIABLE):
         return Path(folder)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pixsim"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pixsim"
+    except RuntimeError:
+        got = "no value, and a user without a home folder"
+        raise invalid(
+            FOLDER_VARIABLE, got, "a folder for the cache", f"Set it: export {FOLDER_VARIABLE}=/tmp/pixsim-cache"
+        ) from None
 
 
 DEPENDENCIES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "matplotlib", "pydantic", "joblib")
@@ -49,34 +57,32 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     if not os.path.lexists(path.parent):
         raise invalid("output file", missing(path), "a path that can be written", f"Make it first: mkdir -p '{path.parent}'")
-    partial = path.with_name(f".{path.name}.part")
-    try:
+    before = f".{path.name}."
+    remove_leftovers(path.parent, before)
+    with unfinished(path.parent, before, PARTIAL_FILE, is_folder=False) as partial:
         yield partial
         partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 @contextmanager
 def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
-    """Create a folder and check that it can be written; after a failure, new empty folders are removed.
+    """Create a folder and lock it against other processes; after a failure, new empty folders are removed.
 
-    Raises PixsimError if the folder cannot be written.
+    Raises PixsimError if the folder cannot be written, or is in use by another process.
     """
     folder = Path(out)
     if not is_utf8(folder):
         raise PixsimError(f"output folder: '{folder}' is not valid UTF-8. Choose another with --out.")
     created = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
-    probe = folder / ".pixsim-probe"
     try:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            probe.touch()
-            probe.unlink()
-        except OSError as error:
-            message = f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
-            raise PixsimError(message) from None
-        yield folder
+        with ExitStack() as stack:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(locked_folder(folder))
+            except OSError as error:
+                message = f"output folder: '{folder}' cannot be written ({error.strerror}). Choose another with --out."
+                raise PixsimError(message) from None
+            yield folder
     except BaseException:
         for path in created:
             with suppress(OSError):  # it is not empty, or was never created
@@ -167,8 +173,7 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
 
     Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write.
     """
-    partial = Path(tempfile.mkdtemp(prefix=".pixsim-", dir=folder))
-    try:
+    with unfinished(folder, PARTIAL_FOLDER, is_folder=True) as partial:
         yield partial
         made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
         check_replaceable(folder, made)
@@ -197,8 +202,6 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
                 if path.parent != folder:
                     path.parent.rmdir()
         write_provenance(others | now)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_new(path: Path, text: str) -> None:

@@ -1,91 +1,85 @@
 """The `pixsim` command: options in, messages and files out. Only this package prints or exits.
 
 Results go to stdout, everything else to stderr. Exit codes: 0 success, 1 unexpected error or a problem that `doctor` reports,
-2 invalid input, 130 interrupted.
+2 invalid input, 130 interrupted, 143 terminated, 129 terminal closed.
+
+Little is imported here, so that `command` takes Ctrl-C before `main` imports the rest.
 """
 
 from __future__ import annotations
 
-import io
-import os
-import signal
 import sys
-import traceback
-import warnings
-from collections.abc import Sequence
-from contextlib import suppress
-from typing import NoReturn
 
-from cyclopts.exceptions import CycloptsError
-from pydantic import ValidationError
+from pixsim.cli.process import discard_output, interruption, leave, open_closed_streams
 
-from pixsim.base.config import explain
-from pixsim.base.errors import PixsimError
-from pixsim.base.notes import collected_notes
-from pixsim.cli import commands as commands  # importing it registers the commands
-from pixsim.cli.options import app, set_cache_folders, verbosity
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import NoReturn
 
-OK, UNEXPECTED, INVALID_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+OK, UNEXPECTED, INVALID_INPUT = 0, 1, 2
 
 
-def main(tokens: Sequence[str] | None = None) -> None:
+def command() -> NoReturn:
+    """Run `main` as a process of its own."""
+    interruption.guard()
+    try:
+        open_closed_streams()
+        main()
+    except SystemExit as request:
+        leave(request.code if isinstance(request.code, int) else OK)
+    except KeyboardInterrupt:  # while `main` reported another error
+        print(f"pixsim: {interruption.words}", file=sys.stderr)
+        leave(interruption.exit_code)
+
+
+def main(tokens: Sequence[str] | None = None) -> NoReturn:
     """Run the command; errors of the user become one message and an exit code.
 
     tokens : the arguments after `pixsim`; None takes those of the process
     """
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # otherwise worker processes would be orphaned
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
-            stream.reconfigure(errors="backslashreplace")
-    arguments = verbosity.parse(sys.argv[1:] if tokens is None else tokens)
-    set_cache_folders()
-    warnings.showwarning = lambda message, *_, **__: verbosity.note(f"warning: {message}")
     try:
-        with collected_notes():  # also of the settings, before a result collects its own
-            app(with_each_format(arguments), exit_on_error=False, print_error=False)
+        from cyclopts.exceptions import CycloptsError
+        from pydantic import ValidationError
+
+        from pixsim.base.config import explain
+        from pixsim.base.errors import PixsimError
+        from pixsim.cli.commands import run_command
+    except ImportError as error:
+        end(broken(error), UNEXPECTED)
+    try:
+        run_command(sys.argv[1:] if tokens is None else tokens)
     except (PixsimError, ValidationError) as error:
         end(explain(error), INVALID_INPUT)
     except CycloptsError as error:
         end(f"{error}\nTry 'pixsim --help'.", INVALID_INPUT)
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
-        sys.stderr.close()
-        sys.exit(OK)
+        discard_output()
     except OSError as error:
         end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
     except MemoryError:
         end("the system is out of memory; use a coarser film (--resolution 512), larger pixels or fewer --jobs", UNEXPECTED)
-    except KeyboardInterrupt as interruption:  # a command that keeps something says so in its text
-        end("; ".join(["interrupted", *map(str, interruption.args)]), INTERRUPTED)
+    except ImportError as error:
+        end(broken(error), UNEXPECTED)
+    except KeyboardInterrupt as raised:  # a command that keeps something says so in its text
+        end("; ".join([interruption.words, *map(str, raised.args)]), interruption.exit_code)
     except Exception as error:
         end(f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows where it occurred.", UNEXPECTED)
     sys.exit(OK)
 
 
-def with_each_format(arguments: Sequence[str]) -> list[str]:
-    """Write `--raw tiff png` as `--raw tiff --raw png`: a list that takes all that follows would take the scene too."""
-    written: list[str] = []
-    for argument in arguments:
-        in_list = argument in commands.RAW_FORMATS and written[-2:-1] == ["--raw"]
-        written += ["--raw", argument] if in_list else [argument]
-    return written
-
-
-def command() -> NoReturn:
-    """Run `main` as a process that ends at once: the clean-up of Dr.Jit would take 0.2 s and has no effect."""
-    try:
-        main()
-    except SystemExit as exit_request:
-        if "drjit" in sys.modules and "joblib" not in sys.modules and isinstance(exit_request.code, int):
-            with suppress(OSError, ValueError):  # the reader has closed the pipe
-                sys.stdout.flush()
-                sys.stderr.flush()
-            os._exit(exit_request.code)
-        raise
-    sys.exit(OK)
+def broken(error: ImportError) -> str:
+    return f"a package is missing or broken ({error}). Install pixsim again: pip install --force-reinstall pixsim"
 
 
 def end(message: str, code: int) -> NoReturn:
-    if verbosity.verbose:
+    options = sys.modules.get("pixsim.cli.options")  # whose import may have failed
+    if options and options.verbosity.verbose:
+        import traceback
+
         traceback.print_exc()
-    print(f"pixsim: {message}", file=sys.stderr)
+    try:
+        print(f"pixsim: {message}", file=sys.stderr, flush=True)
+    except OSError:  # a full disk, a reader that is gone
+        discard_output()
     sys.exit(code)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json as json_format
 import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -22,7 +23,8 @@ from pixsim.base.files import MIB, check_replaceable, output_folder
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Run
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, given, show, stages
+from pixsim.cli.options import DEFAULT_OUT, FILE_WIDTH, Json, Out, SceneOptions, app, given, say, show, stages
+from pixsim.cli.process import interruption
 
 if TYPE_CHECKING:
     from pixsim.cli.doctor import Finding
@@ -32,6 +34,49 @@ if TYPE_CHECKING:
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
 SCENE_HELP = "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, macbeth, line_lamp, still_life."
+
+
+def run_command(tokens: Sequence[str]) -> None:
+    """Run a command; the exceptions that end it are reported by `pixsim.cli.main`.
+
+    tokens : its name and arguments
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # file names may not be UTF-8
+            stream.reconfigure(errors="backslashreplace")
+    arguments = common.verbosity.parse(tokens)
+    check_current_folder()
+    common.set_cache_folders()
+    warnings.showwarning = lambda message, *_, **__: common.verbosity.note(f"warning: {message}")
+    interruption.begin()
+    try:
+        with collected_notes():  # also of the settings, before a result collects its own
+            app(with_each_format(arguments), exit_on_error=False, print_error=False)
+    except Exception as error:
+        if interruption.received:  # a library has turned it into another exception
+            raise KeyboardInterrupt from error
+        raise
+    say("")
+    if interruption.received:  # or has dropped it
+        raise KeyboardInterrupt
+
+
+def with_each_format(arguments: Sequence[str]) -> list[str]:
+    """Write `--raw tiff png` as `--raw tiff --raw png`: a list that takes all that follows would take the scene too."""
+    written: list[str] = []
+    for argument in arguments:
+        in_list = argument in RAW_FORMATS and written[-2:-1] == ["--raw"]
+        written += ["--raw", argument] if in_list else [argument]
+    return written
+
+
+def check_current_folder() -> None:
+    """Raise PixsimError if the current folder is gone: paths are relative to it, and libraries fail to load."""
+    try:
+        os.getcwd()
+    except OSError as error:
+        got = f"one that is gone ({error.strerror})"
+        raise invalid("current folder", got, "a folder that exists", "Change to another one: cd ~") from None
 
 
 @app.command
@@ -147,7 +192,7 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
         bound = f"{decision.bound_e:.1e}" if decision.bound_e else ("0" if not decision.kept else "")
         bound = bound if decision.bounded else "unknown"
         table.add_row(decision.subject, "kept" if decision.kept else "left out", decision.reason, decision.saved, bound)
-    text = StringIO()
+    text = io.StringIO()
     Console(file=text, width=width or Console().width).print(table)
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
     lines += [f"warning: {note}" for note in plan.warnings]
@@ -607,9 +652,9 @@ def doctor(
     has_problem = any(finding.mark == PROBLEM for finding in findings)
     if json:
         result = {"ok": not has_problem, "findings": [asdict(finding) for finding in findings]}
-        print(json_format.dumps(result, indent=2, ensure_ascii=False))
+        say(json_format.dumps(result, indent=2, ensure_ascii=False) + "\n")
     else:
-        print(report(findings, shutil.get_terminal_size().columns if sys.stdout.isatty() else FILE_WIDTH))
+        say(report(findings, shutil.get_terminal_size().columns if sys.stdout.isatty() else FILE_WIDTH) + "\n")
     if has_problem:
         sys.exit(PROBLEM_FOUND)
 

@@ -63,7 +63,7 @@ class Verbosity:
 
     def note(self, text: str) -> None:
         if not self.quiet:
-            print(text, file=sys.stderr)
+            progress.writer_to(sys.stderr)(text)
 
 
 verbosity = Verbosity()
@@ -72,8 +72,8 @@ verbosity = Verbosity()
 def set_cache_folders() -> None:
     """Let Mitsuba (kernels) and Matplotlib (fonts) use pixsim's cache folder, unless their own variables are set."""
     for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
-        folder = cache_folder() / name
-        with suppress(OSError):  # then they use their default folders
+        with suppress(OSError, PixsimError):  # then they use their default folders
+            folder = cache_folder() / name
             if variable not in os.environ:
                 folder.mkdir(parents=True, exist_ok=True)
                 os.environ[variable] = str(folder)
@@ -298,4 +298,14 @@ def show(result: dict[str, Any], as_json: bool, text: str) -> None:
         import json
 
         text = json.dumps(result, indent=2, sort_keys=True, ensure_ascii=False)
-    print(text)
+    say(text + "\n")
+
+
+def say(text: str) -> None:
+    """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe whose reader is gone."""
+    try:
+        print(text, end="", flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise PixsimError(f"standard output: it cannot be written ({error.strerror}); the files of the command are.") from None

@@ -6,10 +6,9 @@ A chart fills the die. Its frequencies are those on the sensor, so it depends on
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
+from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.parameters import content_hash
 from pixsim.light.exr import write_channels
 
@@ -177,12 +177,6 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
     write_channels(path, {"Y": texels}, {})
 
 
-@lru_cache
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    """The folder of textures, until the process ends, where the cache cannot be written."""
-    return tempfile.TemporaryDirectory(prefix="pixsim-charts-")
-
-
 def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Path:
     """Return the file of a texture that pixsim makes, in the cache; it is written if it is missing.
 
@@ -196,7 +190,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
     if not (path.is_file() or os.access(path.parent, os.W_OK)):
-        path = Path(_temporary_folder().name) / name
+        path = temporary_folder_of_process() / name
     if path.is_file():
         with suppress(OSError):  # a read-only cache works too
             os.utime(path)

@@ -28,6 +28,7 @@ def import_mitsuba(variant: str) -> Any:
         except ImportError as error:
             reason = " ".join(str(error).split())
             raise invalid("variant", f"'{variant}' ({reason})", "a variant that runs here", "Leave out --variant.") from None
+    mi.set_log_level(mi.LogLevel.Error)  # it writes warnings to stdout, which is reserved for results
     if dr.thread_count() < 2:
         dr.set_thread_count(2)  # Mitsuba 3.9 blocks for ever on an EXR texture with one thread
     return mi

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import tempfile
+import os
+import signal
+import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, TypeVar
 
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import processors
 from pixsim.base.notes import MachineWarning
 
@@ -205,18 +208,65 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
     """
     from joblib import Parallel, delayed, dump, parallel_config
 
-    with tempfile.TemporaryDirectory(prefix="pixsim-", ignore_cleanup_errors=True) as folder:
+    with temporary_folder() as folder:
         paths: dict[int, str] = {}
 
-        def numbered() -> Iterator[Any]:
+        def numbered(taken: Callable[[], AbstractContextManager[None]]) -> Iterator[Any]:
             for index, (task, make) in list(calls.items()):
                 if id(make) not in paths:
-                    paths[id(make)] = str(Path(folder) / f"{len(paths)}.joblib")
-                    dump(make(), paths[id(make)])
+                    paths[id(make)] = str(folder / f"{len(paths)}.joblib")
+                    with taken():
+                        dump(make(), paths[id(make)])
                 yield delayed(_numbered_from)(function, index, task, paths[id(make)])
 
-        with parallel_config("loky", inner_max_num_threads=1):
-            yield from Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)(numbered())
+        watched: dict[str, Any] = {"initializer": watch_parent, "initargs": (os.getpid(),)}
+        with parallel_config("loky", inner_max_num_threads=1, **watched):
+            parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
+            with ctrl_c_blocked() as taken:
+                results = parallel(numbered(taken))
+            yield from results
+
+
+WATCH_S = 1.0  # between two looks at the parent
+
+
+def watch_parent(parent: int) -> None:
+    """End this worker when its parent has ended: loky's workers would wait 300 s for it, and keep its pipes open.
+
+    (A death signal of the system would not do: it comes when the thread ends that started the worker.)
+    """
+
+    def run() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_S)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    threading.Thread(target=run, name="pixsim parent", daemon=True).start()
+
+
+@contextmanager
+def ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
+    """Block Ctrl-C in this thread, for the processes that it starts: they inherit this, and their parent ends them.
+
+    Gives a context manager in which it is taken as before.
+    """
+    import multiprocessing.resource_tracker
+
+    multiprocessing.resource_tracker.ensure_running()  # it would unblock Ctrl-C when the first worker starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+
+    @contextmanager
+    def taken() -> Iterator[None]:
+        now = signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, now)
+
+    try:
+        yield taken
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @lru_cache(maxsize=1)

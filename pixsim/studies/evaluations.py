@@ -130,31 +130,6 @@ class ResultsFile:
                 raise
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Hold the file's lock, which ends with the process. Raises PixsimError if another process holds it."""
-        try:
-            import fcntl
-        except ImportError:  # Windows
-            yield
-            return
-        lock = self.path.with_name(f".{self.path.name}.lock")
-        with self._clear_write_errors():
-            file = lock.open("w")
-        with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                same = os.path.samestat(os.fstat(file.fileno()), lock.stat())
-            except (BlockingIOError, FileNotFoundError):
-                same = False  # another process holds it, or has just removed it
-            if not same:
-                hint = "Wait until it ends, or choose another --out."
-                raise invalid("study", f"'{self.path.parent}', in use by another process", "a folder that is not in use", hint)
-            try:
-                yield
-            finally:
-                lock.unlink(missing_ok=True)
-
-    @contextmanager
     def _clear_write_errors(self) -> Iterator[None]:
         """Raise PixsimError in place of an OSError, such as a full disk."""
         try:
@@ -395,14 +370,13 @@ class Evaluations:
         self._done: dict[str, Row] = {}
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Hold the lock of the file and read it. Raises PixsimError if another process holds the lock."""
-        with self._results.locked():
-            self._done = self._results.resume(self.fingerprints.is_expected_row)
-            try:
-                yield
-            finally:
-                _recent.__dict__.clear()  # in this process; a worker keeps its last chain until its next task
+    def resumed(self) -> Iterator[None]:
+        """Read the file, whose folder the caller has locked."""
+        self._done = self._results.resume(self.fingerprints.is_expected_row)
+        try:
+            yield
+        finally:
+            _recent.__dict__.clear()  # in this process; a worker keeps its last chain until its next task
 
     def rows(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
         """Return the rows of a sampling, in its order, computing those that are missing.

@@ -261,7 +261,7 @@ def sweep_pitches(
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
     scenes, sampling = SceneCache(irradiance, camera, study.display), first_sampling(study)
     evaluations = Evaluations(study, scenes, results, workers)
-    with evaluations.locked():
+    with evaluations.resumed():
         while True:
             rows = evaluations.rows(sampling, progress())
             curves = tuple(curve_of(study, technology, rows) for technology in study.technologies)

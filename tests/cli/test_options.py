@@ -14,7 +14,7 @@ from rich.console import Console
 
 from pixsim.base.config import packaged
 from pixsim.base.parameters import CameraOptions, Display, Effort, Exposure, Pixel, Record, Run
-from pixsim.cli import with_each_format
+from pixsim.cli.commands import with_each_format
 from pixsim.cli.options import app, choices_of, complete_study, value_name
 from pixsim.scene.scene import packaged_scenes
 

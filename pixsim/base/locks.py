@@ -1,0 +1,166 @@
+"""Locks that end with their process, of output folders and of unfinished files, so that what a killed process left is known.
+
+The system releases such a lock (flock) when its process ends, however it ends; a number of a process could be in use again, or
+belong to another container. Where there are no such locks (Windows, some network file systems), nothing is refused or removed.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import re
+import secrets
+import shutil
+import stat
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import lru_cache
+from pathlib import Path
+
+from pixsim.base.errors import invalid
+
+if sys.platform != "win32":
+    import fcntl
+
+LOCK = ".pixsim.lock"  # in an output folder
+TOKEN = re.compile(r"[0-9a-f]{8}")  # in the name of an unfinished file or folder
+PARTIAL_FOLDER, PARTIAL_FILE = ".pixsim-", ".part"
+TEMPORARY = "pixsim-temporary-"
+TRIES = 20  # for a file that another process removes at the moment when it is locked
+_of_thread = threading.local()
+
+
+def _lock(descriptor: int) -> bool | None:
+    """Lock an open file or folder until it is closed; False if it is locked already, None if there are no locks."""
+    if sys.platform == "win32":
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # this file system has none
+        return None
+    return True
+
+
+def _is_there(path: Path, descriptor: int) -> bool:
+    """Whether a path still leads to an open file or folder."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
+    except OSError:
+        return False
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock an output folder against other processes, and remove what killed ones left there and among the temporary files.
+
+    A thread may lock a folder again that it has locked.
+
+    Raises PixsimError if the folder is in use, OSError if it cannot be written.
+    """
+    folders: set[str] = _of_thread.__dict__.setdefault("folders", set())
+    key = os.path.realpath(folder)
+    if key in folders:
+        yield
+        return
+    path = folder / LOCK
+    for attempt in range(1, TRIES + 1):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        is_free = _lock(descriptor) is not False
+        if is_free and _is_there(path, descriptor):
+            break
+        os.close(descriptor)
+        if not is_free or attempt == TRIES:
+            hint = "Wait until it ends, or choose another folder with --out."
+            raise invalid("output folder", f"'{folder}', in use by another process", "a folder that is not in use", hint)
+    folders.add(key)
+    try:
+        remove_leftovers(folder)
+        remove_leftovers(Path(tempfile.gettempdir()))
+        yield
+    finally:
+        folders.discard(key)
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def is_unfinished(name: str) -> bool:
+    """Whether a file or folder has a name of `unfinished`."""
+    for prefix in (PARTIAL_FOLDER, TEMPORARY):
+        if name.startswith(prefix):
+            return bool(TOKEN.fullmatch(name.removeprefix(prefix)))
+    before, _, token = name.removesuffix(PARTIAL_FILE).rpartition(".")
+    return name.endswith(PARTIAL_FILE) and name.startswith(".") and bool(before) and bool(TOKEN.fullmatch(token))
+
+
+def remove_leftovers(folder: Path, before: str = "") -> None:
+    """Remove this user's unfinished files and folders in a folder whose process has ended.
+
+    before : the beginning of their names
+    """
+    with suppress(OSError):
+        for entry in os.scandir(folder):
+            if entry.name.startswith(before) and is_unfinished(entry.name):
+                with suppress(OSError):
+                    _remove_leftover(Path(entry.path))
+
+
+def _remove_leftover(path: Path) -> None:
+    status = path.lstat()
+    is_folder = stat.S_ISDIR(status.st_mode)
+    if status.st_uid != os.geteuid() or not (is_folder or stat.S_ISREG(status.st_mode)):
+        return
+    descriptor = os.open(path, (os.O_RDONLY if is_folder else os.O_RDWR) | os.O_NOFOLLOW)
+    try:
+        if _lock(descriptor):
+            shutil.rmtree(path, ignore_errors=True) if is_folder else path.unlink()
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def unfinished(folder: Path, before: str, after: str = "", *, is_folder: bool) -> Iterator[Path]:
+    """A new file or folder of a name that nobody else has, locked; it is removed at the end, unless it was moved.
+
+    before, after : of its name, around the random part
+    """
+    for _ in range(TRIES):
+        path = folder / f"{before}{secrets.token_hex(4)}{after}"
+        with suppress(FileExistsError):
+            if is_folder:
+                path.mkdir(0o700)
+            descriptor = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+            if _lock(descriptor) is not False and _is_there(path, descriptor):
+                break
+            os.close(descriptor)  # another process took it for a leftover before it was locked
+    else:
+        raise FileExistsError(f"'{folder}' has no name left for an unfinished file")
+    try:
+        yield path
+    finally:
+        if is_folder:
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A new folder among the temporary files ($TMPDIR), removed at the end."""
+    with unfinished(Path(tempfile.gettempdir()), TEMPORARY, is_folder=True) as folder:
+        yield folder
+
+
+_until_exit = ExitStack()
+atexit.register(_until_exit.close)
+
+
+@lru_cache
+def temporary_folder_of_process() -> Path:
+    """The temporary folder that is removed when the process ends."""
+    return _until_exit.enter_context(temporary_folder())

@@ -1,0 +1,145 @@
+"""The process of a command: requests to end it (Ctrl-C, SIGTERM, a closed terminal), and closed standard streams.
+
+It imports nothing but modules that Python has loaded by then, so that it is in place before anything else is imported.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import sys
+import time
+from contextlib import suppress
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import Any, NoReturn
+
+ENDING = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "the terminal was closed"}
+SIGNAL_EXIT = 128  # the exit code of a shell for a process that a signal ended, less the signal's number
+PATIENCE_S = 5.0  # for the clean-up after a signal; another one after that ends the process at once
+WAIT_S = 0.02  # before another try to raise
+LONGEST_WAIT_S = 3.0
+IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
+ENTERING = ("__enter__", "__exit__")
+
+
+class Interruption:
+    """The first signal that asks this process to end, and what follows from it.
+
+    Before the command begins, the process ends at once: nothing is written, nothing else runs. Afterwards a KeyboardInterrupt
+    is raised, so that everything opened is closed. It is not raised while Python imports a module, since libraries in C++ turn
+    it into other errors, nor while a context manager is entered or left: what is opened is then always closed, and the files
+    of a command are moved into place all together.
+    """
+
+    received: int | None = None  # number of the signal
+    _at_s = 0.0
+    _begun = _done = False
+
+    def guard(self) -> None:
+        """Take the signals, except those that whoever started this process has set to be ignored (nohup, background jobs)."""
+        for number in ENDING:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._receive)
+        signal.signal(signal.SIGALRM, self._raise)
+        sys.unraisablehook = self._unraisable
+
+    def begin(self) -> None:
+        """The command begins: from now on a signal raises KeyboardInterrupt."""
+        self._begun = True
+
+    def finish(self) -> None:
+        """The command has ended: signals do not disturb the clean-up of the process, unless that takes long."""
+        self._done, self._at_s = True, time.monotonic()
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+    @property
+    def words(self) -> str:
+        """What happened, for a message; Python itself may have raised KeyboardInterrupt."""
+        return ENDING[signal.Signals(self.received or signal.SIGINT)]
+
+    @property
+    def exit_code(self) -> int:
+        return SIGNAL_EXIT + (self.received or signal.SIGINT)
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        if self.received is None and not self._done:
+            self.received, self._at_s = number, time.monotonic()
+            if self._begun:
+                self._raise(number, frame)
+            else:
+                self._leave()
+        elif time.monotonic() - self._at_s > PATIENCE_S:
+            self.received = number
+            self._leave()
+
+    def _raise(self, _: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt, or try again soon."""
+        if self._done:
+            return
+        if time.monotonic() - self._at_s < LONGEST_WAIT_S and must_wait(frame):
+            signal.setitimer(signal.ITIMER_REAL, WAIT_S)
+        else:
+            raise KeyboardInterrupt
+
+    def _unraisable(self, failure: Any) -> None:
+        """Raise again later what Python can only print, since it was raised in a finalizer or a callback."""
+        if isinstance(failure.exc_value, KeyboardInterrupt) and self.received is not None:
+            signal.setitimer(signal.ITIMER_REAL, WAIT_S)
+        else:
+            sys.__unraisablehook__(failure)
+
+    def _leave(self) -> NoReturn:
+        with suppress(OSError):
+            os.write(2, f"pixsim: {self.words}\n".encode())
+        os._exit(self.exit_code)
+
+
+def must_wait(frame: FrameType | None) -> bool:
+    """Whether a module is being imported, or a context manager entered or left, in a frame or those that called it."""
+    while frame is not None:
+        code = frame.f_code
+        if code.co_filename == IMPORTING or (code.co_name in ENTERING and code.co_filename.endswith("contextlib.py")):
+            return True
+        frame = frame.f_back
+    return False
+
+
+interruption = Interruption()
+
+
+def open_closed_streams() -> None:
+    """Open /dev/null in place of a closed standard stream: otherwise the next file that is opened would take its place."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # it takes the lowest number, which is this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, encoding="utf-8", errors="backslashreplace", closefd=False))  # noqa: SIM115
+
+
+def discard_output() -> None:
+    """Send what is still to be printed to /dev/null: the reader has closed the pipe, or the disk is full."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # ValueError: a stream without a file
+            try:
+                stream.flush()
+            except (OSError, ValueError):
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, stream.fileno())
+                os.close(null)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process; at once where that is safe, since the clean-up of Dr.Jit would take 0.2 s and has no effect."""
+    interruption.finish()
+    discard_output()
+    if "drjit" in sys.modules and "joblib" not in sys.modules:
+        atexit._run_exitfuncs()
+        discard_output()
+        os._exit(code)
+    sys.exit(code)
