@@ -17,6 +17,10 @@ class PixsimError(ValueError):
         super().__init__(shown(message))
 
 
+class UnwritableError(PixsimError):
+    """A file that cannot be written, as on a full disk; the message names it and says what is kept."""
+
+
 def shown(text: str) -> str:
     """Text that is safe to print on a terminal: control characters are escaped, and the length is bounded."""
     text = CONTROL.sub(lambda match: repr(match[0])[1:-1], text)

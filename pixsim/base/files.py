@@ -5,6 +5,7 @@ A reader of a named pipe may block, a device has no end, and a decoder allocates
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -13,12 +14,12 @@ import platform
 import stat
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.locks import PARTIAL_FILE, PARTIAL_FOLDER, locked_folder, remove_leftovers, unfinished
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
@@ -60,7 +61,11 @@ def replacing(path: Path) -> Iterator[Path]:
     before = f".{path.name}."
     remove_leftovers(path.parent, before)
     with unfinished(path.parent, before, PARTIAL_FILE, is_folder=False) as partial:
-        yield partial
+        try:
+            yield partial
+        except OSError as error:  # of a write, which does not know the name
+            error.filename = error.filename or str(path)
+            raise
         partial.replace(path)
 
 
@@ -88,6 +93,40 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
             with suppress(OSError):  # it is not empty, or was never created
                 path.rmdir()
         raise
+
+
+# Of a disk that is full or fails, not of a wrong name.
+FAULTS_OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+
+
+@contextmanager
+def disk_faults_named(folder: Path, target: Path, kept: Callable[[], str]) -> Iterator[None]:
+    """Turn errors of a full or failing disk into UnwritableError, which names the file.
+
+    folder : where the files are written; without a name in the error, the newest one is named
+    target : where they are to be
+    kept : returns what is kept, for the message
+    """
+
+    hint = "Free some disk space, and run the same command again."
+    try:
+        yield
+    except PixsimError as error:
+        if str(folder) not in str(error):
+            raise
+        raise UnwritableError(f"{str(error).replace(str(folder), str(target))} {kept()} {hint}") from None
+    except OSError as error:
+        if error.errno not in FAULTS_OF_DISKS:
+            raise
+        path = Path(os.fsdecode(error.filename)) if error.filename else newest_file(folder)
+        place = target / path.relative_to(folder) if path.is_relative_to(folder) else path
+        raise UnwritableError(f"output file: '{place}' cannot be written ({error.strerror}). {kept()} {hint}") from None
+
+
+def newest_file(folder: Path) -> Path:
+    """The file of a folder that was written last; the folder, if it has none."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return max(files, key=lambda path: path.stat().st_mtime_ns, default=folder)
 
 
 PROVENANCE = "provenance.json"
@@ -173,7 +212,8 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
 
     Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write.
     """
-    with unfinished(folder, PARTIAL_FOLDER, is_folder=True) as partial:
+    kept = ["The files that the folder held before are unchanged."]
+    with unfinished(folder, PARTIAL_FOLDER, is_folder=True) as partial, disk_faults_named(partial, folder, lambda: kept[-1]):
         yield partial
         made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
         check_replaceable(folder, made)
@@ -188,6 +228,7 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
         for name in both.keys() & before.keys():
             both[name]["digests"] += before[name]["digests"]
         write_provenance(before | both)
+        kept.append("Some files of the folder are new, others are still those before; pixsim knows both.")
         for name in made:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (partial / name).replace(folder / name)
@@ -233,6 +274,7 @@ MIB = 1 << 20
 ALWAYS_BYTES = 256 * MIB
 MAX_RATIO = 1100
 MAX_PICTURE = 1 << 28  # samples of a PNG or TIFF
+PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "PPM")  # that Pillow may read; it goes by the content, not the suffix
 MAX_SPECTRUM = 16 * MIB
 MAX_ASSET = 4096 * MIB  # a texture or a mesh
 KINDS = {
@@ -320,7 +362,10 @@ def judge_picture(path: Path) -> None:
     from PIL import Image
 
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:  # Pillow has a limit of its own
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.open(path, formats=PICTURE_FORMATS) as image,
+        ):  # Pillow has a limit of its own
             width, height = image.size
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise invalid(f"picture '{path}'", error, "a readable picture") from None

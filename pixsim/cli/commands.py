@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from cyclopts import Parameter
 
 from pixsim.base.config import checked, read_toml, study_layers
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder
 from pixsim.base.notes import collected_notes
 from pixsim.base.parameters import Run
@@ -283,7 +283,7 @@ def study(
                 sensitivity: Sensitivity = checked(Sensitivity, layers)
                 folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
                 check_replaceable(folder, FILES)
-                with interruption_says_what_is_kept(folder):
+                with said_what_is_kept(folder):
                     outcome = run_sensitivity(sensitivity, folder, progress=stage, quick=quick, variant=variant, **run_options)
                     stage("report")
                     report = write_sensitivity_report(outcome, folder, seconds)
@@ -293,7 +293,7 @@ def study(
                 from pixsim.studies.engine import Workers, workers_here
                 from pixsim.studies.preparation import fitting_jobs
 
-                with interruption_says_what_is_kept(folder):
+                with said_what_is_kept(folder):
                     result = sweep.run_prepared(prepared, folder, progress=stage, **run_options)
                     stage("report")
                     drawing = workers_here(jobs or fitting_jobs(result.study, result.camera)) if scheduler is None else Workers()
@@ -307,8 +307,8 @@ def study(
 
 
 @contextmanager
-def interruption_says_what_is_kept(folder: Path) -> Iterator[None]:
-    """Add to a KeyboardInterrupt how many evaluations of this study lie in its folder, if there are any.
+def said_what_is_kept(folder: Path) -> Iterator[None]:
+    """Add to an interruption, or the error of a full disk, how many evaluations of this study lie in its folder, if any.
 
     A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
     rewritten yet may be of other settings: they are not counted.
@@ -322,10 +322,12 @@ def interruption_says_what_is_kept(folder: Path) -> Iterator[None]:
     before = files()
     try:
         yield
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, UnwritableError) as error:
         kept = sum(len(ResultsFile(path).read()) for path, time_ns in files().items() if before.get(path) != time_ns)
-        words = f"{kept} finished evaluations are kept in '{folder}', and the same command continues from them"
-        raise KeyboardInterrupt(*([words] if kept else [])) from None
+        words = [f"{kept} finished evaluations are kept in '{folder}', and the same command continues from them"] if kept else []
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(*words) from None
+        raise UnwritableError(" ".join([str(error), *(f"{text}." for text in words)])) from None
 
 
 @app.command

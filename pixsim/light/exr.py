@@ -163,7 +163,8 @@ def writing(path: str | os.PathLike[str]) -> Iterator[Path]:
     except PixsimError:
         raise
     except (OSError, RuntimeError, ValueError) as error:  # ValueError: a name that OpenEXR rejects
-        raise invalid("output file", f"'{path}' ({error})", "a path that can be written") from None
+        reason = getattr(error, "strerror", None) or error
+        raise invalid("output file", f"'{path}' ({reason})", "a path that can be written") from None
 
 
 @contextmanager
@@ -212,14 +213,14 @@ def write_rows(path: Path, channels: Mapping[str, Rows], shape: tuple[int, int],
     step = max(1, BLOCK_BYTES // line.itemsize)
     with path.open("wb") as file:
         file.write(head)
-        (first + line.itemsize * np.arange(height)).astype("<u8").tofile(file)
+        file.write((first + line.itemsize * np.arange(height)).astype("<u8").data)
         for top in range(0, height, step):
             rows = slice(top, min(top + step, height))
             block = np.empty(rows.stop - top, line)
             block["row"], block["bytes"] = np.arange(top, rows.stop), 4 * len(names) * width
             for index, name in enumerate(names):
                 block["values"][:, index] = channels[name](rows)
-            block.tofile(file)
+            file.write(block.data)
 
 
 def _header(names: list[str], shape: tuple[int, int], texts: Mapping[str, str]) -> bytes:

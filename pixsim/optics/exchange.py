@@ -130,7 +130,7 @@ def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
         with replacing(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, **arrays)
     except OSError as error:
-        raise invalid("output file", f"'{path}' ({error})", "a path that can be written") from None
+        raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None
 
 
 def _read_pixsim_exr(path: Path, camera: Camera | None, units: str | None, pitch_um: float | None) -> SpectralImage:

@@ -363,7 +363,9 @@ def find_bodies(state: Any, sensor: Any) -> list[Body]:
         if index in members or plugin == "shapegroup":
             continue
         if plugin == "instance":
-            group = next(iter(children(node, state).values()))
+            group = next(iter(children(node, state).values()), None)
+            if group is None:
+                raise invalid("shape of type instance", "none in it", "a reference to a shape of type shapegroup")
             parts = [child for child, owner in members.items() if owner == group]
             boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].type.name == "Shape"]
             known = [box for box in boxes if box is not None]

@@ -8,13 +8,14 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
 
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import disk_faults_named
 from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import processors
 from pixsim.base.notes import MachineWarning
@@ -71,8 +72,14 @@ def workers_for(jobs: int | None = None, scheduler: Any = None) -> Iterator[Work
             import distributed
         except ImportError:
             raise invalid("--scheduler", f"'{scheduler}', but Dask is not installed", "pip install 'pixsim[cluster]'") from None
+
+        class Client(distributed.Client):  # type: ignore[misc]
+            def __del__(self) -> None:
+                with suppress(Exception):  # of one that could not connect, after its error has been reported
+                    super().__del__()
+
         try:
-            client = distributed.Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+            client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             hint = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
             got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
@@ -216,7 +223,9 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
                 if id(make) not in paths:
                     paths[id(make)] = str(folder / f"{len(paths)}.joblib")
                     with taken():
-                        dump(make(), paths[id(make)])
+                        content = make()
+                        with disk_faults_named(folder, folder, lambda: "TMPDIR sets another folder for temporary files."):
+                            dump(content, paths[id(make)])
                 yield delayed(_numbered_from)(function, index, task, paths[id(make)])
 
         watched: dict[str, Any] = {"initializer": watch_parent, "initargs": (os.getpid(),)}
@@ -224,7 +233,13 @@ def _on_processes(function: Function[Task, Shared, Result], calls: Calls[Task, S
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
             with ctrl_c_blocked() as taken:
                 results = parallel(numbered(taken))
-            yield from results
+            try:
+                # `yield from` would close them itself, with a warning of the calls that are given up.
+                for reply in results:  # noqa: UP028
+                    yield reply
+            finally:
+                with warnings.catch_warnings(action="ignore"):
+                    results.close()
 
 
 WATCH_S = 1.0  # between two looks at the parent
