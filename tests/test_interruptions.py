@@ -1,0 +1,475 @@
+"""What a shell, an impatient user or a full machine does to a command: one message, a known exit code, nothing half or left."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+import re
+import resource
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.processes import HANG_S
+from helpers.tiny import tiny_toml
+
+from pixsim.base.errors import PixsimError, UnwritableError
+from pixsim.base.files import FOLDER_VARIABLE, output_folder, publishing, replacing
+from pixsim.base.locks import LOCK, PARTIAL_FILE, PARTIAL_FOLDER, TEMPORARY, locked_folder, temporary_folder, unfinished
+from pixsim.cli.commands import said_what_is_kept
+from pixsim.studies.evaluations import COLUMNS, ResultsFile
+
+SMALL = "--resolution 64 --display.dots 64"
+LINES = {
+    "run": f"run csf {SMALL} --out out",
+    "study": "study tiny.toml --jobs 2 --out out",
+    "datasheet": "datasheet 0.35um --out out",
+    "accuracy": "accuracy csf --quick -D resolution=32 --out out",
+}
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "the terminal was closed"}
+GONE_S = 5.0  # for processes to notice that their parent has ended
+proc = pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="processes are looked up in /proc")
+
+
+def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]:
+    """A command, or a Python script, as the leader of its own process group, whose temporary files go to `folder`/tmp."""
+    (folder / "tmp").mkdir(exist_ok=True)
+    environment = os.environ | {"TMPDIR": str(folder / "tmp"), "OPENBLAS_NUM_THREADS": "1"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **streams}
+    if "\n" in line:
+        (folder / "script.py").write_text(line, encoding="utf-8")
+    words = ["script.py"] if "\n" in line else ["-m", "pixsim", *shlex.split(line)]
+    return subprocess.Popen([sys.executable, *words], cwd=folder, env=environment, start_new_session=True, **pipes)
+
+
+def takes_signals(pid: int) -> bool:
+    """Whether a process has a handler for SIGTERM, which Python itself has not; or has ended."""
+    try:
+        text = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return True
+    (mask,) = re.findall(r"SigCgt:\s*(\w+)", text)
+    return bool(int(mask, 16) >> (signal.SIGTERM - 1) & 1)
+
+
+def processes_of(group: int) -> list[str]:
+    """Command lines of the living processes of a group."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                state, _, own = (folder / "stat").read_text().rpartition(")")[2].split()[:3]
+                if int(own) == group and state != "Z":
+                    found.append((folder / "cmdline").read_text().replace("\0", " "))
+            except OSError:  # it has just ended
+                continue
+    return found
+
+
+def wait_for(condition: object, longest_s: float = HANG_S) -> None:
+    end = time.monotonic() + longest_s
+    while not condition():
+        assert time.monotonic() < end, f"not within {longest_s:g} s"
+        time.sleep(0.002)
+
+
+def notes_of(stderr: str) -> list[str]:
+    """Lines of stderr without signs of life."""
+    return [line for line in stderr.splitlines() if not line.startswith("[")]
+
+
+def interrupt(name: str, number: signal.Signals, of_group: bool, delay_s: float, folder: Path) -> None:
+    """Send a signal to a command after a delay, and check that nothing half is left."""
+    (folder / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    process = started(LINES[name], folder)
+    wait_for(lambda: takes_signals(process.pid))
+    time.sleep(delay_s)
+    (os.killpg if of_group else os.kill)(process.pid, number)
+    out, err = process.communicate(timeout=HANG_S)
+    seen = (
+        f"{name}, {number.name} to the {'group' if of_group else 'process'} after {delay_s:.3f} s: {process.returncode}\n{err}{out}"
+    )
+    written = {str(path.relative_to(folder / "out")) for path in (folder / "out").rglob("*")}
+    if process.returncode == 0:  # it had ended
+        assert "report.html" in written, seen
+    else:
+        assert (process.returncode, out) == (128 + number, ""), seen
+        assert len(notes_of(err)) == 1, seen
+        assert notes_of(err)[0].startswith(f"pixsim: {WORDS[number]}"), seen
+        assert written <= {"results.csv"}, seen
+    assert not list((folder / "tmp").iterdir()), seen
+    wait_for(lambda: not processes_of(process.pid), GONE_S)
+
+
+def moments(count: int, longest_s: float, seed: int) -> list[tuple[str, signal.Signals, bool, float]]:
+    """Random commands, signals, receivers and times: every second one during the imports, which take half a second."""
+    source = random.Random(seed)
+    return [
+        (
+            list(LINES)[number % len(LINES)],
+            source.choice([signal.SIGINT, signal.SIGTERM]),
+            source.random() < 0.5,
+            source.random() * (0.5 if number % 8 < 4 else longest_s),
+        )
+        for number in range(count)
+    ]
+
+
+@proc
+@pytest.mark.parametrize(("name", "number", "of_group", "delay_s"), moments(12, 1.5, seed=1))
+def test_command_interrupted_at_random_moment(name, number, of_group, delay_s, tmp_path) -> None:
+    interrupt(name, number, of_group, delay_s, tmp_path)
+
+
+@proc
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "number", "of_group", "delay_s"), moments(100, 5.0, seed=2))
+def test_command_interrupted_at_many_moments(name, number, of_group, delay_s, tmp_path) -> None:
+    interrupt(name, number, of_group, delay_s, tmp_path)
+
+
+@proc
+def test_command_closed_terminal_or_nohup(tmp_path: Path) -> None:
+    interrupt("run", signal.SIGHUP, False, 0.1, tmp_path)
+    ignoring = started("cache", tmp_path, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    wait_for(lambda: takes_signals(ignoring.pid))
+    os.kill(ignoring.pid, signal.SIGHUP)
+    ignoring.communicate(timeout=HANG_S)
+    assert ignoring.returncode == 0
+
+
+COMMAND_THAT_TURNS_SIGNALS = """
+import signal, sys, time
+from pixsim import cli
+from pixsim.cli import commands
+
+def imports(*_):
+    import dropping  # raises the signal and catches everything
+    time.sleep(600)
+
+def turns(*_):
+    try:
+        signal.raise_signal({number})
+    except BaseException:
+        raise ImportError("initialization failed")
+
+def drops(*_):
+    try:
+        signal.raise_signal({number})
+    except BaseException:
+        return {{"kinds": {{}}, "folder": "", "size_bytes": 0, "limit_bytes": 0}}
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+commands.cache_summary = {way}
+sys.argv = ["pixsim", "cache", "--quiet"]
+cli.command()
+"""
+
+
+@pytest.mark.parametrize("way", ["imports", "turns", "drops"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_is_not_turned_into_another_error(way: str, number: signal.Signals, tmp_path: Path) -> None:
+    """As libraries in C++ do, above all while they are imported."""
+    dropping = f"import signal\ntry:\n    signal.raise_signal({number})\nexcept BaseException:\n    pass\n"
+    (tmp_path / "dropping.py").write_text(dropping, encoding="utf-8")
+    process = started(COMMAND_THAT_TURNS_SIGNALS.format(number=int(number), way=way), tmp_path)
+    _, err = process.communicate(timeout=HANG_S)
+    assert (process.returncode, err) == (128 + number, f"pixsim: {WORDS[number]}\n")
+
+
+# --- Killed --------------------------------------------------------------------------------------------------------------
+
+
+LASTING = """
+import time
+from pixsim.base.files import output_folder
+from pixsim.studies.engine import Workers, results_of
+
+def wait(task, shared):
+    time.sleep(600)
+
+if __name__ == "__main__":
+    with output_folder("out"):
+        list(results_of(wait, [(task, dict) for task in range(4)], Workers(2)))
+"""
+
+
+@proc
+@pytest.mark.parametrize("delay_s", [0.0, 0.3, 1.5])
+def test_killed_process_leaves_no_workers_and_next_command_cleans_up(delay_s: float, tmp_path: Path, monkeypatch) -> None:
+    """Killed while its workers start, and while they work."""
+    process = started(LASTING, tmp_path)
+    wait_for(lambda: sum("popen_loky" in line for line in processes_of(process.pid)) == 2)
+    time.sleep(delay_s)
+    process.kill()
+    killed_s = time.monotonic()
+    process.communicate(timeout=HANG_S)  # until the last worker has closed the pipes
+    wait_for(lambda: not processes_of(process.pid))
+    assert time.monotonic() - killed_s < GONE_S
+    (left,) = (tmp_path / "tmp").iterdir()
+    assert left.name.startswith(TEMPORARY)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [LOCK]
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    with output_folder(tmp_path / "out"):
+        assert not left.exists()
+    assert not list((tmp_path / "out").iterdir())
+
+
+KILLED = """
+import os, signal
+from pathlib import Path
+from pixsim.base.files import output_folder, publishing, replacing
+with output_folder("out") as out, replacing(out / "a.txt") as part, publishing(out, "run") as folder:
+    part.write_text("half")
+    (folder / "b.txt").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_output_folder_removes_leftovers_of_killed_process_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    subprocess.run([sys.executable, "-c", KILLED], cwd=tmp_path, check=False, timeout=HANG_S)
+    out = tmp_path / "out"
+    names = sorted(path.name for path in out.iterdir())
+    assert [re.sub(r"[0-9a-f]{8}", "#", name) for name in names] == [".a.txt.#.part", f"{PARTIAL_FOLDER}#", LOCK]
+    users = [".a.txt.part", ".pixsim-notes", "b.0123abcd.part", ".0123abcd.part"]  # of other names
+    for name in users:
+        (out / name).touch()
+    (out / ".pixsim-0123abcd").symlink_to(tmp_path)
+    (tmp_path / f"{TEMPORARY}mine").mkdir()
+    with unfinished(out, ".c.txt.", PARTIAL_FILE, is_folder=False) as living, temporary_folder() as temporary:
+        for folder in (out, tmp_path / "other"):
+            with output_folder(folder):
+                pass
+        assert living.exists()
+        assert temporary.exists()
+        assert sorted(path.name for path in out.iterdir()) == sorted([*users, ".pixsim-0123abcd", living.name])
+    assert not temporary.exists()
+    assert {path.name for path in tmp_path.iterdir()} >= {"out", f"{TEMPORARY}mine"}
+
+
+# --- Two at the same time ------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def in_use(folder: Path) -> Iterator[None]:
+    """A folder that another thread has locked, as another process would: the system does not tell them apart."""
+    locked, end = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with output_folder(folder):
+            locked.set()
+            end.wait(HANG_S)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    assert locked.wait(HANG_S)
+    try:
+        yield
+    finally:
+        end.set()
+        thread.join()
+
+
+@pytest.mark.parametrize("line", [*LINES.values(), "study vary.toml --out out", "sfr edge.npy --out out"])
+def test_command_refuses_folder_in_use(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numpy as np
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    (tmp_path / "vary.toml").write_text(
+        'name = "v"\nbase = "tiny.toml"\n[[vary]]\nname = "n"\n[[vary.settings]]\nlabel = "a"\nset = { seed = 2 }\n'
+    )
+    np.save("edge.npy", 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128))))
+    with in_use(tmp_path / "out"):
+        before = sorted(path.name for path in (tmp_path / "out").rglob("*"))
+        assert_refused(*command(line), ["output folder: got 'out', in use by another process", "--out"])
+        assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == before == [LOCK]
+
+
+def test_locked_folder_again_in_thread_and_after(tmp_path: Path) -> None:
+    with locked_folder(tmp_path), locked_folder(tmp_path):
+        pass
+    with in_use(tmp_path), pytest.raises(PixsimError, match="in use by another process"), output_folder(tmp_path):
+        pass
+    with output_folder(tmp_path):
+        assert [path.name for path in tmp_path.iterdir()] == [LOCK]
+    assert not list(tmp_path.iterdir())
+
+
+def test_replacing_at_the_same_time_gives_one_of_the_whole_files(tmp_path: Path) -> None:
+    barrier = threading.Barrier(8)
+
+    def write(letter: str) -> None:
+        for _ in range(20):
+            with replacing(tmp_path / "a.txt") as part, part.open("w") as file:
+                barrier.wait(HANG_S)
+                file.write(letter * 1000)
+                file.flush()
+                file.write(letter * 1000)
+
+    threads = [threading.Thread(target=write, args=(letter,)) for letter in "abcdefgh"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    text = (tmp_path / "a.txt").read_text()
+    assert text == text[0] * 2000
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_replacing_keeps_the_permissions_of_a_new_file(tmp_path: Path) -> None:
+    (tmp_path / "usual.txt").touch()
+    with replacing(tmp_path / "a.txt") as part:
+        part.write_text("a")
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "usual.txt").stat().st_mode
+
+
+# --- Streams, folders, disks -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("closed", "line", "expected"),
+    [
+        ((0,), "--version", 0),
+        ((1,), "plan csf", 0),
+        ((2,), "schema nothing", 2),
+        ((0, 1, 2), "schema study", 0),
+        ((0, 1, 2), "schema nothing", 2),
+    ],
+)
+def test_command_closed_streams_are_like_dev_null(closed: tuple[int, ...], line: str, expected: int, tmp_path: Path) -> None:
+    def close() -> None:
+        for number in closed:
+            os.close(number)
+
+    process = started(line, tmp_path, preexec_fn=close)
+    out, err = process.communicate(timeout=HANG_S)
+    assert process.returncode == expected, err
+    assert "Traceback" not in err
+    assert bool(out) == (expected == 0 and 1 not in closed)
+    assert bool(err) == (expected != 0 and 2 not in closed)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize(
+    ("stream", "line", "expected"), [("stdout", "cache", 2), ("stdout", "--help", 2), ("stderr", "schema nothing", 2)]
+)
+def test_command_full_stream(stream: str, line: str, expected: int, tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        process = started(line, tmp_path, **{stream: full})
+        out, err = process.communicate(timeout=HANG_S)
+    assert process.returncode == expected
+    assert not out
+    if stream == "stdout":
+        assert len(err.splitlines()) == 1
+        assert "No space left on device" in err
+        assert err.startswith("pixsim: ")
+
+
+def test_command_no_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a user that the system does not know."""
+    for name in (FOLDER_VARIABLE, "XDG_CACHE_HOME", "DRJIT_CACHE_DIR", "MPLCONFIGDIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("Could not determine home directory.")))
+    assert command("--version")[0] == 0
+    assert_refused(*command("cache"), [FOLDER_VARIABLE, "without a home folder", f"export {FOLDER_VARIABLE}="])
+
+
+@pytest.mark.parametrize("line", ["cache", f"run flat {SMALL}", "study chen2000 --quick"])
+def test_command_deleted_current_folder(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert_refused(*command(line), ["current folder: got one that is gone", "cd ~"])
+
+
+def test_scheduler_without_port_says_so(tmp_path: Path) -> None:
+    """In a process of its own: Dask reports the end of a client that could not connect when Python ends."""
+    pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
+    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    process = started("study tiny.toml --scheduler x --out out", tmp_path)
+    out, err = process.communicate(timeout=HANG_S)
+    assert_refused(process.returncode, out, err, ["--scheduler: got 'x'", "allowed: the address of a running Dask scheduler"])
+    assert not (tmp_path / "out").exists()
+
+
+def limited(max_bytes: int) -> object:
+    """For `preexec_fn`: no file can be longer. The limit stands for a full disk: a write fails in the same place."""
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, max_bytes))
+
+    return limit
+
+
+@pytest.mark.slow
+def test_study_full_disk_at_the_report_names_file_and_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """12 rows fit, no figure does."""
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")  # truncated bytecode would break later processes
+    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    process = started("study tiny.toml --jobs 1 --out out", tmp_path, preexec_fn=limited(6000))
+    out, err = process.communicate(timeout=HANG_S)
+    assert (process.returncode, out) == (2, "")
+    assert re.search(r"^pixsim: output file: 'out/figures/\w+\.svg' cannot be written \(File too large\)\. ", err, re.MULTILINE), (
+        err
+    )
+    assert "The files that the folder held before are unchanged." in err
+    assert "12 finished evaluations are kept in 'out', and the same command continues from them." in err
+    assert [path.name for path in (tmp_path / "out").rglob("*")] == ["results.csv"]
+
+
+def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:
+    row = dict.fromkeys(COLUMNS, "1")
+    ResultsFile(tmp_path / "results.csv").write([row | {"key": key} for key in "abc"])
+    kept = f"3 finished evaluations are kept in '{tmp_path}', and the same command continues from them"
+    with pytest.raises(UnwritableError, match=rf"^a full disk\. {re.escape(kept)}\.$"), said_what_is_kept(tmp_path):
+        raise UnwritableError("a full disk.")
+    with pytest.raises(KeyboardInterrupt, match=f"^{re.escape(kept)}$"), said_what_is_kept(tmp_path):
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("has_name", [True, False])
+def test_publishing_full_disk_names_file_and_what_is_kept(has_name: bool, tmp_path: Path) -> None:
+    """Writers that know the name, and those that do not: then the newest file is named."""
+    with publishing(tmp_path, "run") as folder:
+        (folder / "a.txt").write_text("before")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    pattern = rf"'{tmp_path}/figures/b\.txt' cannot be written \(No space left on device\)\. The files .* before are unchanged\."
+
+    def write(folder: Path) -> None:
+        (folder / "a.txt").write_text("after")
+        (folder / "figures").mkdir()
+        (folder / "figures/b.txt").write_text("half")
+        os.utime(folder / "a.txt", (0, 0))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), *([str(folder / "figures/b.txt")] if has_name else []))
+
+    with pytest.raises(UnwritableError, match=pattern), publishing(tmp_path, "run") as folder:
+        write(folder)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_replacing_full_disk_names_file(tmp_path: Path) -> None:
+    pattern = r"No space left on device.*a\.txt'"
+    with pytest.raises(OSError, match=pattern), replacing(tmp_path / "a.txt"):
+        Path("/dev/full").write_text("a")
+    assert not list(tmp_path.iterdir())
+
+
+def test_publishing_other_errors_pass(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), publishing(tmp_path, "run"):
+        (tmp_path / "nothing").read_text()
+    with pytest.raises(PixsimError, match=r"^mine$"), publishing(tmp_path, "run"):
+        raise PixsimError("mine")
