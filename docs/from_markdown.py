@@ -95,7 +95,7 @@ def on_read(app: Sphinx, docname: str, content: list[str]) -> None:
 
 def commands() -> str:
     """Every command with its options, from the app itself."""
-    from pixsim.cli.options import app as program
+    from pixsim.cli.commands import app as program  # with all commands registered
 
     told: str = program.generate_docs(output_format="markdown", heading_level=1, usage_name="pixsim")
     return told[told.index("## pixsim run") :]

@@ -19,7 +19,7 @@ import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.parameters import Run, Study
 from pixsim.cli import options
-from pixsim.cli.options import app
+from pixsim.cli.commands import app
 
 SMALL = "--resolution 64 --display.dots 64"
 

@@ -18,7 +18,7 @@ from helpers.processes import HANG_S
 from helpers.public_names import CLASSES, PUBLIC, fields
 
 import pixsim
-from pixsim.cli.options import app
+from pixsim.cli.commands import app
 
 for needed in ("sphinx", "myst_parser", "furo"):
     pytest.importorskip(needed, reason=f"{needed} is not installed: pip install '.[docs]'")
