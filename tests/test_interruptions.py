@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from helpers.commands import assert_refused, command
+from helpers.commands import COMMAND, assert_refused, command
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
@@ -42,14 +42,20 @@ proc = pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="proce
 
 
 def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]:
-    """A command, or a Python script, as the leader of its own process group, whose temporary files go to `folder`/tmp."""
+    """A command, or the lines of a script, as the leader of its own process group, whose temporary files go to `folder`/tmp.
+
+    `run` and `datasheet` are started by the installed `pixsim`, the others by `python -m pixsim`.
+    """
     (folder / "tmp").mkdir(exist_ok=True)
     environment = os.environ | {"TMPDIR": str(folder / "tmp"), "OPENBLAS_NUM_THREADS": "1"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **streams}
     if "\n" in line:
         (folder / "script.py").write_text(line, encoding="utf-8")
-    words = ["script.py"] if "\n" in line else ["-m", "pixsim", *shlex.split(line)]
-    return subprocess.Popen([sys.executable, *words], cwd=folder, env=environment, start_new_session=True, **pipes)
+    words = [sys.executable, "script.py"]
+    if "\n" not in line:
+        installed = line.startswith(("run", "datasheet"))
+        words = [*([COMMAND] if installed else [sys.executable, "-m", "pixsim"]), *shlex.split(line)]
+    return subprocess.Popen(words, cwd=folder, env=environment, start_new_session=True, **pipes)
 
 
 def takes_signals(pid: int) -> bool:
