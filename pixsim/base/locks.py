@@ -80,7 +80,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
     folders.add(key)
     try:
         remove_leftovers(folder)
-        remove_leftovers(Path(tempfile.gettempdir()))
+        with suppress(OSError):  # no folder for temporary files
+            remove_leftovers(Path(tempfile.gettempdir()))
         yield
     finally:
         folders.discard(key)
