@@ -199,13 +199,13 @@ class SpectralImage:
 
     @property
     def planes(self) -> NDArray[np.float32]:
-        """The pictures of the factors, or else those of the bands, (n, H, W) float32."""
+        """The pictures, (n, H, W) float32: of the factors, relative to their spectra, or of the bands, W m⁻² nm⁻¹."""
         return self.factors[1] if self.factors else np.moveaxis(self.data, 2, 0)
 
     def with_planes(
         self, planes: NDArray[np.float32], *, pitch_um: float | None = None, header: dict[str, Any] | None = None
     ) -> SpectralImage:
-        """Return an image of the same bands with other `planes`, of any height and width.
+        """Return an image of the same bands with other `planes`, (n, H, W), of any height and width.
 
         pitch_um, header : None keeps those of this image
         """

@@ -48,7 +48,8 @@ class Plan:
     white_cd_per_m2 : luminance of texel value 1 of an emissive chart, or None
     lens : "thinlens", or "perspective" if the aperture need not be sampled
     integrator : plugin and its parameters, or None for that of the scene
-    spp : samples per film cell in each pass; 0 for cells that are computed exactly from the texels of a chart
+    spp : samples per film cell in each pass
+    exact : whether film cells are computed from the texels of the chart, without samples
     diffraction : whether diffraction is computed
     regular_tables : whether tables with equal steps are converted to regular spectra
     decisions : each with its reason; `bound_e` is the sum of their error bounds
@@ -78,6 +79,7 @@ class Plan:
     resolution: int | None = None
     sampler: str = "multijitter"
     given_spp: bool = False
+    exact: bool = False
 
     @property
     def passes(self) -> int:
@@ -88,11 +90,6 @@ class Plan:
     def planes(self) -> int:
         """Number of pictures that a render holds in memory, one for each pulse of each lamp."""
         return sum(len(light.fit.pulses) for light in self.lights)
-
-    @property
-    def exact(self) -> bool:
-        """Whether film cells are computed from a chart's texels, without samples."""
-        return self.spp == 0
 
     @property
     def most_samples(self) -> int:
@@ -338,7 +335,7 @@ def exactly(plan: Plan) -> Plan:
     """Return the plan with film cells that are computed, not sampled. Raises nothing; `can_be_exact` must hold."""
     reason = "none: each film cell is the exact mean of the chart, which is linear between its texels"
     exact = Decision("texture samples", False, reason, f"all {plan.full_spp} samples, and their noise")
-    return replace(plan, spp=0, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
+    return replace(plan, spp=0, exact=True, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
 
 
 def decide_oversampling(
