@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 import os
 import re
 import resource
 import signal
+import stat
 import struct
 import subprocess
 import sys
@@ -30,8 +33,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import pixsim
 from pixsim.base import cache
-from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.errors import CONTROL, PixsimError, invalid
+from pixsim.base.files import FOLDER_VARIABLE, MAX_FILE_VARIABLE, digest_of
 from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import read_channels
 from pixsim.measure import datasheet
@@ -102,7 +105,9 @@ def irregular_files(folder: Path, suffix: str) -> Iterator[Path]:
     (loop := folder / f"loop{suffix}").symlink_to(loop)
     (device := folder / f"zero{suffix}").symlink_to("/dev/zero")
     (folder / f"folder{suffix}").mkdir()
-    return iter([pipe, loop, device, folder / f"folder{suffix}", folder / ("x" * 300 + suffix)])
+    (system := folder / f"pagemap{suffix}").symlink_to("/proc/self/pagemap")  # regular, of size 0, and without an end
+    os.mknod(socket := folder / f"socket{suffix}", stat.S_IFSOCK | 0o600)
+    return iter([pipe, loop, device, folder / f"folder{suffix}", folder / ("x" * 300 + suffix), system, socket])
 
 
 @pytest.mark.parametrize(
@@ -123,6 +128,37 @@ def test_command_irregular_file_does_not_block(tmp_path, monkeypatch, suffix, li
     for path in irregular_files(tmp_path, suffix):
         assert_command_rejects(line.format(path))
     assert not (tmp_path / "pixsim-out").exists()
+
+
+def test_digest_of_irregular_file_raises(tmp_path):
+    """Output folders and scenes name files whose content is hashed."""
+    for path in irregular_files(tmp_path, ""):
+        with rejected():
+            digest_of(path)
+    (tmp_path / "a").write_bytes(b"abc")
+    assert digest_of(tmp_path / "a") == hashlib.blake2b(b"abc", digest_size=16).hexdigest()
+
+
+SECRET = b"k3y-of-another-file"
+
+
+@pytest.mark.parametrize(
+    "before", [b"", b"1", b"1,", b"\x93NUMPY\x01\x00\x40\x00", b"ENVI\n", b"PK\x03\x04", b"#?RADIANCE\n", b"<a "]
+)
+def test_command_does_not_quote_a_file_of_another_format(tmp_path, before):
+    """A study of a stranger may name the user's own files, and the output may go back to the stranger."""
+    for suffix, line in [
+        *((suffix, "run {}") for suffix in (".xml", ".exr", ".npz", ".hdr")),
+        *((suffix, "sfr {}") for suffix in (".png", ".npy", ".tiff")),
+        *((suffix, "plan csf -D chart={}") for suffix in (".exr", ".hdr", ".jpg")),
+        (".toml", "run csf --config {}"),
+        (".toml", "datasheet {}"),
+        (".csv", "run csf --pixel.quantum-efficiency {}"),
+    ]:
+        (path := tmp_path / f"a{suffix}").write_bytes(before + SECRET + b"\n" + SECRET)
+        code, out, err = run_command(line.format(path))
+        assert (code, out) == (2, ""), err
+        assert SECRET.decode() not in err
 
 
 def test_invalid_escapes_control_characters():
@@ -395,6 +431,67 @@ def test_read_npz_zip_bomb_raises(tmp_path):
         read_edge_picture(tmp_path / "b.npz")
 
 
+def test_read_frame_leaves_unwanted_members_packed(tmp_path):
+    """Neither their content nor their size matters."""
+    dn = np.arange(6, dtype="<u2").reshape(2, 3)
+    path = npz(tmp_path / "a.npz", dn=npy((2, 3), "<u2", dn.tobytes()), other=npy((1 << 40,)), damaged=b"x")
+    assert np.array_equal(pixsim.read_frame(path).dn, dn)
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_read_frame_unusual_packing_raises(tmp_path, packing):
+    """A header of LZMA declares the memory that its decoder takes."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", packing) as file:
+        file.writestr("dn.npy", npy((2, 3), "<u2", bytes(12)))
+    with rejected("stored or deflated"):
+        pixsim.read_frame(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("kind", ["light.exr", "light.npz", "cube.hdr", "edge.npy", "edge.png", "raw.npz"])
+def test_reader_has_one_limit_of_size_that_can_be_set(targets, kind, monkeypatch):
+    path, _, reader = targets[kind]
+    monkeypatch.setenv(MAX_FILE_VARIABLE, "1e-8")  # 10 bytes
+    with rejected(MAX_FILE_VARIABLE):
+        reader(path)
+    monkeypatch.setenv(MAX_FILE_VARIABLE, "1e-5")
+    assert reader(path) is not None
+    for text in ("x", "0", "-1", "nan", "inf"):
+        monkeypatch.setenv(MAX_FILE_VARIABLE, text)
+        with rejected(MAX_FILE_VARIABLE, "a size in GiB"):
+            reader(path)
+
+
+def test_read_picture_bomb_takes_no_memory(tmp_path, monkeypatch):
+    """Declared content counts, not the size of the file: 17 MB of zeros are 17 kB in a zip, and nothing in a sparse file."""
+    monkeypatch.setenv(MAX_FILE_VARIABLE, "0.01")
+    npz(tmp_path / "a.npz", data=npy((1 << 11, 1 << 10, 2), content=bytes(1 << 24)), wavelength_nm=npy((2,), content=bytes(8)))
+    with rejected("a.npz", MAX_FILE_VARIABLE):
+        read_picture(tmp_path / "a.npz")
+    with (tmp_path / "a.npy").open("wb") as file:
+        file.write(npy((1 << 20, 1 << 18)))
+        file.truncate((1 << 40) + 128)
+    with rejected("a.npy", MAX_FILE_VARIABLE):
+        read_edge_picture(tmp_path / "a.npy")
+    monkeypatch.delenv(MAX_FILE_VARIABLE)
+    with rejected("a.npy", MAX_FILE_VARIABLE):
+        read_edge_picture(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize("gap", [None, (2999, 3999, 2)])
+def test_read_envi_search_for_missing_values_takes_no_memory(tmp_path, gap):
+    """36 MB: a list of all gaps would take 24 bytes for each, 0.9 GB."""
+    header = ENVI.replace("samples = 5\nlines = 4", "samples = 4000\nlines = 3000").replace("data type = 4", "data type = 1")
+    (tmp_path / "a.hdr").write_text(f"{header}data ignore value = {0 if gap is None else 7}\n")
+    with (tmp_path / "a.img").open("wb") as file:
+        file.truncate(3000 * 4000 * 3)
+        if gap:
+            file.seek(-1, os.SEEK_END)
+            file.write(b"\x07")
+    row, column, band = gap or (0, 0, 0)
+    with rejected(f"no data ({0 if gap is None else 7}) at row {row}, column {column}, band {band}"):
+        read_picture(tmp_path / "a.hdr")
+
+
 def png_bomb(side: int = 40_000) -> bytes:
     """A grey picture of 16 bits, all zeros."""
     rows_of_zeros = zlib.compressobj(9)
@@ -536,6 +633,50 @@ def test_command_full_disk_leaves_no_partial_file(tmp_path, line, max_bytes):
     assert not [path for path in files if path.suffix == ".part" or path.parent.name.startswith(".")]
 
 
+# --- Terminal ----------------------------------------------------------------------------------------------------------
+
+ESCAPES = "\x1b[2J\x07\x9b31m\u202e\x7f"
+
+
+def test_commands_print_no_control_characters(tmp_path, monkeypatch):
+    """Names of files and texts of their headers, in results, tables, messages, warnings and lines of progress."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / ESCAPES
+    folder.mkdir()
+    seeds(folder)
+    text = (DATA / "technologies/0.35um.toml").read_text()
+    name = next(line for line in text.splitlines() if line.startswith("name"))
+    (folder / "t.toml").write_text(text.replace(name, f"name = {json.dumps(ESCAPES + '[/b]')}"))
+    image = light()
+    image.header |= {"scene": ESCAPES, "source": ESCAPES}
+    pixsim.write_exr(folder / "own.exr", image)
+    scene = folder / "scene.xml"
+    for arguments in (
+        ("run", scene, "--out", folder / "o"), ("run", scene, "--out", folder / "o", "--json"), ("plan", scene),
+        ("run", folder / "own.exr", "--out", folder / "p", "--json"), ("run", folder / "t.toml"), ("sfr", folder / "edge.npy"),
+        ("run", scene, "--config", folder / "none.toml"), ("--verbose", "run", folder / "none.xml"), (ESCAPES,),
+        ("run csf -D", ESCAPES), ("template study -o", folder / "t.toml"), ("doctor --limit-s 0 --out", folder),
+    ):  # fmt: skip
+        with in_time():
+            code, out, err = command(*map(str, arguments))
+        assert code in (0, 2), err
+        assert not CONTROL.search(out + err), arguments
+        if "--json" in arguments and not code:
+            json.loads(out)
+
+
+def test_every_print_is_printable():
+    """Nothing in the package prints but through `printable`."""
+    calls = [
+        (path.name, line.strip())
+        for path in sorted(Path(pixsim.__file__).parent.rglob("*.py"))
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if re.match(r"\s*(print\(|.*\.(stdout|stderr|stream)\.write\(|traceback\.print_|stream\.write\()", line)
+    ]
+    assert len(calls) >= 5
+    assert [call for call in calls if "printable(" not in call[1]] == []
+
+
 # --- Reports -----------------------------------------------------------------------------------------------------------
 
 MARKUP = "</h1><script>alert(1)</script>\"'&<img src=x onerror=alert(1)>"
@@ -586,7 +727,7 @@ def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
 
 # --- Random changes ---------------------------------------------------------------------------------------------------------
 
-PICTURES = ["light.exr", "factors.exr", "light.npz", "chart.exr", "edge.npy"]
+PICTURES = ["light.exr", "factors.exr", "light.npz", "chart.exr", "edge.npy", "raw.npz"]
 KINDS = ["config.toml", "study.toml", "technology.toml", "curve.csv", "scene.xml", "shipped.xml"]
 KINDS += ["cube.hdr", "edge.png", "results.csv", *PICTURES]
 

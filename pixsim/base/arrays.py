@@ -7,12 +7,10 @@ import json
 import math
 import operator
 import os
-import struct
-import tokenize
 import zipfile
-import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
@@ -21,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import check_zip, opened
+from pixsim.base.files import check_compression, check_size, opened, reason
 
 Array = NDArray[np.float64]
 MAX_FREED = 31 << 20  # bytes; glibc raises its thresholds up to 32 MiB
@@ -90,28 +88,65 @@ def inverse_dct(planes: Array, workers: int = 1) -> Array:
     return np.asarray(idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=workers))
 
 
+def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
+    """Index of the first true value, or None. `np.argwhere` would list all of them, in 8 bytes for each axis."""
+    at = int(mask.argmax()) if mask.size else 0
+    index = tuple(int(i) for i in np.unravel_index(at, mask.shape)) if mask.size else ()
+    return index if mask.size and mask[index] else None
+
+
 MAX_ARRAYS = 4096
-DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, SyntaxError)
-DAMAGE += (TypeError, OverflowError, IndexError, AttributeError)
-DAMAGE += (zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error)
+PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; the others allocate what a member declares
 
 
-def read_arrays(path: Path, name: str, expected: str) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an `.npz` by name. Raises PixsimError if it is damaged or holds pickled objects."""
-    result = {}
+@dataclass(frozen=True)
+class ArrayHeader:
+    """What an array declares before its values are read."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+Check = Callable[[str, ArrayHeader], object]  # of the name of an array, raises PixsimError
+
+
+def read_arrays(
+    path: Path, name: str, expected: str, choose: Callable[[list[str]], Iterable[str]] = list, check: Check = lambda *_: None
+) -> dict[str, NDArray[Any]]:
+    """Read arrays of an `.npz` by name.
+
+    choose : returns the names of the arrays to read from the names of all; the others stay packed
+    check : is called with the name and the header of each array before its values are read
+
+    Raises PixsimError if the file is damaged, too large (`max_file_bytes`) or holds pickled objects, and as `choose` and `check`.
+    """
     with _open_numpy(path, name, expected) as file, zipfile.ZipFile(file) as archive:
-        check_zip(path, archive, MAX_ARRAYS)
-        for entry in archive.infolist():
+        members = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
+        if len(archive.infolist()) > MAX_ARRAYS:
+            raise invalid(f"archive '{path}'", f"{len(archive.infolist())} members", f"at most {MAX_ARRAYS}")
+        wanted = {array: members[array] for array in choose(list(members))}
+        # zipfile reads no more than its directory lists.
+        declared, stored = sum(entry.file_size for entry in wanted.values()), os.fstat(file.fileno()).st_size
+        check_compression(f"archive '{path}'", declared, stored)
+        for array, entry in wanted.items():
+            if entry.compress_type not in PACKINGS:
+                raise invalid(name, f"'{path}' with {array} packed by method {entry.compress_type}", "stored or deflated arrays")
             with archive.open(entry) as member:
-                result[entry.filename.removesuffix(".npy")] = _read_npy(member, entry.file_size)
+                check(array, _npy_header(member, entry.file_size, path, name, expected))
+        result = {}
+        for array, entry in wanted.items():
+            with archive.open(entry) as member:
+                result[array] = np.lib.format.read_array(member, allow_pickle=False)
                 member.read(1)  # zipfile compares the CRC at the end of the member
     return result
 
 
-def read_array(path: Path, name: str, expected: str) -> NDArray[Any]:
-    """Read the array of an `.npy`. Raises PixsimError if the file is not a valid one."""
+def read_array(path: Path, name: str, expected: str, check: Check = lambda *_: None) -> NDArray[Any]:
+    """Read the array of an `.npy`. Raises PixsimError if the file is not a valid one or too large, and as `check` does."""
     with _open_numpy(path, name, expected) as file:
-        return _read_npy(file, os.fstat(file.fileno()).st_size)
+        check(path.stem, _npy_header(file, os.fstat(file.fileno()).st_size, path, name, expected))
+        file.seek(0)
+        return np.lib.format.read_array(file, allow_pickle=False)
 
 
 @contextmanager
@@ -122,21 +157,23 @@ def _open_numpy(path: Path, name: str, expected: str) -> Iterator[IO[bytes]]:
             yield file
         except PixsimError:
             raise
-        except DAMAGE as error:
-            raise invalid(name, f"'{path}' ({error})", expected) from None
+        except Exception as error:  # a decoder may raise anything for a damaged file
+            raise invalid(name, f"'{path}' ({reason(error)})", expected) from None
 
 
-def _read_npy(file: IO[bytes], size_bytes: int) -> NDArray[Any]:
-    """Read an array; ValueError if its header declares pickled objects or more than `size_bytes`."""
+def _npy_header(file: IO[bytes], size_bytes: int, path: Path, name: str, expected: str) -> ArrayHeader:
+    """Header of an array of `size_bytes`. Raises PixsimError if it declares pickled objects or more than these bytes."""
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(file)
     if dtype.hasobject:
-        raise ValueError("it holds pickled objects")
-    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > size_bytes - file.tell():
-        raise ValueError(f"{' × '.join(map(str, shape))} values of {dtype.itemsize} bytes in {size_bytes} bytes")
-    file.seek(0)
-    return np.lib.format.read_array(file, allow_pickle=False)
+        raise invalid(name, f"'{path}' with pickled objects", expected)
+    declared = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or declared > size_bytes - file.tell():
+        got = f"'{path}' with {' × '.join(map(str, shape))} values of {dtype.itemsize} bytes in {size_bytes} bytes"
+        raise invalid(name, got, expected)
+    check_size(f"array in '{path}'", declared)
+    return ArrayHeader(shape, dtype)
 
 
 def stream(*key: object) -> np.random.Generator:

@@ -6,7 +6,8 @@ import difflib
 import re
 from collections.abc import Iterable
 
-CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+# Control characters but tab and line feed, and the marks that turn the direction of the text that follows.
+CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 MAX_LENGTH = 20_000  # characters of a message
 
 
@@ -22,9 +23,22 @@ class UnwritableError(PixsimError):
 
 
 def shown(text: str) -> str:
-    """Text that is safe to print on a terminal: control characters are escaped, and the length is bounded."""
-    text = CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
+    """A message as it is safe to print: `printable`, and of bounded length."""
+    text = printable(text)
     return text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]} … ({len(text)} characters)"
+
+
+def printable(text: str, json: bool = False) -> str:
+    """Text without control characters, which a terminal would obey: they are escaped as in Python.
+
+    All that pixsim prints passes here, since names of files and texts of headers may hold them.
+
+    json : escape as in JSON
+
+    >>> print(printable("\\x1b[2J"), printable("\\x7f", json=True))
+    \\x1b[2J \\u007f
+    """
+    return CONTROL.sub(lambda match: f"\\u{ord(match[0]):04x}" if json else repr(match[0])[1:-1], text)
 
 
 def invalid(name: str, got: object, expected: str, hint: str = "") -> PixsimError:

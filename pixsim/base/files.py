@@ -13,8 +13,7 @@ import os
 import platform
 import stat
 import warnings
-import zipfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
@@ -134,10 +133,18 @@ MAX_PROVENANCE = 1 << 24  # bytes
 Listed = dict[str, dict[str, Any]]  # file name -> {"command": that wrote it, "digests": of its content}
 
 
+DIGEST_BLOCK = 1 << 20  # bytes
+
+
 def digest_of(path: Path) -> str:
-    """BLAKE2b of a file's content, 32 hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+    """BLAKE2b of a regular file's content, 32 hexadecimal digits. Raises PixsimError as `opened` does."""
+    digest = hashlib.blake2b(digest_size=16)
+    with opened(path, "file", "a readable file") as file:
+        left = os.fstat(file.fileno()).st_size  # a file that grows meanwhile, as a log does, has no other end
+        while left > 0 and (block := file.read(min(left, DIGEST_BLOCK))):
+            digest.update(block)
+            left -= len(block)
+    return digest.hexdigest()
 
 
 def listed_files(folder: Path) -> Listed | None:
@@ -174,7 +181,7 @@ def is_own(path: Path, entry: dict[str, Any] | None) -> bool:
     """Whether a file is as its entry of the provenance lists it: pixsim wrote it, and nobody has changed it."""
     try:
         return bool(entry) and path.is_file() and digest_of(path) in (entry or {})["digests"]
-    except OSError:
+    except (OSError, PixsimError):
         return False
 
 
@@ -269,7 +276,38 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
         partial.write_text(text, encoding="utf-8", errors="backslashreplace")  # for file names that are not UTF-8
 
 
-MIB = 1 << 20
+MIB, GIB = 1 << 20, 1 << 30
+MAX_FILE_VARIABLE = "PIXSIM_MAX_FILE_GIB"
+DEFAULT_MAX_FILE_GIB = 4.0
+
+
+def max_file_bytes() -> int:
+    """Most bytes of a file, and of the content that is decoded from it: $PIXSIM_MAX_FILE_GIB, or else 4 GiB.
+
+    Raises PixsimError if the variable is not a size.
+    """
+    text = os.environ.get(MAX_FILE_VARIABLE, str(DEFAULT_MAX_FILE_GIB))
+    try:
+        gib = float(text)
+    except ValueError:
+        gib = -1.0
+    if not 0 < gib < 1e9:
+        hint = f"Unset it for the default of {DEFAULT_MAX_FILE_GIB:g} GiB."
+        raise invalid(MAX_FILE_VARIABLE, f"'{text}'", "a size in GiB, above 0", hint)
+    return int(gib * GIB)
+
+
+def check_size(name: str, size_bytes: int, what: str = "bytes") -> None:
+    """Raise PixsimError if a file, or what it declares to hold, exceeds `max_file_bytes`.
+
+    what : is counted, for the message
+    """
+    limit = max_file_bytes()
+    if size_bytes > limit:
+        hint = f"If it is right and the memory suffices, set the environment variable {MAX_FILE_VARIABLE}={-(-size_bytes // GIB)}."
+        raise invalid(name, f"{size_bytes} {what}", f"up to {limit} bytes ({limit / GIB:g} GiB)", hint)
+
+
 # A file may always declare this much content, and more only in proportion to its size: deflate reaches 1032 : 1.
 ALWAYS_BYTES = 256 * MIB
 MAX_RATIO = 1100
@@ -285,25 +323,48 @@ KINDS = {
 
 @contextmanager
 def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -> Iterator[IO[bytes]]:
-    """Open a regular file for reading; a named pipe does not block.
+    """Open a regular file for reading; whatever else the path leads to is not opened.
 
-    Raises PixsimError if the file is missing, unreadable, not a regular file, or larger than `max_bytes`.
+    max_bytes : of the file; None allows `max_file_bytes`
+
+    Raises PixsimError if the file is missing, unreadable, not a regular file, too large, or without a size of its own, as those
+    of /proc are: they may have no end.
     """
     try:
+        _check_regular(os.stat(path), path, name, expected)  # opening a pipe or a device can have effects
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
         raise invalid(name, missing(path), expected) from None
+    except PixsimError:
+        raise
     except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
         raise invalid(name, f"'{path}' ({getattr(error, 'strerror', None) or error})", expected) from None
-    status = os.fstat(descriptor)
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        _check_regular(status, path, name, expected)  # another file may have taken its place
+        if max_bytes is None:
+            check_size(f"{name} '{path}'", status.st_size)
+        elif status.st_size > max_bytes:
+            raise invalid(name, f"'{path}' of {status.st_size} bytes", f"{expected}, of up to {max_bytes} bytes")
+        if not status.st_size:
+            _check_empty(file, path, name, expected)
+        yield file
+
+
+def _check_regular(status: os.stat_result, path: Path, name: str, expected: str) -> None:
     if not stat.S_ISREG(status.st_mode):
-        os.close(descriptor)
         kind = next((kind for is_kind, kind in KINDS.items() if is_kind(status.st_mode)), "not a regular file")
         raise invalid(name, f"'{path}', {kind}", expected)
-    with os.fdopen(descriptor, "rb") as file:
-        if max_bytes is not None and status.st_size > max_bytes:
-            raise invalid(name, f"'{path}' of {status.st_size} bytes", f"{expected}, of up to {max_bytes} bytes")
-        yield file
+
+
+def _check_empty(file: IO[bytes], path: Path, name: str, expected: str) -> None:
+    """Raise PixsimError if a file of size 0 has content."""
+    try:
+        content = os.read(file.fileno(), 8)  # the least that /proc/self/pagemap gives
+    except OSError as error:
+        raise invalid(name, f"'{path}' ({error.strerror})", expected) from None
+    if content:
+        raise invalid(name, f"'{path}', a file of the system without a size", expected)
 
 
 def size_of(path: Path, name: str, expected: str, max_bytes: int | None = None) -> int:
@@ -328,7 +389,7 @@ def read_bytes(path: Path, name: str, expected: str, max_bytes: int) -> bytes:
             content = file.read(max_bytes + 1)
         except OSError as error:
             raise invalid(name, f"'{path}' ({error.strerror})", expected) from None
-    if len(content) > max_bytes:  # it has grown, or lies in /proc, where files have no size
+    if len(content) > max_bytes:  # it has grown
         raise invalid(name, f"'{path}' of more than {max_bytes} bytes", f"{expected}, of up to {max_bytes} bytes")
     return content
 
@@ -343,35 +404,40 @@ def read_text(path: Path, name: str, expected: str, max_bytes: int) -> str:
 
 
 def check_compression(name: str, declared_bytes: int, stored_bytes: int) -> None:
-    """Raise PixsimError if a file declares more content than its size can hold, before memory is allocated."""
+    """Raise PixsimError if a file declares more content than its size can hold, or than `max_file_bytes`, before it is decoded."""
+    check_size(name, declared_bytes, "bytes of content")
     if declared_bytes > max(ALWAYS_BYTES, MAX_RATIO * stored_bytes):
         got = f"{declared_bytes} bytes of content declared in a file of {stored_bytes}"
         raise invalid(name, got, f"at most {MAX_RATIO} times its size", "Write the file again: it is damaged.")
-
-
-def check_zip(path: Path, file: zipfile.ZipFile, max_members: int) -> None:
-    """Raise PixsimError if the directory of an archive lists too many members or bytes; zipfile reads no more than listed."""
-    members: Sequence[zipfile.ZipInfo] = file.infolist()
-    if len(members) > max_members:
-        raise invalid(f"archive '{path}'", f"{len(members)} members", f"at most {max_members}")
-    check_compression(f"archive '{path}'", sum(member.file_size for member in members), os.path.getsize(path))
 
 
 def judge_picture(path: Path) -> None:
     """Raise PixsimError if a PNG or TIFF is damaged or declares too many samples."""
     from PIL import Image
 
-    try:
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Image.open(path, formats=PICTURE_FORMATS) as image,
-        ):  # Pillow has a limit of its own
-            width, height = image.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise invalid(f"picture '{path}'", error, "a readable picture") from None
+    with opened(path, "picture", "a readable picture") as file:
+        stored = os.fstat(file.fileno()).st_size
+        try:
+            # Pillow has a limit of its own.
+            with warnings.catch_warnings(action="ignore"), Image.open(file, formats=PICTURE_FORMATS) as image:
+                width, height = image.size
+        except Image.DecompressionBombError as error:
+            raise invalid(f"picture '{path}'", error, "a readable picture") from None
+        except Exception as error:  # a decoder may raise anything for a damaged file
+            raise invalid(f"picture '{path}'", reason(error), "a readable picture") from None
     if width * height > MAX_PICTURE:
         raise invalid(f"picture '{path}'", f"{width} × {height} samples", f"up to {MAX_PICTURE} in all")
-    check_compression(f"picture '{path}'", 8 * width * height, os.path.getsize(path))
+    check_compression(f"picture '{path}'", 8 * width * height, stored)
+
+
+def reason(error: Exception) -> str:
+    """Why a file cannot be read, for a message: the system's text, or the kind of damage.
+
+    A decoder's own text may quote the file, which can be another than the user believes, such as a key.
+    """
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return f"damaged, or of another format: {type(error).__name__} of its decoder"
 
 
 @contextmanager

@@ -150,7 +150,8 @@ def read_curve(path: Path) -> EfficiencyCurve:
             pairs.append((float(cells[0].replace(decimal, ".")), float(cells[1].replace(decimal, "."))))
         except (ValueError, IndexError):
             if pairs or cells[0][:1].isdigit():  # not a title
-                raise ValueError(f"got {','.join(row)!r} in line {number} of '{path}'; allowed: wavelength in nm, value") from None
+                # The line is not quoted: the file may be another than the user believes, such as a key.
+                raise ValueError(f"got no two numbers in line {number} of '{path}'; allowed: wavelength in nm, value") from None
     return _check_curve(tuple(pairs), f"'{path}'")
 
 

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
+from pixsim.base.errors import printable
+
 Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
 EVERY_S = 10.0  # between two lines of a stage
@@ -76,7 +78,7 @@ def writer_to(stream: TextIO) -> Callable[[str], object]:
 
     def write(line: str) -> None:
         try:
-            stream.write(line + "\n")
+            stream.write(printable(line) + "\n")
             stream.flush()
         except (OSError, ValueError):  # a closed pipe, a closed file
             return
@@ -96,7 +98,7 @@ def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iter
     console = Console(stderr=True)
     lines = Lines(writer_to(sys.stderr)) if not (quiet or console.is_terminal) else None
     with progress.Progress(
-        progress.TextColumn("{task.description}"),
+        progress.TextColumn("{task.description}", markup=False),  # names may look like markup
         progress.BarColumn(),
         progress.TextColumn("{task.percentage:>3.0f} %"),
         progress.TimeRemainingColumn(),
@@ -119,9 +121,9 @@ def stages(seconds: dict[str, float] | None = None, quiet: bool = False) -> Iter
                 lines.begin(name)
                 return lines.update
             if name not in tasks:  # a stage may start again: a study has several rounds
-                tasks[name] = bars.add_task(name, total=1.0)
+                tasks[name] = bars.add_task(printable(name), total=1.0)
             task = tasks[name]
-            return lambda done, note="": bars.update(task, completed=done, description=name + note)
+            return lambda done, note="": bars.update(task, completed=done, description=printable(name + note))
 
         if lines:
             with lines.ticking():

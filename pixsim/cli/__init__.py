@@ -73,13 +73,15 @@ def broken(error: ImportError) -> str:
 
 
 def end(message: str, code: int) -> NoReturn:
-    options = sys.modules.get("pixsim.cli.options")  # whose import may have failed
-    if options and options.verbosity.verbose:
-        import traceback
+    from pixsim.base.errors import printable
 
-        traceback.print_exc()
+    options = sys.modules.get("pixsim.cli.options")  # whose import may have failed
     try:
-        print(f"pixsim: {message}", file=sys.stderr, flush=True)
+        if options and options.verbosity.verbose:
+            import traceback
+
+            print(printable(traceback.format_exc()), file=sys.stderr)
+        print(printable(f"pixsim: {message}"), file=sys.stderr, flush=True)
     except OSError:  # a full disk, a reader that is gone
         discard_output()
     sys.exit(code)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json as json_format
 import os
 import shutil
 import sys
@@ -193,7 +192,7 @@ def plan_table(plan: Plan, width: int | None = None) -> str:
         bound = bound if decision.bounded else "unknown"
         table.add_row(decision.subject, "kept" if decision.kept else "left out", decision.reason, decision.saved, bound)
     text = io.StringIO()
-    Console(file=text, width=width or Console().width).print(table)
+    Console(file=text, width=width or Console().width, markup=False, emoji=False).print(table)
     lines = [line.rstrip() for line in text.getvalue().splitlines()]
     lines += [f"warning: {note}" for note in plan.warnings]
     lines.append(
@@ -654,9 +653,9 @@ def doctor(
     has_problem = any(finding.mark == PROBLEM for finding in findings)
     if json:
         result = {"ok": not has_problem, "findings": [asdict(finding) for finding in findings]}
-        say(json_format.dumps(result, indent=2, ensure_ascii=False) + "\n")
+        show(result, True, "")
     else:
-        say(report(findings, shutil.get_terminal_size().columns if sys.stdout.isatty() else FILE_WIDTH) + "\n")
+        show({}, False, report(findings, shutil.get_terminal_size().columns if sys.stdout.isatty() else FILE_WIDTH))
     if has_problem:
         sys.exit(PROBLEM_FOUND)
 

@@ -16,7 +16,7 @@ from cyclopts import App, Parameter
 
 from pixsim.base import progress
 from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
-from pixsim.base.errors import PixsimError
+from pixsim.base.errors import PixsimError, printable
 from pixsim.base.files import cache_folder
 from pixsim.base.parameters import (
     DATA_SHEET,
@@ -298,13 +298,13 @@ def show(result: dict[str, Any], as_json: bool, text: str) -> None:
         import json
 
         text = json.dumps(result, indent=2, sort_keys=True, ensure_ascii=False)
-    say(text + "\n")
+    say(text + "\n", as_json)
 
 
-def say(text: str) -> None:
+def say(text: str, as_json: bool = False) -> None:
     """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe whose reader is gone."""
     try:
-        print(text, end="", flush=True)
+        print(printable(text, as_json), end="", flush=True)
     except BrokenPipeError:
         raise
     except OSError as error:

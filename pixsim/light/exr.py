@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import check_compression, opened, quiet_stdout, replacing
+from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
 from pixsim.light.spectral import EDGE, WHOLE, SpectralImage
 
 MAGIC = 20000630
@@ -28,7 +28,6 @@ MAX_CHANNELS = 4096
 MAX_ATTRIBUTE = 1 << 26  # bytes; pixsim's largest attribute takes less than one MiB
 MAX_SIDE = 1 << 20
 MAX_TILE_BYTES = 1 << 28
-MAX_BYTES = 1 << 33
 ALLOWED = "a readable OpenEXR file"
 
 
@@ -65,9 +64,9 @@ def _judge(path: Path, file: IO[bytes]) -> None:
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     count = _channel_count(attributes["channels"])
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 4 * width * height * count <= MAX_BYTES):
-        got = f"{width} × {height} × {count} values in '{path}'"
-        raise invalid("EXR file", got, f"up to {MAX_SIDE} per side and {MAX_BYTES // 4} in total")
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise invalid("EXR file", f"{width} × {height} values in '{path}'", f"1 to {MAX_SIDE} per side")
+    check_size(f"EXR file '{path}'", 4 * width * height * count, f"bytes, for {width} × {height} × {count} values")
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid("EXR file", f"{count} channels in '{path}'", f"1 to {MAX_CHANNELS}")
     if version & TILED:

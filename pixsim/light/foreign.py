@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import Array, read_arrays
-from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import read_bytes, size_of
+from pixsim.base.arrays import Array, ArrayHeader, first_where, read_arrays, strips
+from pixsim.base.errors import PixsimError, invalid, one_line
+from pixsim.base.files import check_size, read_bytes, reason, size_of
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, bands_last_hint
 
@@ -94,14 +94,15 @@ def _factor(tokens: list[str]) -> Powers:
     return powers
 
 
-MAX_VALUES = 1 << 31  # 8 GiB of float32
 SHOWN_NAMES = 12
 # Fichet et al.: a Stokes component, a number with a decimal comma, a prefix, and metres or hertz.
 CHANNEL = re.compile(rf"(S[0-3])\.(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{{1,3}})?({PREFIX})?(m|Hz)")
 NPZ_NEEDED = ("data", "wavelength_nm", "units")
 NPZ_OPTIONAL = ("band_width_nm", "pitch_um", "white_cd_per_m2")
+NPZ_SHAPES = "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)"
 MAX_METADATA = 1 << 16  # bytes of every array but the picture
 MAX_ENVI_HEADER, MAX_ENVI_LINES = 1 << 20, 20_000  # SPy's time grows as the square of the lines
+GAP_VALUES = 1 << 22  # of a strip
 ENVI_DAMAGE: tuple[type[Exception], ...] = (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, IndexError)
 ENVI_NM = {"nanometer": 1.0, "nm": 1.0, "micrometer": 1e3, "micron": 1e3, "um": 1e3, "µm": 1e3, "μm": 1e3}
 ENVI_INTERLEAVES = ("bsq", "bil", "bip")
@@ -145,8 +146,10 @@ def read_cube(path: Path) -> Cube:
 
 
 def _check_size(path: Path, shape: tuple[int, ...]) -> None:
-    if min(shape, default=1) < 1 or math.prod(shape) > MAX_VALUES:
-        raise invalid(f"size of '{path}'", " × ".join(map(str, shape)) + " values", f"1 to {MAX_VALUES} values")
+    """Raise PixsimError if a picture has no values, or more than fit into `max_file_bytes` as float32."""
+    if min(shape, default=1) < 1:
+        raise invalid(f"size of '{path}'", " × ".join(map(str, shape)) + " values", "at least 1 along each axis")
+    check_size(f"size of '{path}'", 4 * math.prod(shape), f"bytes, for {' × '.join(map(str, shape))} values")
 
 
 def read_spectral_exr(path: Path) -> Cube:
@@ -197,18 +200,26 @@ def _channel_nm(match: re.Match[str]) -> float:
 
 def read_npz(path: Path) -> Cube:
     """Read the arrays that `write_npz` writes, `data` as (rows, columns, bands); pickled objects are not loaded."""
-    arrays: dict[str, Any] = read_arrays(path, "npz file", "a readable file from numpy.savez without pickled objects")
-    if {"data", "wavelength_nm"} - set(arrays) or set(arrays) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
-        allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
-        raise invalid(f"arrays in '{path}'", shortened(list(arrays)) or "none", allowed)
-    for name, array in arrays.items():
-        _check_size(path, array.shape)
-        if name != "data" and array.size * array.itemsize > MAX_METADATA:
-            raise invalid(f"{name} in '{path}'", f"{array.size} values", f"up to {MAX_METADATA} bytes")
+
+    def choose(names: list[str]) -> list[str]:
+        if {"data", "wavelength_nm"} - set(names) or set(names) - {*NPZ_NEEDED, *NPZ_OPTIONAL}:
+            allowed = f"{', '.join(NPZ_NEEDED)}; optional: {', '.join(NPZ_OPTIONAL)}"
+            raise invalid(f"arrays in '{path}'", shortened([one_line(name) for name in names]) or "none", allowed)
+        return names
+
+    def check(name: str, header: ArrayHeader) -> None:
+        _check_size(path, header.shape)
+        if name == "data":
+            if len(header.shape) != 3 or header.dtype.kind not in "iuf":
+                raise invalid(f"arrays in '{path}'", f"data {header.dtype} {header.shape}", NPZ_SHAPES)
+        elif math.prod(header.shape) * header.dtype.itemsize > MAX_METADATA:
+            raise invalid(f"{name} in '{path}'", f"{math.prod(header.shape)} values", f"up to {MAX_METADATA} bytes")
+
+    expected = "a readable file from numpy.savez without pickled objects"
+    arrays: dict[str, Any] = read_arrays(path, "npz file", expected, choose, check)
     data, nm = arrays.pop("data"), arrays.pop("wavelength_nm")
-    if data.ndim != 3 or data.dtype.kind not in "iuf" or nm.ndim != 1 or nm.dtype.kind not in "iuf":
-        got = f"data {data.dtype} {data.shape}, wavelength_nm {nm.dtype} {nm.shape}"
-        raise invalid(f"arrays in '{path}'", got, "real numbers: data (rows, columns, bands) and wavelength_nm (bands,)")
+    if nm.ndim != 1 or nm.dtype.kind not in "iuf":
+        raise invalid(f"arrays in '{path}'", f"wavelength_nm {nm.dtype} {nm.shape}", NPZ_SHAPES)
     if data.shape[2] != nm.size and (hint := bands_last_hint(data.shape, nm.size)):
         raise invalid(f"data in '{path}'", f"{data.shape} for {nm.size} wavelengths", "(rows, columns, bands)", hint)
     return Cube(data, nm.astype(float), str(arrays.pop("units", "")), **arrays)
@@ -240,14 +251,15 @@ def read_envi(path: Path) -> Cube:
             raise invalid("ENVI file", got, f"the {' × '.join(map(str, image.shape))} values that '{path.name}' declares")
         data = image.open_memmap(interleave="bip")
         nm, width_nm = _envi_nm(path, header, "wavelength"), _envi_nm(path, header, "fwhm")
-        gaps = np.argwhere(data == float(header["data ignore value"])) if "data ignore value" in header else np.empty((0, 3))
+        gap = _first_gap(data, float(header["data ignore value"])) if "data ignore value" in header else None
     except PixsimError:
         raise
     except (*ENVI_DAMAGE, spectral.SpyException) as error:
-        got = f"'{path}' ({type(error).__name__}: {error})"
+        text = error if isinstance(error, spectral.SpyException) else reason(error)  # SPy's own texts do not quote the file
+        got = f"'{path}' ({text})"
         raise invalid("ENVI file", got, "an ENVI header with its raw file in the same folder") from None
-    if gaps.size:
-        got = f"no data ({header['data ignore value']}) at row {gaps[0, 0]}, column {gaps[0, 1]}, band {gaps[0, 2]}"
+    if gap is not None:
+        got = f"no data ({header['data ignore value']}) at row {gap[0]}, column {gap[1]}, band {gap[2]}"
         raise invalid(f"light in '{path}'", got, "a value in every pixel", "Fill the gaps or crop them.")
     if nm is None:
         raise invalid("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
@@ -256,6 +268,14 @@ def read_envi(path: Path) -> Cube:
     extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
     units = header.get("data units", header.get("radiance data units", ""))
     return Cube(data, nm, ", ".join(np.atleast_1d(units)), width_nm, **extra)
+
+
+def _first_gap(data: NDArray[Any], ignored: float) -> tuple[int, int, int] | None:
+    """Row, column and band of the first value that stands for no data; a strip of the file is in memory at a time."""
+    for rows in strips(len(data), math.prod(data.shape[1:]), GAP_VALUES):
+        if at := first_where(data[rows] == ignored):
+            return rows.start + at[0], at[1], at[2]
+    return None
 
 
 def _check_envi(path: Path, header: dict[str, Any]) -> None:

@@ -289,6 +289,7 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
     """Lines for the terminal: the sheet as a table, then its notes."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("", "", "measured", "± s.e.", "true", "unit", "deviation"):
@@ -297,11 +298,11 @@ def datasheet_lines(sheet: DataSheet) -> list[str]:
     for entry in entries(sheet):
         if entry.standard != standard:
             standard = entry.standard
-            table.add_row(f"[bold]{standard}[/bold]")
+            table.add_row(Text(standard, style="bold"))
         numbers = number(entry.measured), number(entry.standard_error, 2), number(entry.true)
         table.add_row(f"  {entry.quantity}", entry.symbol, *numbers, entry.unit, off(entry))
     text = StringIO()
-    Console(file=text, width=TERMINAL_WIDTH).print(table)
+    Console(file=text, width=TERMINAL_WIDTH, markup=False, emoji=False).print(table)
     return [described(sheet), *(line.rstrip() for line in text.getvalue().splitlines()), *(f"note: {note}" for note in sheet.notes)]
 
 

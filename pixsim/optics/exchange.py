@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, first_where
 from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
@@ -221,9 +221,8 @@ def _positive(path: Path, what: str, value: Any) -> float:
 
 def _check_band(path: Path, values: NDArray[np.float32], file_values: NDArray[Any], centre_nm: float) -> None:
     """Raise PixsimError if a band has invalid values; the message shows the value in the file."""
-    bad = np.argwhere(~((values >= 0) & (values <= MAX_VALUE)))
-    if bad.size:
-        row, column = bad[0]
+    if at := first_where(~((values >= 0) & (values <= MAX_VALUE))):
+        row, column = at
         got = f"{file_values[row, column]} at row {row}, column {column} of the band at {centre_nm:g} nm"
         raise invalid(f"light in '{path}'", got, f"0 to {MAX_VALUE:.3g} W/m²/nm", "Correct the picture at its source.")
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.base.arrays import Array
+from pixsim.base.arrays import Array, first_where
 from pixsim.base.errors import invalid
 from pixsim.base.files import judge_picture, missing
 from pixsim.base.parameters import Camera
@@ -481,9 +481,8 @@ def check_textures(state: Any, folder: Path) -> None:
             if path in raw and len(channels) > 1:
                 raise invalid(what, f"channels {', '.join(channels)} with raw = true", "one channel, Y")
             for name, texels in channels.items():
-                bad = np.argwhere(~(np.isfinite(texels) & (texels >= 0)))
-                if bad.size:
-                    row, column = bad[0]
+                if at := first_where(~(np.isfinite(texels) & (texels >= 0))):
+                    row, column = at
                     got = f"{texels[row, column]} at row {row}, column {column} of channel {name}"
                     raise invalid(what, got, "finite texels of 0 or more")
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened
+from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
 from pixsim.scene.charts import texture_file
 
@@ -141,7 +141,7 @@ def _codes(path: Path) -> Array:
 
     judge_picture(path)
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+        with warnings.catch_warnings(action="ignore"), opened(path, "chart picture", ALLOWED) as file, Image.open(file) as image:
             mode = image.mode
             if mode in ALPHA_MODES or "transparency" in image.info:
                 low = image.convert("RGBA").getchannel("A").getextrema()[0]
@@ -160,13 +160,13 @@ def _codes(path: Path) -> Array:
             return np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(float) / 255
     except PixsimError:
         raise
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise invalid(f"chart picture '{path}'", error, "a readable picture") from None
+    except Exception as error:  # a decoder may raise anything for a damaged file
+        raise invalid(f"chart picture '{path}'", reason(error), "a readable picture") from None
 
 
 def _png_depth(path: Path) -> int:
     """Return the bits of a channel of a PNG: a byte of its first chunk (ISO/IEC 15948)."""
-    with path.open("rb") as file:
+    with opened(path, "chart picture", ALLOWED) as file:
         return file.read(25)[24]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 import math
 import os
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
-from pixsim.base.files import missing
+from pixsim.base.files import digest_of, missing
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
 from pixsim.scene import charts, variant as variants
 from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, texture_files
@@ -407,11 +406,7 @@ def hash_of_tree(state: Any, folder: Path) -> str:
             for name, value in plain(node, numbers_only=False)
         )
         tree.append([node.type.name, node.props.plugin_name(), values, sorted(children(node, state).items())])
-    digests = []
-    for path in texture_files(state, folder):
-        with path.open("rb") as file:
-            digests.append(hashlib.file_digest(file, "blake2b").hexdigest())
-    return content_hash([tree, digests])
+    return content_hash([tree, [digest_of(path) for path in texture_files(state, folder)]])
 
 
 def in_full(value: Any) -> str:

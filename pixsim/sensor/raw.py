@@ -24,15 +24,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import DAMAGE, read_array, read_arrays
-from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import judge_picture, size_of
+from pixsim.base.arrays import ArrayHeader, first_where, read_array, read_arrays
+from pixsim.base.errors import PixsimError, invalid, one_line
+from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.readout import Frame
 
 UNIT = "DN"
 SUFFIXES = (".exr", ".tiff", ".tif", ".png", ".npz")
 BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
+MAX_BITS = 32
+BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {".exr": 24}  # which float32 holds exactly
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
 
 
@@ -96,13 +98,31 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     path : ends in .tiff, .tif, .png, .exr or .npz, which sets the format; `read_frame` returns the same numbers
     frame : from `capture`, or from `read_frame`
 
-    Raises PixsimError for another ending, for more than 16 bits in a TIFF or PNG, and if `path` cannot be written.
+    Raises PixsimError for another ending, for digital numbers that the format cannot hold exactly (TIFF and PNG: 16 bits, EXR:
+    24, npz: 32; all: whole numbers of 0 or more), for metadata that are no numbers, and if `path` cannot be written.
     """
     path = Path(path)
     writers = {".exr": _write_exr, ".npz": _write_npz, ".png": _write_png, ".tif": _write_tiff, ".tiff": _write_tiff}
     if path.suffix.lower() not in writers:
         raise invalid("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
-    writers[path.suffix.lower()](path, np.asarray(frame.dn), facts_of(frame))
+    name, dn, facts = f"raw frame for '{path}'", np.asarray(frame.dn), facts_of(frame)
+    _check_whole(name, dn)
+    bits = BITS_OF.get(path.suffix.lower(), MAX_BITS)
+    if dn.max() >= 2**bits:
+        raise invalid(name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead.")
+    for fact, value in facts.items():
+        if not math.isfinite(number_of(facts, fact)):
+            raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
+    writers[path.suffix.lower()](path, dn, facts)
+
+
+def _check_whole(name: str, dn: NDArray[Any]) -> None:
+    """Raise PixsimError unless an array is a picture of digital numbers: whole, from 0 to 2³² - 1."""
+    if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
+        raise invalid(name, f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
+    if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**MAX_BITS and (dn == np.floor(dn)).all()):
+        at = first_where(~((dn >= 0) & (dn < 2**MAX_BITS) & (dn == np.floor(dn)))) or (0, 0)
+        raise invalid(name, f"{dn[at]} at row {at[0]}, column {at[1]}", "whole numbers from 0 to 2³² - 1")
 
 
 def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -123,7 +143,7 @@ def _write_png(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     for name, value in {"unit": UNIT, **facts}.items():
         metadata.add_text(name, str(value))
     with writing(path) as unfinished:
-        _picture(path, dn).save(unfinished, "PNG", pnginfo=metadata)
+        _picture(dn).save(unfinished, "PNG", pnginfo=metadata)
 
 
 def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -137,15 +157,12 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
             tags.tagtype[tag] = kind
             tags[tag] = facts[name] if kind == DOUBLE else round(facts[name])
     with writing(path) as unfinished:
-        _picture(path, dn).save(unfinished, "TIFF", tiffinfo=tags)
+        _picture(dn).save(unfinished, "TIFF", tiffinfo=tags)
 
 
-def _picture(path: Path, dn: NDArray[Any]) -> Any:
+def _picture(dn: NDArray[Any]) -> Any:
     from PIL import Image
 
-    if dn.max(initial=0) >= 2**BITS_OF_PICTURES:
-        hint = "Write .exr or .npz instead."
-        raise invalid(f"raw frame '{path}'", f"digital numbers up to {dn.max()}", f"{BITS_OF_PICTURES} bits", hint)
     return Image.fromarray(dn.astype(np.uint16))
 
 
@@ -165,10 +182,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """
     path = Path(path)
     dn, metadata = read_picture(path, "raw frame", SUFFIXES)
-    if dn.ndim != 2 or not dn.size or dn.dtype.kind not in "uif":
-        raise invalid(f"raw frame '{path}'", f"{dn.dtype} of shape {dn.shape}", "whole numbers, (rows, columns)")
-    if not (np.isfinite(dn).all() and dn.min() >= 0 and dn.max() < 2**32 and (dn == np.floor(dn)).all()):
-        raise invalid(f"raw frame '{path}'", f"values from {dn.min()} to {dn.max()}", "whole numbers from 0 to 2³² - 1")
+    _check_whole(f"raw frame '{path}'", dn)
     numbers = {name: value for name in FACTS if math.isfinite(value := number_of(metadata, name))}
     facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
     return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts)
@@ -201,8 +215,8 @@ def read_picture(path: Path, name: str, suffixes: tuple[str, ...]) -> tuple[NDAr
         return readers[path.suffix.lower()](path, name, expected)
     except PixsimError:
         raise
-    except DAMAGE as error:
-        raise invalid(name, f"'{path}' ({' '.join(str(error).split())})", expected) from None
+    except Exception as error:  # a decoder may raise anything for a damaged file
+        raise invalid(name, f"'{path}' ({reason(error)})", expected) from None
 
 
 def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
@@ -215,21 +229,34 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
 
 
 def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
+    def check(array: str, header: ArrayHeader) -> None:
+        if array in FACTS and path.suffix.lower() == ".npz":
+            if header.shape not in ((), (1,)):
+                raise invalid(f"{array} of '{path}'", f"an array of shape {header.shape}", "one number")
+        elif len(header.shape) != 2 or header.dtype.kind not in "biuf":
+            raise invalid(f"{name} '{path}'", f"{header.dtype} of shape {header.shape}", "real or whole numbers, (rows, columns)")
+        elif math.prod(header.shape) > MAX_PICTURE:
+            raise invalid(f"{name} '{path}'", f"{' × '.join(map(str, header.shape))} samples", f"up to {MAX_PICTURE} in all")
+
+    def choose(names: list[str]) -> list[str]:
+        if "dn" not in names and len(names) != 1:
+            got = ", ".join(one_line(array) for array in names[:8]) or "none"
+            raise invalid(f"arrays of '{path}'", got, "dn, the digital numbers, or a single array")
+        return ["dn", *(fact for fact in FACTS if fact in names)] if "dn" in names else names
+
     if path.suffix.lower() == ".npy":
-        return read_array(path, name, expected), {}
-    arrays = read_arrays(path, name, expected)
-    if "dn" not in arrays and len(arrays) != 1:
-        raise invalid(f"arrays of '{path}'", ", ".join(list(arrays)[:8]) or "none", "dn, the digital numbers, or a single array")
+        return read_array(path, name, expected, check), {}
+    arrays = read_arrays(path, name, expected, choose, check)
     picture = "dn" if "dn" in arrays else next(iter(arrays))
     return arrays[picture], {fact: arrays[fact] for fact in FACTS if fact in arrays}
 
 
-def _read_image(path: Path, name: str, _: str) -> tuple[NDArray[Any], dict[str, Any]]:
+def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
     from PIL import Image
 
     judge_picture(path)
     # Pillow warns of oddities in files that it can read.
-    with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+    with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
         if image.mode not in ("I;16", "I;16B", "I;16L", "I"):
             hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
             raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey, of 16 bits", hint)
@@ -242,6 +269,6 @@ def _read_image(path: Path, name: str, _: str) -> tuple[NDArray[Any], dict[str, 
 
 def _json_of(text: Any) -> dict[str, Any]:
     """Return the table of a JSON text, or an empty one if the text is anything else."""
-    with suppress(ValueError):
+    with suppress(ValueError, RecursionError):
         return table if isinstance(table := json.loads(str(text)), dict) else {}
     return {}

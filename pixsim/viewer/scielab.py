@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from pixsim.base.arrays import dct, empty_planes, inverse_dct, strips_of
+from pixsim.base.arrays import dct, empty_planes, first_where, inverse_dct, strips_of
 from pixsim.base.errors import invalid
 
 # The public interface, as docs/reference lists it.
@@ -39,8 +39,8 @@ def checked_triples(name: str, values: npt.ArrayLike, dimensions: int | None = N
         raise invalid(f"{name}, shape", array.shape, allowed, "Move the three values last, y and x before them.")
     if not is_finite(array):
         finite = np.isfinite(array)
-        first = np.argwhere(~finite)[0]
-        got = f"{array[tuple(first)]} at {first.tolist()} ({np.count_nonzero(~finite)} such of {array.size})"
+        first = first_where(~finite) or ()
+        got = f"{array[first]} at {list(first)} ({np.count_nonzero(~finite)} such of {array.size})"
         raise invalid(name, got, "finite numbers", "Remove them at their source: a filter would spread them.")
     return array
 

@@ -111,10 +111,12 @@ def seeds(folder: Path) -> dict[str, tuple[Path, Reader]]:
     write_npz(folder / "light.npz", light())
     np.save(folder / "edge.npy", np.ones((4, 4)))
     Image.fromarray(np.ones((8, 8), np.uint16)).save(folder / "edge.png")
+    np.savez_compressed(folder / "raw.npz", dn=np.ones((4, 4), np.uint16), black_level_dn=1.0, bits=10)
     rows(folder / "results.csv")
     readers: dict[str, Reader] = {name: reader for name, (_, reader) in texts.items()}
     readers |= dict.fromkeys(("light.exr", "factors.exr", "light.npz"), read_picture)
     readers |= dict.fromkeys(("chart.exr", "edge.npy", "edge.png"), read_edge_picture) | {"results.csv": read_rows}
+    readers |= {"raw.npz": pixsim.read_frame}
     return {name: (folder / name, reader) for name, reader in readers.items()}
 
 

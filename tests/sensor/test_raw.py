@@ -53,6 +53,28 @@ def test_write_frame_too_many_bits_raises_and_leaves_no_file(suffix: str, tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("value", [-1, 1.7, np.nan, np.inf, -np.inf, 1e30, 2**32, 70000, 2**24 + 1])
+def test_write_frame_keeps_numbers_or_raises(suffix: str, value: float, tmp_path: Path) -> None:
+    """No format may hold another number: of 16 bits 70000 would be 4464, and float32 rounds 2²⁴ + 1."""
+    dn = np.array([[1, value]])
+    if value <= {".npz": 2**32 - 1, ".exr": 2**24}.get(suffix, 2**16 - 1) and value >= 0 and value % 1 == 0:
+        pixsim.write_frame(tmp_path / f"raw{suffix}", RawFrame(dn))
+        np.testing.assert_array_equal(pixsim.read_frame(tmp_path / f"raw{suffix}").dn, dn)
+        return
+    with pytest.raises(pixsim.PixsimError, match=r"raw frame .*(whole numbers|up to .* bits)"):
+        pixsim.write_frame(tmp_path / f"raw{suffix}", RawFrame(dn))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "dn", [np.array(3), np.ones(3), np.ones((0, 3)), np.ones((2, 2, 2)), np.array([["x"]]), np.array([[None]])]
+)
+def test_write_frame_no_picture_raises(dn: np.ndarray, tmp_path: Path) -> None:
+    with pytest.raises(pixsim.PixsimError, match=r"whole numbers, \(rows, columns\)"):
+        pixsim.write_frame(tmp_path / "raw.npz", RawFrame(dn))
+
+
 def test_write_frame_other_readers_agree(tmp_path: Path) -> None:
     """Pillow, NumPy and OpenEXR read the numbers, and the levels are in DNG's tags."""
     for suffix in (".png", ".tiff", ".npz", ".exr"):
