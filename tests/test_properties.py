@@ -24,7 +24,6 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from pydantic import BaseModel, ValidationError
 
 import pixsim
-from pixsim.base.config import explain
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import (
     STANDS_FOR,
@@ -38,6 +37,7 @@ from pixsim.base.parameters import (
     Pixel,
     PixelOptions,
     Record,
+    explain,
 )
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel import derive

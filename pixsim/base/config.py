@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import tomllib
 import warnings
@@ -10,14 +9,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
-from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import read_text
-from pixsim.base.parameters import DATA_SHEET, NO_TECHNOLOGY, STANDS_FOR, Layer, Record, Run, Study, merge, missing_of_data_sheet
+from pixsim.base.parameters import (
+    DATA_SHEET,
+    NO_TECHNOLOGY,
+    STANDS_FOR,
+    Layer,
+    Record,
+    Run,
+    Study,
+    explain,
+    merge,
+    missing_of_data_sheet,
+)
 
 MAX_BYTES = 1 << 20
 MAX_DIGITS = 250  # in any base: larger numbers exceed a float, and Python does not convert them to text
@@ -75,74 +84,12 @@ def packaged(folder: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(root.glob("*.toml"))}
 
 
-MAX_VALUE = 80  # characters of a value in a message
-
-
 def checked(record: type[BaseModel], layers: Sequence[Layer]) -> Any:
     """Merge layers and validate the record. Raises PixsimError that lists every problem with the file that it comes from."""
     try:
         return record.model_validate(merged(layers))
     except ValidationError as error:
         raise PixsimError(explain(error, layers)) from None
-
-
-def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
-    """Message of an error: one line for a PixsimError, one line per problem for a ValidationError."""
-    if not isinstance(error, ValidationError):
-        return str(error)
-    return "\n".join(_line(error.title, problem, layers) for problem in error.errors())
-
-
-def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
-    path = [str(part) for part in problem["loc"]]
-    where = _where(title, problem, layers)
-    if problem["type"] == "extra_forbidden":
-        *above, name = path
-        name, known = name.replace("-", "_"), _names(title, above)
-        tables = [table for table in known if name in _names(title, [*above, table])]  # a table header is missing
-        inner = ".".join([*above, *tables])
-        hint = f"It belongs in [{inner}]." if len(tables) == 1 else did_you_mean(name, known)
-        return f"{where}: unknown name; allowed: {', '.join(known)}.{hint and ' '}{hint}"
-    if problem["type"] == "missing":
-        return f"{where}: missing; it is required."
-    message = problem["msg"].removeprefix("Value error, ")
-    if problem["type"].startswith(("greater_than", "less_than")):  # Pydantic writes 1e-15 in full
-        (bound,) = problem["ctx"].values()
-        message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"
-    message = message[0].lower() + message[1:].replace("valid tuple", "list").partition(", unable to parse")[0]
-    if problem["type"] == "value_error":
-        return f"{where}: {message.removesuffix('.')}."
-    value = repr(problem["input"])
-    value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
-    return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}."
-
-
-def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
-    """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
-    loc = problem["loc"]
-    dotted = ".".join(str(part) for part in loc) or title
-    # A missing value, or a conflict between values, has no layer: the last layer with the enclosing table is named.
-    for length in range(len(loc), -1, -1):
-        for layer in reversed(layers):
-            if layer.table and layer.names(loc[:length]):
-                return f"{layer.source}: {dotted}" if layer.source else dotted
-    return dotted
-
-
-def _names(title: str, path: list[str]) -> list[str]:
-    """Field names of the record at a dotted path below the record named `title`."""
-    kinds: list[type[Record]] = [Record]  # and all its imported subclasses
-    for kind in kinds:
-        kinds += kind.__subclasses__()
-    record: Any = next((kind for kind in kinds if kind.__name__ == title), None)
-    for part in path:
-        field = record.model_fields.get(part) if record else None
-        record = (
-            next((kind for kind in (get_args(field.annotation) or (field.annotation,)) if inspect.isclass(kind)), None)
-            if field
-            else None
-        )
-    return list(record.model_fields) if isinstance(record, type) and issubclass(record, BaseModel) else []
 
 
 # A data sheet states them for its pitch only.

@@ -57,6 +57,8 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     if not os.path.lexists(path.parent):
         raise invalid("output file", missing(path), "a path that can be written", f"Make it first: mkdir -p '{path.parent}'")
+    if path.is_dir():
+        raise invalid("output file", f"'{path}' (a folder)", "a path that can be written")
     before = f".{path.name}."
     remove_leftovers(path.parent, before)
     with unfinished(path.parent, before, PARTIAL_FILE, is_folder=False) as partial:

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import inspect
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
 from pydantic import (
     AfterValidator,
@@ -22,14 +23,22 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    ValidationError,
     ValidationInfo,
     WithJsonSchema,
     field_validator,
     model_validator,
 )
+from pydantic_core import ErrorDetails
 
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import read_text
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)  # it has no public name
 
 # Documented in the reference; the other names are internal.
 __all__ = [
@@ -38,8 +47,98 @@ __all__ = [
 ]  # fmt: skip
 
 
-class Record(BaseModel):
-    """Frozen, validated parameters. Invalid values and unknown names raise pydantic's ValidationError, a ValueError."""
+@dataclass(frozen=True)
+class Layer:
+    """A table of settings and its source: the path of a file, or an empty string for options."""
+
+    table: dict[str, Any]
+    source: str = ""
+
+    def names(self, path: Iterable[object]) -> bool:
+        """Whether this layer sets the value at a dotted path."""
+        node: Any = self.table
+        for part in path:
+            if isinstance(node, dict) and part in node:
+                node = node[part]
+            elif not isinstance(node, list):
+                return False
+        return True
+
+
+MAX_VALUE = 80  # characters of a value in a message
+
+
+def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
+    """Message of an error: one line for a PixsimError, one line per problem for a ValidationError."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    return "\n".join(_line(error.title, problem, layers) for problem in error.errors())
+
+
+def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
+    path = [str(part) for part in problem["loc"]]
+    where = _where(title, problem, layers)
+    if problem["type"] == "extra_forbidden":
+        *above, name = path
+        name, known = name.replace("-", "_"), _names(title, above)
+        tables = [table for table in known if name in _names(title, [*above, table])]  # a table header is missing
+        inner = ".".join([*above, *tables])
+        hint = f"It belongs in [{inner}]." if len(tables) == 1 else did_you_mean(name, known)
+        return f"{where}: unknown name; allowed: {', '.join(known)}.{hint and ' '}{hint}"
+    if problem["type"] == "missing":
+        return f"{where}: missing; it is required."
+    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"].startswith(("greater_than", "less_than")):  # Pydantic writes 1e-15 in full
+        (bound,) = problem["ctx"].values()
+        message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"
+    message = message[0].lower() + message[1:].replace("valid tuple", "list").partition(", unable to parse")[0]
+    if problem["type"] == "value_error":
+        return f"{where}: {message.removesuffix('.')}."
+    value = repr(problem["input"])
+    value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
+    return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}."
+
+
+def _where(title: str, problem: ErrorDetails, layers: Sequence[Layer]) -> str:
+    """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
+    loc = problem["loc"]
+    dotted = ".".join(str(part) for part in loc) or title
+    # A missing value, or a conflict between values, has no layer: the last layer with the enclosing table is named.
+    for length in range(len(loc), -1, -1):
+        for layer in reversed(layers):
+            if layer.table and layer.names(loc[:length]):
+                return f"{layer.source}: {dotted}" if layer.source else dotted
+    return dotted
+
+
+def _names(title: str, path: list[str]) -> list[str]:
+    """Field names of the record at a dotted path below the record named `title`."""
+    kinds: list[type[Record]] = [Record]  # and all its imported subclasses
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    record: Any = next((kind for kind in kinds if kind.__name__ == title), None)
+    for part in path:
+        field = record.model_fields.get(part) if record else None
+        record = (
+            next((kind for kind in (get_args(field.annotation) or (field.annotation,)) if inspect.isclass(kind)), None)
+            if field
+            else None
+        )
+    return list(record.model_fields) if isinstance(record, type) and issubclass(record, BaseModel) else []
+
+
+class RecordType(ModelMetaclass):
+    """Calls of a record's class raise PixsimError; pydantic's own methods, such as `model_validate`, its ValidationError."""
+
+    def __call__(cls, *args: Any, **fields: Any) -> Any:
+        try:
+            return super().__call__(*args, **fields)
+        except ValidationError as error:
+            raise PixsimError(explain(error)) from None
+
+
+class Record(BaseModel, metaclass=RecordType):
+    """Frozen, validated parameters. Invalid values and unknown names raise PixsimError, a ValueError."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -169,24 +268,6 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     if not any(efficiency >= MIN_FRACTION for _, efficiency in pairs):
         raise ValueError(f"got {source} that is 0 at every wavelength; allowed: {ALLOWED}")
     return pairs
-
-
-@dataclass(frozen=True)
-class Layer:
-    """A table of settings and its source: the path of a file, or an empty string for options."""
-
-    table: dict[str, Any]
-    source: str = ""
-
-    def names(self, path: Iterable[object]) -> bool:
-        """Whether this layer sets the value at a dotted path."""
-        node: Any = self.table
-        for part in path:
-            if isinstance(node, dict) and part in node:
-                node = node[part]
-            elif not isinstance(node, list):
-                return False
-        return True
 
 
 NO_TECHNOLOGY = "none"
@@ -533,6 +614,7 @@ class Camera(Record):
         """Half the height of a chart that fills the die, in the plane in focus."""
         return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
 
+    @checks_arguments
     def window(self, width_mm: float | None) -> Camera:
         """The same lens on a central part of the die, of `width_mm`; the camera itself for None.
 
@@ -546,6 +628,7 @@ class Camera(Record):
         return self.model_copy(update={"die_mm": width_mm, "die_height_mm": height_mm})
 
     @classmethod
+    @checks_arguments
     def from_lens_geometry(cls, fov_deg: float, aperture_radius_m: float, focus_distance_m: float, die_mm: float) -> Camera:
         """Camera of a renderer's thin lens: v from field of view and die, then 1/f = 1/u + 1/v."""
         v_mm = die_mm / (2 * math.tan(math.radians(fov_deg) / 2))
@@ -585,6 +668,7 @@ class CameraOptions(Record):
     object_distance_m: Distance | None = Field(None, description=Camera.model_fields["object_distance_m"].description)
     transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
 
+    @checks_arguments
     def over(self, camera: Camera) -> Camera:
         """The camera with the fields that are set here replaced.
 
@@ -592,8 +676,9 @@ class CameraOptions(Record):
         """
         if self.pixels is not None and self.die_mm is None:
             raise invalid("camera.pixels", list(self.pixels), "pixels together with pixel.pitch_um, or die_mm and die_height_mm")
-        return Camera.model_validate(camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
+        return Camera(**camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
 
+    @checks_arguments
     def with_die(self, pitch_um: float | None) -> CameraOptions:
         """These options with the die of `pixels` at a pitch (µm). ValueError if a given die differs by more than half a pixel."""
         if self.pixels is None:
@@ -609,7 +694,7 @@ class CameraOptions(Record):
                     f"{of_pixels_mm:.6g} mm, by more than half a pixel; give one of them"
                 )
             die_mm[name] = round(of_pixels_mm, DIE_DIGITS) if given_mm is None else given_mm
-        return CameraOptions.model_validate(self.model_dump() | die_mm)
+        return CameraOptions(**self.model_dump() | die_mm)
 
 
 class Exposure(Record):
@@ -816,6 +901,7 @@ class Study(Effort):
         largest_um = max(self.own_pitches_um) * PITCH_RATIO
         return low or self.own_um / PITCH_RATIO, high if "max_um" in self.pitch.model_fields_set else largest_um
 
+    @checks_arguments
     def options_of(self, technology: str) -> PixelOptions:
         """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
         return self.sensors.get(technology, self.pixel)
@@ -827,7 +913,7 @@ class Study(Effort):
         technologies = table.get("technologies", self.technologies)
         for part in ("process", "sensors"):
             table[part] = {name: values for name, values in table.get(part, {}).items() if name in technologies}
-        return Study.model_validate(table)
+        return Study(**table)
 
 
 class Run(Effort):
@@ -848,10 +934,11 @@ class Run(Effort):
         return self
 
 
+@checks_arguments
 def pixel_of(study: Study, technology: str, pitch_um: float) -> Pixel:
     """Pixel of a study in a technology, by name or path, at a pitch."""
     sensor = study.sensors.get(technology)
     if sensor is None:
-        return Pixel.model_validate(study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
+        return Pixel(**study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
     measured_um = sensor.data_sheet_pitch_um or sensor.pitch_um
-    return Pixel.model_validate(sensor.model_dump() | {"pitch_um": pitch_um, "data_sheet_pitch_um": measured_um})
+    return Pixel(**sensor.model_dump() | {"pitch_um": pitch_um, "data_sheet_pitch_um": measured_um})

@@ -42,8 +42,8 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         from cyclopts.exceptions import CycloptsError
         from pydantic import ValidationError
 
-        from pixsim.base.config import explain
         from pixsim.base.errors import PixsimError
+        from pixsim.base.parameters import explain
         from pixsim.cli.commands import run_command
     except ImportError as error:
         end(broken(error), UNEXPECTED)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pixsim.base.arguments import check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
 
@@ -30,6 +31,7 @@ MAX_VALUE = float(np.finfo(np.float32).max)
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
+@checks_arguments
 def photons_per_joule(wavelength_nm: ArrayLike) -> Array:
     """Return λ/(hc), photons per joule, in the shape (...) of the wavelengths; SI constants of 2019."""
     return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
@@ -40,23 +42,27 @@ def _photometric_table() -> Array:
     return np.loadtxt(str(resources.files("pixsim") / "data/photopic_and_d65.csv"), delimiter=",", skiprows=3)
 
 
+@checks_arguments
 def photopic_efficiency(wavelength_nm: ArrayLike) -> Array:
     """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 1], left=0.0, right=0.0)
 
 
+@checks_arguments
 def d65(wavelength_nm: ArrayLike) -> Array:
     """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
 
 
+@checks_arguments
 def luminous_weight(wavelength_nm: ArrayLike, band_width_nm: ArrayLike) -> Array:
     """Return the weights (B,) that turn band values per nm into lx (from W m⁻² nm⁻¹) or cd/m² (from W m⁻² sr⁻¹ nm⁻¹).
 
     683.002 lm/W times `photopic_efficiency` times the width (CIE 018:2019).
     """
+    check_broadcast(wavelength_nm=np.shape(wavelength_nm), band_width_nm=np.shape(band_width_nm))
     return LUMINOUS_EFFICACY_LM_PER_W * photopic_efficiency(wavelength_nm) * np.asarray(band_width_nm, float)
 
 
@@ -91,6 +97,7 @@ class SpectralImage:
     [6.8, 6.8, 6.8]
     """
 
+    @checks_arguments
     def __init__(
         self,
         wavelength_nm: ArrayLike,
@@ -103,6 +110,11 @@ class SpectralImage:
         header: dict[str, Any] | None = None,
     ) -> None:
         self.wavelength_nm = np.asarray(wavelength_nm, float)
+        if not self.wavelength_nm.size or self.wavelength_nm.ndim != 1:
+            raise invalid("wavelength_nm", f"an array of shape {self.wavelength_nm.shape}", "(B,), at least one")
+        if np.shape(band_width_nm) not in ((), (1,), self.wavelength_nm.shape):
+            got, bands = f"an array of shape {np.shape(band_width_nm)}", self.wavelength_nm.size
+            raise invalid("band_width_nm", got, f"a number, or ({bands},) as the wavelengths")
         self.band_width_nm = np.broadcast_to(np.asarray(band_width_nm, float), self.wavelength_nm.shape).copy()
         self.pitch_um = float(pitch_um)
         self.header = dict(header or {})
@@ -119,10 +131,6 @@ class SpectralImage:
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
                 hint = bands_last_hint(self.data.shape, self.wavelength_nm.size)
                 raise invalid("data", self.data.shape, f"(rows, columns, bands), here (H, W, {self.wavelength_nm.size})", hint)
-        positive = (self.wavelength_nm > 0) & (self.band_width_nm > 0)
-        if not (self.pitch_um > 0 and positive.size and positive.all()):
-            got = f"pitch {pitch_um} µm, bands {self.band_width_nm} nm at {self.wavelength_nm} nm"
-            raise invalid("sampling", got, "positive pitch and band widths, at positive wavelengths")
         if within is None:
             within = self.wavelength_nm[:, None], np.ones((self.wavelength_nm.size, 1))
         self.within = np.asarray(within[0], float), np.asarray(within[1], float)
@@ -134,8 +142,14 @@ class SpectralImage:
         """Values (H, W, B) float32, W m⁻² nm⁻¹, computed from the factors on first use."""
         return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
 
+    @checks_arguments
     def band(self, index: int, rows: slice = WHOLE) -> NDArray[np.float32]:
-        """Return band `index`, (H, W) float32 in W m⁻² nm⁻¹, or some of its `rows`."""
+        """Return band `index`, (H, W) float32 in W m⁻² nm⁻¹, or some of its `rows`.
+
+        Raises PixsimError if there is no such band.
+        """
+        if not 0 <= index < self.wavelength_nm.size:
+            raise invalid("index", index, f"0 to {self.wavelength_nm.size - 1}")
         if not self.factors:
             return self.data[rows, :, index]
         spectra, pictures = self.factors[0].astype(np.float32), self.factors[1][:, rows]
@@ -149,6 +163,7 @@ class SpectralImage:
         """(H, W)."""
         return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
 
+    @checks_arguments
     def weighted(self, weight: Array) -> Array:
         """Return Σ_b weight_b · E_b at each sample, (H, W) float64, independent of the number of threads.
 
@@ -160,12 +175,17 @@ class SpectralImage:
             total[rows] = self.weighted_part(weight, (rows, WHOLE))
         return total
 
+    @checks_arguments
     def weighted_part(self, weight: Array, part: tuple[slice, slice]) -> Array:
         """Return some rows and columns of `weighted`, bit for bit the same.
 
         weight : (B,), any unit per W m⁻² nm⁻¹
         part : slices of rows and columns
+
+        Raises PixsimError if there is not one weight for each band.
         """
+        if weight.shape != self.wavelength_nm.shape:
+            raise invalid("weight", f"an array of shape {weight.shape}", f"({self.wavelength_nm.size},), one for each band")
         if self.factors:
             totals = [(weight * spectrum).sum() for spectrum in self.factors[0]]
             terms = ((total, picture[part]) for total, picture in zip(totals, self.factors[1], strict=True))
@@ -176,6 +196,7 @@ class SpectralImage:
             total += factor * picture.astype(float)
         return total
 
+    @checks_arguments
     def box_reduced(self, columns: int) -> SpectralImage:
         """Return the image on `columns` samples across, each the mean over its area, of the larger pitch.
 
@@ -220,6 +241,7 @@ class SpectralImage:
         spectra, pictures = self.factors
         return (spectra * pictures.mean(axis=(1, 2), dtype=float)[:, None]).sum(axis=0)
 
+    @checks_arguments
     def band_mean(self, response: Callable[[Array], Array]) -> Array:
         """Return the mean of `response`, a function of nm, over each band (B,), weighted by the light within the band."""
         nodes_nm, shares = self.within

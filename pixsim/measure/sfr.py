@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import tukey
 
+from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder, publishing, write_json
@@ -43,6 +44,7 @@ MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the line
 MAX_SATURATED = 1e-3  # of a region's pixels
 
 
+@checks_fields
 @dataclass(frozen=True)
 class EdgeResponse:
     """The e-SFR of one edge (ISO 12233).
@@ -75,6 +77,7 @@ class EdgeResponse:
         """SFR at the Nyquist frequency, half a cycle per pixel: 1 for full contrast."""
         return float(np.interp(NYQUIST_CY_PER_PX, self.frequency_cy_per_px, self.sfr))
 
+    @checks_arguments
     def frequency_cy_per_mm(self, pitch_um: float) -> Array:
         """(F,) frequencies on the sensor for a given pixel pitch."""
         return self.frequency_cy_per_px * 1e3 / pitch_um
@@ -90,6 +93,7 @@ def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
     return float(frequency[left] + (sfr[left] - level) / (sfr[left] - sfr[right]) * (frequency[right] - frequency[left]))
 
 
+@checks_arguments
 def edge_response(
     picture: ArrayLike,
     *,
@@ -123,7 +127,9 @@ def edge_response(
     data = cropped(picture, region)
     if saturation is not None and (full := float(np.mean(data >= saturation))) > MAX_SATURATED:  # clipping sharpens the edge
         hint = "Reduce the exposure (--exposure.well-target, --exposure.integration-s)."
-        raise invalid("edge picture", f"{full:.1%} saturated pixels", f"at most {MAX_SATURATED:.1%}", hint)
+        raise invalid(
+            "edge picture", f"{full:.1%} saturated pixels", f"at most {MAX_SATURATED:.1%} from saturation = {saturation:g} on", hint
+        )
     data, contrast, turned = upright(data)
     intercept, slope = fit_edge(data, np.sign(contrast))
     rows, half_px = rows_and_window(data.shape, intercept, slope, half_window_px)
@@ -149,6 +155,8 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     if data.ndim != 2 or data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"{data.dtype} of shape {data.shape}", "one channel of numbers, (rows, columns)")
     if region is not None:
+        if len(region) != 4:
+            raise invalid("region", ",".join(map(str, region)) or "nothing", "four numbers, x0,y0,x1,y1")
         x0, y0, x1, y1 = region
         height, width = data.shape
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):

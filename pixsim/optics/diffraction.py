@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pixsim.base.arguments import check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, strips_of
 from pixsim.base.errors import invalid
 
@@ -16,6 +17,7 @@ OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is be
 KEPT_TABLES = 128  # one for each wavelength, 32 MiB in all
 
 
+@checks_arguments
 def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
     """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the shape (...) of the wavelengths.
 
@@ -27,12 +29,11 @@ def cutoff_cy_per_mm(wavelength_nm: ArrayLike, f_number: float) -> Array:
     Raises PixsimError if a wavelength or the f-number is not positive.
     """
     wavelength_nm = np.asarray(wavelength_nm, float)
-    if not (np.all(wavelength_nm > 0) and f_number > 0):
-        raise invalid("wavelength and f-number", f"{wavelength_nm} nm, {f_number}", "numbers above 0")
     with np.errstate(over="ignore", divide="ignore"):  # the cut-off may be 0 or infinite
         return NM_PER_MM / (wavelength_nm * f_number)
 
 
+@checks_arguments
 def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_number: float) -> Array:
     """Return the OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
 
@@ -49,12 +50,20 @@ def diffraction_otf(frequency_cy_per_mm: ArrayLike, wavelength_nm: ArrayLike, f_
     0.391002
     """
     frequency = np.abs(np.asarray(frequency_cy_per_mm, float))
+    check_broadcast(frequency_cy_per_mm=frequency.shape, wavelength_nm=np.shape(wavelength_nm))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # 0/0 at frequency 0 of a pinhole
         x = np.where(frequency == 0, 0.0, frequency / cutoff_cy_per_mm(wavelength_nm, f_number))
     x = np.minimum(x, 1.0)
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt((1 - x) * (1 + x)))
 
 
+def check_bands(wavelength_nm: Array, weight: Array) -> None:
+    """Raise PixsimError if there is not one weight for each wavelength."""
+    if weight.shape != wavelength_nm.shape:
+        raise invalid("wavelength_nm and weight", f"{wavelength_nm.size} and {weight.size}", "as many of each")
+
+
+@checks_arguments
 def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
     """Return Σ weight · `diffraction_otf` over wavelengths, in the shape (...) of the frequencies.
 
@@ -65,6 +74,7 @@ def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
+    check_bands(wavelength_nm, weight)
     otf = np.zeros_like(frequency_cy_per_mm)
     for nm, share in zip(wavelength_nm, weight, strict=True):
         if share:
@@ -72,6 +82,7 @@ def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f
     return otf
 
 
+@checks_arguments
 def diffract_sum(
     pictures: Iterable[tuple[ArrayLike, Array]],
     shape: tuple[int, int],
@@ -95,6 +106,8 @@ def diffract_sum(
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
+    if wavelength_nm.ndim != 1 or not wavelength_nm.size:
+        raise invalid("wavelength_nm", f"an array of shape {wavelength_nm.shape}", "(B,), at least one")
     fy, fx = (np.arange(n) / (2 * n * pitch_um * 1e-3) for n in shape)
     highest = min(np.hypot(fx[-1], fy[-1]), cutoff_cy_per_mm(wavelength_nm.min(), f_number))
     lowest = 1 / (2 * max(shape) * pitch_um * 1e-3)  # a shorter table would have steps too small to divide by
@@ -143,6 +156,7 @@ def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None
         spectrum[rows] *= radius
 
 
+@checks_arguments
 def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:
     """Return a picture convolved with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
 
@@ -153,6 +167,7 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
 
     Raises PixsimError if the weights add up to 0, and as `cutoff_cy_per_mm` does.
     """
+    check_bands(wavelength_nm, weight)
     total = weight.sum()
     if total == 0:
         raise invalid("weight", "a sum of 0", "weights with another sum", "Use `diffract_sum` for weights that are not normalised.")
@@ -160,6 +175,7 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
     return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number, workers)
 
 
+@checks_arguments
 def square_aperture_mtf(frequency_cy_per_mm: ArrayLike, side_um: float) -> Array:
     """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis, (...) as the frequencies.
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, first_where
 from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError, invalid
@@ -31,6 +32,7 @@ PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
 PARTS_OF_A_BAND = 10
 
 
+@checks_arguments
 def read_irradiance(
     path: str | os.PathLike[str], camera: Camera | None = None, *, units: str | None = None, pitch_um: float | None = None
 ) -> SpectralImage:
@@ -111,6 +113,7 @@ def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str
     return SpectralImage(nm, width_nm, sampling_um, data=data, within=within, header=header)
 
 
+@checks_arguments
 def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
     """Write an `.npz` file that `read_irradiance` reads back bit for bit; it is moved into place when complete.
 

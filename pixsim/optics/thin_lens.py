@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pixsim.base.arguments import brief, check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import WHOLE
 
 
+@checks_arguments
 def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: ArrayLike = 0.0) -> Array:
     """Return the irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin lens.
 
@@ -33,11 +35,12 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
     f_number, tan_field = np.asarray(f_number, float), np.asarray(tan_field, float)
     if np.isnan(tan_field).any():
         raise invalid("tan_field", "nan", "a number, or infinity for light parallel to the sensor")
+    check_broadcast(f_number=f_number.shape, tan_field=tan_field.shape, magnification=np.shape(magnification))
     # Dividing before squaring avoids overflow at extreme f-numbers. Grazing light may overflow: its irradiance is 0.
     with np.errstate(divide="ignore", over="ignore"):
         tan_alpha = 0.5 / (f_number * (1 + np.abs(magnification)))
-        if not np.all((f_number > 0) & (tan_alpha <= 1)):
-            raise invalid("f-number", f_number, "N (1 + |m|) ≥ 0.5", "A thin lens in air cannot be faster than f/0.5.")
+        if not np.all(tan_alpha <= 1):
+            raise invalid("f_number", brief(f_number), "N (1 + |m|) ≥ 0.5", "A thin lens in air cannot be faster than f/0.5.")
         a = tan_alpha**2
         t = tan_field**2
         p = (1 - a) + t
@@ -45,6 +48,7 @@ def irradiance_factor(f_number: ArrayLike, tan_field: ArrayLike, magnification: 
         return 2 * np.pi * a / (q * (q + p))
 
 
+@checks_arguments
 def field_factor(
     shape: tuple[int, int],
     pitch_um: float,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base import cache
+from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.locks import temporary_folder_of_process
@@ -37,6 +38,7 @@ SLANT_DEG = 5.0  # ISO 12233
 STAR_CYCLES = 72
 
 
+@checks_arguments
 def csf_frequency_lp_per_mm(x: ArrayLike, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM) -> Array:
     """Return the local frequency (...) at x in [0, 1] across the die: exponential, from 1 to 33.3 lp/mm (Chen et al. 2000).
 
@@ -48,6 +50,7 @@ def csf_frequency_lp_per_mm(x: ArrayLike, highest_lp_per_mm: float = MAX_FREQUEN
     return MIN_FREQUENCY_LP_PER_MM * (highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
 
 
+@checks_arguments
 def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: float) -> Callable[[ArrayLike], Array] | None:
     """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a function; None for another scene.
 
@@ -66,6 +69,7 @@ def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: float) -> Calla
     return lambda x: scale * csf_frequency_lp_per_mm(x, highest)
 
 
+@checks_arguments
 def csf_contrast(y: ArrayLike) -> Array:
     """Return the Michelson contrast (...) at y in [0, 1], 0 at the top: exponential from 1 % of the largest to the largest, 0.951.
 
@@ -75,6 +79,7 @@ def csf_contrast(y: ArrayLike) -> Array:
     return (high - low) / (high + low) * MIN_CONTRAST ** (1 - np.asarray(y, float))
 
 
+@checks_arguments
 def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM) -> Array:
     """Return the CSF chart at a point: mean (1 + contrast(y) sin φ(x)), where φ is the integral of 2π frequency.
 
@@ -90,11 +95,13 @@ def csf_value(x: ArrayLike, y: ArrayLike, die_mm: float = DIE_MM, highest_lp_per
     return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
 
 
+@checks_arguments
 def sine_value(x: ArrayLike, frequency_lp_per_mm: float, contrast: float = 0.9, die_mm: float = DIE_MM) -> Array:
     """Return a sinusoidal grating of a Michelson contrast and mean 0.5, (...) at x in [0, 1], as relative luminance."""
     return 0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * die_mm * np.asarray(x, float)))
 
 
+@checks_arguments
 def csf(
     width: int = 8192, height: int = 256, die_mm: float = DIE_MM, highest_lp_per_mm: float = MAX_FREQUENCY_LP_PER_MM
 ) -> NDArray[np.float32]:
@@ -116,12 +123,14 @@ def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: in
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 
+@checks_arguments
 def slanted_edge(width: int = 1024, height: int = 1024, dark: float = 0.1) -> NDArray[np.float32]:
     """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, `dark` on the left."""
     slope = np.tan(np.radians(SLANT_DEG))
     return _antialiased(lambda x, y: x - 0.5 > (0.5 - y) * slope, width, height, dark)
 
 
+@checks_arguments
 def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> NDArray[np.float32]:
     """Return a sector star of 72 cycles in a disc of 90 % of the die, (height, width), with values 1 and `dark`."""
 
@@ -132,6 +141,7 @@ def siemens_star(width: int = 1024, height: int = 1024, dark: float = 0.025) -> 
     return _antialiased(inside, width, height, dark)
 
 
+@checks_arguments
 def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
     """Return a uniform field of relative luminance 1, (height, width)."""
     return np.ones((height, width), np.float32)
@@ -140,6 +150,7 @@ def flat(width: int = 4, height: int = 4) -> NDArray[np.float32]:
 CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {chart.__name__: chart for chart in (csf, flat, siemens_star, slanted_edge)}
 
 
+@checks_arguments
 def make_chart(kind: str, width: int | None = None, height: int | None = None, die_mm: float | None = None) -> NDArray[np.float32]:
     """Return a chart by name, (H, W) float32 relative luminance; the default size is that of the packaged textures.
 
@@ -164,6 +175,7 @@ def make_chart(kind: str, width: int | None = None, height: int | None = None, d
     return csf(**size, die_mm=die_mm)
 
 
+@checks_arguments
 def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> None:
     """Write a texture for Mitsuba's bitmap with `raw` true: one linear float32 channel Y, row 0 at the top.
 
@@ -177,15 +189,19 @@ def write_chart(path: str | os.PathLike[str], texels: NDArray[np.float32]) -> No
     write_channels(path, {"Y": texels}, {})
 
 
+@checks_arguments
 def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Path:
     """Return the file of a texture that pixsim makes, in the cache; it is written if it is missing.
 
     content : everything that the texels depend on, as JSON; the name of the file is its hash
     make : returns the texels, (H, W) relative luminance
 
-    Raises PixsimError if it cannot be written.
+    Raises PixsimError if it cannot be written, or if the content is not JSON.
     """
-    name = f"{content_hash([content, cache.version_fingerprint()])}.exr"
+    try:
+        name = f"{content_hash([content, cache.version_fingerprint()])}.exr"
+    except (TypeError, ValueError):
+        raise invalid("content", brief(content), "texts, finite numbers, lists and tables") from None
     path = cache.folder() / "charts" / name
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -199,6 +215,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     return path
 
 
+@checks_arguments
 def csf_file(highest_lp_per_mm: float, die_mm: float) -> Path:
     """Return the file of the CSF chart that fills a die and ends at a frequency; it begins at 2.7 cycles across the die.
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
@@ -39,6 +40,7 @@ class Light:
     fit: Fit
 
 
+@checks_fields
 @dataclass(frozen=True)
 class Plan:
     """What will be rendered, and why.
@@ -280,6 +282,7 @@ def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list
 UNIFORM_RESOLUTION = 64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
 
 
+@checks_arguments
 def make_plan(
     scene: Scene,
     camera: Camera | None = None,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, content_hash
@@ -133,6 +134,7 @@ LEVEL_STRIDE = 1000003
 LEVEL_FACTOR = 4  # keeps sample counts for which the result is the same bit for bit on any number of threads
 
 
+@checks_arguments
 def render(
     scene: Scene,
     camera: Camera | None = None,

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
+from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
@@ -34,6 +34,7 @@ INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
+@checks_fields
 @dataclass(frozen=True)
 class Scene:
     """A Mitsuba scene: its file, its parameters, and the variant that renders it.
@@ -59,6 +60,7 @@ class Scene:
     resolution: int | None = None
     shows_csf: bool = False
 
+    @checks_arguments
     def parse(self, **more: object) -> Any:
         """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
@@ -67,6 +69,7 @@ class Scene:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
         return parse(self.path, self.choice.variant, given)
 
+    @checks_arguments
     def camera(self, options: CameraOptions | None = None) -> Camera:
         """Return the camera of the file, overridden by the options.
 
@@ -87,6 +90,7 @@ class Scene:
             camera = camera.model_copy(update={"die_height_mm": camera.die_mm * height / width})
         return camera
 
+    @checks_arguments
     def for_camera(self, camera: Camera) -> Any:
         """Return the parser state with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
@@ -107,6 +111,7 @@ class Scene:
             named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
         return self.parse(**named)
 
+    @checks_arguments
     def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
         """Return (height, width) of the film in samples; the renderer checks their range.
 
@@ -122,10 +127,12 @@ class Scene:
         across = width if self.resolution is None else self.resolution
         return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
 
+    @checks_arguments
     def with_resolution(self, resolution: int) -> Scene:
         """Return the scene on a film of `resolution` samples across."""
         return replace(self, resolution=resolution)
 
+    @checks_arguments
     def with_parameters(self, **more: object) -> Scene:
         """Return the scene with other values of some parameters, `more`."""
         return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
@@ -168,6 +175,7 @@ def packaged_scenes() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.xml"))}
 
 
+@checks_arguments
 def load_scene(
     scene: str | os.PathLike[str], *, variant: str | None = None, sensor: str | None = None, **parameters: object
 ) -> Scene:
@@ -390,8 +398,8 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
     aperture, focus = (_positive(name, sensor.props[name]) for name in ("aperture_radius", "focus_distance"))
     try:
         exact = Camera.from_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
-    except ValidationError as error:
-        raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error.errors()[0]['msg']}") from None
+    except PixsimError as error:
+        raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error}") from None
     rounded = {name: float(f"{getattr(exact, name):.6g}") for name in ("focal_length_mm", "f_number")}
     return exact.model_copy(update=rounded)
 

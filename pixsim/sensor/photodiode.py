@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit
 
+from pixsim.base.arguments import check_broadcast, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Pixel
@@ -45,6 +46,7 @@ NEWTON_STEPS = 30  # at most; 3 to 5 are needed, since the slope is a capacitanc
 BLOCK = 2048  # photocurrents at a time: 20 MB
 
 
+@checks_arguments
 def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
     """Return the photodiode of a 3T pixel, with its sense node.
 
@@ -62,6 +64,7 @@ def default_diode() -> Diode:
     return diode_of(Pixel())
 
 
+@checks_arguments
 def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike, diode: Diode | None = None) -> Array:
     """Return the charge that a photodiode collects after its reset, dark charge included, by quadrature.
 
@@ -82,13 +85,12 @@ def collected_charge_e(photocurrent_e_per_s: ArrayLike, integration_s: ArrayLike
     """
     kind = diode or default_diode()
     current, time_s = np.asarray(photocurrent_e_per_s, float), np.asarray(integration_s, float)
-    for name, values in (("photocurrent_e_per_s", current), ("integration_s", time_s)):
-        if (invalid_values := values[~(np.isfinite(values) & (values >= 0))]).size:
-            raise invalid(name, invalid_values[0], "finite numbers, not below 0")
+    check_broadcast(photocurrent_e_per_s=current.shape, integration_s=time_s.shape)
     current, time_s = np.broadcast_arrays(current, time_s)
     return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
 
 
+@checks_arguments
 def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode) -> Array:
     """Return the collected charge in e-, (...) as the arguments, for a = i_ph + I_s (e-/s, ≥ 0); see the module.
 
@@ -96,6 +98,8 @@ def charge_from_total_e(total_e_per_s: Array, integration_s: Array, diode: Diode
 
     The charge is 0 where `a` is below I_s e^(-V_0/V_T), which only a negative photocurrent can cause.
     """
+    check_broadcast(total_e_per_s=total_e_per_s.shape, integration_s=integration_s.shape)
+    total_e_per_s, integration_s = np.broadcast_arrays(total_e_per_s, integration_s)
     with np.errstate(over="ignore"):
         generated = np.minimum(total_e_per_s * integration_s, np.finfo(float).max)
     if not diode.saturation_current_e_per_s:

@@ -15,6 +15,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import ABSOLUTE_ZERO_C, MIN_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
@@ -233,6 +234,7 @@ A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
 RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
+@checks_arguments
 def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
     """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape (...) of the pitches; negative below the smallest pitch p0.
 
@@ -247,18 +249,20 @@ def fill_factor_law(pitch_um: ArrayLike, technology: Technology) -> Array:
     return technology.fill_factor_limit * ((p - inset_um) ** 2 - (smallest_pitch_um(technology) - inset_um) ** 2) / p**2
 
 
+@checks_arguments
 def smallest_pitch_um(technology: Technology) -> float:
     """Return p0 of `fill_factor_law`, the pitch in µm at which the transistors fill the pixel."""
     return technology.fill_factor_zero_pitch_features * technology.feature_size_um
 
 
+@checks_arguments
 def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> float:
     """Return the pitch in µm at a fill factor, the inverse of `fill_factor_law`.
 
     Raises PixsimError if the fill factor is not between 0 and the technology's limit.
     """
     if not 0 < fill_factor < technology.fill_factor_limit:
-        raise invalid("fill factor", fill_factor, f"above 0, below {technology.fill_factor_limit} (limit of {technology.name})")
+        raise invalid("fill_factor", fill_factor, f"above 0, below {technology.fill_factor_limit} (limit of {technology.name})")
     p0_um, inset_um = smallest_pitch_um(technology), technology.fill_factor_inset_features * technology.feature_size_um
     limit = technology.fill_factor_limit
     # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
@@ -272,6 +276,7 @@ def _response_table(curve: str) -> Array:
     return np.loadtxt(str(resources.files("pixsim") / f"data/{curve}_response.csv"), delimiter=",", skiprows=4)
 
 
+@checks_arguments
 def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> Array:
     """Return the QE of a generic silicon photodiode, scaled to a peak, (...) as the wavelengths; 0 outside 359-1029 nm.
 
@@ -281,6 +286,7 @@ def silicon_curve(wavelength_nm: ArrayLike, peak_quantum_efficiency: float) -> A
     return np.interp(np.asarray(wavelength_nm, float), table_nm, qe * peak_quantum_efficiency / qe.max(), left=0.0, right=0.0)
 
 
+@checks_arguments
 def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficiency: float) -> Array:
     """Return the QE of the HP/MOSIS photodiode in the shape (...) of the wavelengths; 0 outside 400-800 nm.
 
@@ -297,18 +303,22 @@ def response_curve(wavelength_nm: ArrayLike, reading: str, peak_quantum_efficien
     return np.interp(np.asarray(wavelength_nm, float), table_nm, raw * scale, left=0.0, right=0.0)
 
 
+@checks_arguments
 def given_efficiency(wavelength_nm: ArrayLike, given: float | EfficiencyCurve) -> Array:
     """Return the QE of a data sheet in the shape (...) of the wavelengths: the constant `given`, or its curve.
 
-    The curve is interpolated linearly and 0 outside its points.
+    The curve is interpolated linearly and 0 outside its points. Raises PixsimError for fewer than two points.
     """
     nm = np.asarray(wavelength_nm, float)
     if not isinstance(given, tuple):
         return np.full(nm.shape, given)
+    if len(given) < 2:
+        raise invalid("given", given, "a number, or at least two pairs of wavelength in nm and quantum efficiency")
     known_nm, efficiency = np.array(given).T
     return np.interp(nm, known_nm, efficiency, left=0.0, right=0.0)
 
 
+@checks_fields
 @dataclass(frozen=True)
 class PixelPhysics:
     """Physical properties of a pixel. Currents and charges are per pixel; noise is a standard deviation.
@@ -392,6 +402,7 @@ class PixelPhysics:
             return silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
         return response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
 
+    @checks_arguments
     def quantum_efficiency(self, wavelength_nm: ArrayLike) -> Array:
         """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the infrared cut."""
         nm = np.asarray(wavelength_nm, float)
@@ -402,11 +413,14 @@ class PixelPhysics:
         """`Pixel.infrared_cut_nm`, or infinity without a filter."""
         return self.pixel.infrared_cut_nm or math.inf
 
+    @checks_arguments
     def band_quantum_efficiency(self, wavelength_nm: Array, band_width_nm: Array) -> Array:
         """Return electrons per photon of bands, (B,): at their centres, times the fraction of each below the infrared cut."""
+        check_broadcast(wavelength_nm=wavelength_nm.shape, band_width_nm=band_width_nm.shape)
         below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
         return self._uncut_quantum_efficiency(wavelength_nm) * below
 
+    @checks_arguments
     def dynamic_range_db(self, integration_s: float) -> float:
         """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
 
@@ -419,10 +433,11 @@ class PixelPhysics:
         dark_e = self.dark_current_e_per_s * integration_s
         if dark_e >= self.saturation_e:
             allowed, hint = f"less than saturation, {self.saturation_e:.4g} e-", "Shorten the integration time or cool the sensor."
-            raise invalid("dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, hint)
+            raise invalid("integration_s of the dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, hint)
         variance_e2 = self._dark_variance_e2(dark_e)
         return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
+    @checks_arguments
     def snr_db(self, signal_e: float, integration_s: float) -> float:
         """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
 
@@ -439,6 +454,7 @@ class PixelPhysics:
         return self.reset_noise_e**2 + self.read_noise_e**2 + dark_e
 
 
+@checks_arguments
 def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: float, full_well_e: float | None = None) -> float:
     """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
 
@@ -487,6 +503,7 @@ def dark_current_at_e_per_s(pixel: Pixel, doubling_k: float) -> float | None:
     return current
 
 
+@checks_arguments
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
 
@@ -572,6 +589,7 @@ CAUSES = (
 )
 
 
+@checks_arguments
 def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> list[str]:
     """Return a sentence for each number of a data sheet that its other numbers contradict by more than rounding explains.
 
@@ -607,6 +625,7 @@ def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> l
     return [f"pixel: {text} {CAUSES}" for text in found]
 
 
+@checks_arguments
 def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) -> None:
     """Warn of each of the `sheet_disagreements`, on behalf of the public function that calls this one.
 
@@ -616,6 +635,7 @@ def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) ->
         warnings.warn(text, stacklevel=3)
 
 
+@checks_arguments
 def physics_of(study: Study, technology: str, pitch_um: float, process: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a study's pixel, with the process numbers of `Study.process`.
 
@@ -630,6 +650,7 @@ def physics_of(study: Study, technology: str, pitch_um: float, process: Technolo
     return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
 
 
+@checks_arguments
 def photodiode_widths_um(study: Study, technology: str, pitch_um: Array) -> Array:
     """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels, (n,) as the pitches.
 

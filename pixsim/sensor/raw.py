@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import ArrayHeader, first_where, read_array, read_arrays
 from pixsim.base.errors import PixsimError, invalid, one_line
 from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
@@ -38,6 +39,7 @@ BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {".exr": 
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
 
 
+@checks_fields
 @dataclass(frozen=True, repr=False)
 class RawFrame:
     """Digital numbers of a file and their metadata; None where the file does not state an item.
@@ -92,6 +94,7 @@ def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     return facts | {"bits": int(frame.bits)}
 
 
+@checks_arguments
 def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     """Write the digital numbers and metadata of a frame; the file is moved into place when complete.
 
@@ -166,6 +169,7 @@ def _picture(dn: NDArray[Any]) -> Any:
     return Image.fromarray(dn.astype(np.uint16))
 
 
+@checks_arguments
 def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
@@ -20,12 +21,14 @@ from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 # 1/√mean, 3e-5 and less.
 POISSON_LIMIT_E = 1e9
 BLACK_SIGMAS = 6.0  # of the dark signal, below the black level: clipping at 0 DN would bias dark statistics
+MAX_CODE_BITS = 31
 MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
 
 # --- exposure ---------------------------------------------------------------------------------------------------------
 
 
+@checks_arguments
 def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: float) -> float:
     """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
@@ -44,6 +47,7 @@ def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_pe
 # --- fixed pattern ----------------------------------------------------------------------------------------------------
 
 
+@checks_fields
 @dataclass(frozen=True)
 class Sensor:
     """One sensor with its fixed pattern, the same in every frame. A map is None if its standard deviation is zero.
@@ -64,6 +68,7 @@ class Sensor:
     column_offset_e: Array | None = field(repr=False)
 
 
+@checks_arguments
 def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
@@ -91,6 +96,7 @@ def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generato
     return values
 
 
+@checks_arguments
 def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | None = None) -> Sensor:
     """Make a sensor that fills the camera's die, with its fixed pattern drawn from the seed.
 
@@ -103,11 +109,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | 
     (512, 512)
     """
     warn_of_disagreements(pixel)
-    if seed < 0:
-        raise invalid("seed", seed, "an integer of 0 or more")
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
-    if not 0 < aspect < math.inf:
-        raise invalid("aspect", aspect, "width over height, a finite number above 0")
     physics, width_um = derive(pixel), camera.die_um[1]
     shape = pixels_on((width_um / aspect, width_um), pixel.pitch_um)
     check_pixel_count(shape, pixel.pitch_um)
@@ -117,6 +119,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: int = 0, *, aspect: float | 
 # --- noise, in the order of the charge --------------------------------------------------------------------------------
 
 
+@checks_fields
 @dataclass(frozen=True)
 class Frame:
     """The digital numbers of one exposure, with the quantities behind them.
@@ -153,33 +156,42 @@ class Frame:
         return (self.dn.astype(float) - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
 
 
+@checks_arguments
 def shot_noise(mean_e: Array, rng: np.random.Generator) -> Array:
     """Draw Poisson counts (...) of mean `mean_e` from `rng`, in electrons; above 1e9 they are rounded normal values.
 
     The variance of NumPy's Poisson is 3.5 % too large at 1e15.
     """
     if mean_e.max(initial=0.0) < POISSON_LIMIT_E:
-        return rng.poisson(mean_e).astype(float)
-    counts = rng.poisson(np.minimum(mean_e, POISSON_LIMIT_E)).astype(float)
+        return np.asarray(rng.poisson(mean_e), float)
+    counts = np.asarray(rng.poisson(np.minimum(mean_e, POISSON_LIMIT_E)), float)
     normal = np.rint(mean_e + np.sqrt(mean_e) * rng.standard_normal(mean_e.shape))
     return np.where(mean_e < POISSON_LIMIT_E, counts, normal)
 
 
+@checks_arguments
 def quantise(level_dn: Array, bits: int) -> NDArray[np.int32]:
     """Round half to even and clip to 0 … 2^bits - 1, (...). This adds a variance of 1/12 DN² (within 0.3 %) if σ exceeds 0.6 DN.
+
+    Raises PixsimError for more than 31 bits.
 
     >>> quantise(np.array([-3.0, 0.5, 1.5, 300.0]), bits=8).tolist()
     [0, 0, 2, 255]
     """
+    if bits > MAX_CODE_BITS:
+        raise invalid("bits", bits, f"1 to {MAX_CODE_BITS}", "Codes are stored in 32 bits with a sign.")
     counts = np.asarray(np.rint(level_dn))
     return np.clip(counts, 0, 2**bits - 1, out=counts).astype(np.int32)
 
 
+@checks_arguments
 def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
     """Return one frame, (rows, columns) int32 DN, from the mean photo-electrons of each pixel; temporal noise is from `rng`.
 
     PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) →
     fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`.
+
+    Raises PixsimError if `mean_e` has not the shape of the sensor.
     """
     return _expose(mean_e, integration_s, sensor, rng)[0]
 
@@ -189,6 +201,8 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
 
     A few rows at a time, which keeps the work arrays small; all shot noise is drawn before all read noise.
     """
+    if mean_e.shape != sensor.shape:
+        raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
     p, generated = sensor.physics, np.empty(mean_e.shape)
     mean_dark_e = p.dark_current_e_per_s * integration_s
     for rows in strips(*mean_e.shape):
@@ -210,6 +224,7 @@ def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.
     return dn, saturated / max(dn.size, 1)
 
 
+@checks_arguments
 def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhysics) -> Array:
     """Return the expected DN over sensors and frames, in the shape (...) of `mean_e`.
 
@@ -220,6 +235,7 @@ def frame_mean_dn(mean_e: Array | float, integration_s: float, physics: PixelPhy
     return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.pixel.black_level_dn
 
 
+@checks_arguments
 def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: PixelPhysics, fixed_pattern: bool = True) -> Array:
     """Return the variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors, in the shape (...) of `mean_e`.
 
@@ -234,6 +250,7 @@ def frame_variance_dn2(mean_e: Array | float, integration_s: float, physics: Pix
     return variance_e2 * p.dn_per_e**2 + 1 / 12
 
 
+@checks_arguments
 def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
     """Return the standard deviation in e- of a dark signal over pixels and frames."""
     p, dark_e = physics, physics.dark_current_e_per_s * integration_s
@@ -241,6 +258,7 @@ def dark_spread_e(physics: PixelPhysics, integration_s: float) -> float:
     return math.sqrt(temporal_e2 + (p.dsnu * dark_e) ** 2 + p.offset_fpn_e**2 + p.column_fpn_e**2)
 
 
+@checks_arguments
 def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
@@ -252,6 +270,7 @@ def least_black_level_dn(physics: PixelPhysics, integration_s: float) -> int:
     return math.ceil(spread * top / (physics.full_well_e + spread)) + 1
 
 
+@checks_arguments
 def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure, rng: np.random.Generator) -> Frame:
     """Return a frame from mean photo-electron rates (rows, columns), with temporal noise from `rng`.
 
@@ -266,6 +285,7 @@ def capture_from_rates(signal_e_per_s: Array, sensor: Sensor, exposure: Exposure
     return make_frame(dn, saturated_fraction, signal_e_per_s, p, exposure)
 
 
+@checks_arguments
 def make_frame(
     dn: NDArray[np.int32], saturated_fraction: float, signal_e_per_s: Array, physics: PixelPhysics, exposure: Exposure
 ) -> Frame:
@@ -287,6 +307,7 @@ def make_frame(
     )
 
 
+@checks_arguments
 def capture(
     irradiance: SpectralImage, camera: Camera, sensor: Sensor, exposure: Exposure | None = None, *, rng: np.random.Generator
 ) -> Frame:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import checked, packaged, read_toml
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
 from pixsim.base.parameters import (
@@ -94,7 +95,9 @@ class Technology(Record):
     @model_validator(mode="after")
     def _one_kind_of_well_inside_the_pixel(self) -> Self:
         if (self.junction is None) == (self.full_well_e_per_um2 is None):
-            raise ValueError(f"a technology needs either full_well_e_per_um2 or all of {', '.join(Junction.model_fields)}")
+            raise ValueError(
+                f"a technology needs either full_well_e_per_um2 or all of {', '.join(Junction.model_fields)} (a junction)"
+            )
         if self.fill_factor_inset_features > self.fill_factor_zero_pitch_features:
             raise ValueError(
                 f"fill_factor_inset_features = {self.fill_factor_inset_features:g} exceeds fill_factor_zero_pitch_features = "
@@ -125,6 +128,7 @@ class Technology(Record):
         """The values that results depend on: the record without sources and ranges."""
         return self.model_dump(exclude={"sources", "ranges"})
 
+    @checks_arguments
     def with_numbers(self, values: dict[str, float], source: str) -> Technology:
         """Return the technology with other values of some of its `numbers`.
 
@@ -171,6 +175,7 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
     return technology.model_copy(update=dict(zip(names, OTHER_FILL_FACTOR_LAWS[law], strict=True)))
 
 
+@checks_arguments
 def load_technology(name: str) -> Technology:
     """Load a packaged technology by its name, or a user's by the path of its TOML file.
 

@@ -25,6 +25,7 @@ from scipy.linalg import cholesky
 from scipy.linalg.lapack import dtrtri
 from scipy.special import gammaincinv, stdtrit
 
+from pixsim.base.arguments import checks_fields
 from pixsim.base.arrays import Array
 
 CONFIDENCE = 0.95
@@ -44,6 +45,7 @@ FINE_PLACES = 801  # of the fitted curve: steps of less than 0.4 % of a pitch
 ROUNDING = 1e-6  # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be factored
 
 
+@checks_fields
 @dataclass(frozen=True)
 class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.

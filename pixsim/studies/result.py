@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
@@ -44,6 +45,7 @@ NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
 
 
+@checks_fields
 @dataclass(frozen=True)
 class Curve:
     """Mean ΔE against pitch for one technology.
@@ -93,6 +95,7 @@ class Curve:
         """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others."""
         return self.statistics["mean_delta_e"]
 
+    @checks_arguments
     def mean(self, statistic: str = "mean_delta_e") -> Array:
         """Return the mean of a statistic of ΔE over the sensors of each pitch, (pitches,)."""
         return np.asarray(np.nanmean(self.statistics[statistic], axis=1))
@@ -144,6 +147,7 @@ class Curve:
         }
 
 
+@checks_fields
 @dataclass(frozen=True)
 class StudyResult:
     """The result of a study, with everything that its report needs.
@@ -203,6 +207,7 @@ class StudyResult:
             "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
         }
 
+    @checks_arguments
     def dark(self, curve: Curve) -> dict[str, list[float]]:
         """Return `pixsim.viewer.score.dark_clip` for the pitches of a curve, a list for each of its numbers."""
         clips = []
@@ -212,6 +217,7 @@ class StudyResult:
             clips.append(dark_clip(physics, time_s, rate * physics.photodiode_area_um2 * time_s))
         return {name: [clip[name] for clip in clips] for name in clips[0]}
 
+    @checks_arguments
     def scores(self, technology: str, pitch_um: float, repeats: int | None = None) -> list[Score]:
         """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a pitch.
 
@@ -226,6 +232,7 @@ class StudyResult:
         parts = (scores_of(chain, self.study, repeats, block_key(frames, block)) for block, repeats in enumerate(blocks))
         return [score for part in parts for _, score in part]
 
+    @checks_arguments
     def sensors_at(self, technology: str, pitch_um: float) -> int:
         """Return the number of sensors of a pitch; for a pitch not in the study, the number that each pitch started with.
 
@@ -240,6 +247,7 @@ class StudyResult:
         """Return a Matplotlib figure of mean ΔE against pixel size, a curve for each technology."""
         return delta_e_against_pitch(self, self.curves).figure
 
+    @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return a row for each technology, pitch and sensor as CSV, and write it to `path` if given."""
         rows = [

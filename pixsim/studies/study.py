@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
@@ -276,6 +277,7 @@ def sweep_pitches(
     return result
 
 
+@checks_arguments
 def study(
     plan: Study | str | os.PathLike[str],
     out: str | os.PathLike[str],

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Display
@@ -32,6 +33,7 @@ WHITE_PERCENTILE = 99.0  # of the luminance of a scene whose white is unknown
 WHITE_DIGITS = 2  # the noise of a render does not change a white rounded to two digits
 
 
+@checks_arguments
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     """Return the scene luminance shown as display white: `display.white_cd_per_m2`, else the luminance of the scene's chart.
 
@@ -45,6 +47,7 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     return float(white)
 
 
+@checks_arguments
 def white_header(irradiance: SpectralImage, camera: Camera, display: Display) -> dict[str, Any]:
     """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
 
@@ -69,6 +72,7 @@ def white_header(irradiance: SpectralImage, camera: Camera, display: Display) ->
     return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 
 
+@checks_arguments
 def white_spectrum(irradiance: SpectralImage) -> Array | None:
     """Return the spectrum that all lamps of the scene share, in the image's bands, (B,) in any unit; None if they share none."""
     lamp = irradiance.header.get("lamp_w_per_m2_sr_nm")
@@ -77,6 +81,7 @@ def white_spectrum(irradiance: SpectralImage) -> Array | None:
     return irradiance.factors[0][0] if irradiance.factors and len(irradiance.factors[0]) == 1 else None
 
 
+@checks_arguments
 def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
     """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
@@ -101,6 +106,7 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
     return rate
 
 
+@checks_arguments
 def dot_edges_um(
     size_um: tuple[float, float], pitch_um: float, display: Display, border_um: float, array_um: tuple[float, float] | None = None
 ) -> tuple[Array, Array]:
@@ -137,17 +143,20 @@ def dot_edges_um(
     return edges[0], edges[1]
 
 
+@checks_arguments
 def pixel_edges_um(length_um: float, count: int, pitch_um: float) -> Array:
     """Return the edges of a centred line of `count` pixels, (count + 1,), measured from the picture's edge."""
     return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um
 
 
+@checks_arguments
 def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
     """Return the (height, width) of the picture on the sensor."""
     height, width = irradiance.shape
     return height * irradiance.pitch_um, width * irradiance.pitch_um
 
 
+@checks_arguments
 def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
     """Return the means, over intervals along an axis, of cells interpolated through their centres.
 
@@ -158,8 +167,15 @@ def average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array,
     edges_um : (intervals + 1,) increasing
     degree : of the interpolating spline: 0 (piecewise constant), 1, 3 or 5
     axis : 0 or 1
+
+    Raises PixsimError if there is no such axis, or if the edges do not increase.
     """
+    if axis >= values.ndim or not values.size:
+        raise invalid("values", f"an array of shape {values.shape}", f"one with an axis {axis}, not empty")
     edges = (edges_um - low_um) / pitch_um - 0.5
+    if not np.all(np.diff(edges) > 0):
+        got = f"intervals that do not increase in cells of pitch_um = {pitch_um:g} from low_um = {low_um:g}"
+        raise invalid("edges_um", got, "increasing edges")
     lines = np.moveaxis(values, axis, 0)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
@@ -197,6 +213,7 @@ def _mean_weights(n: int, edges: Array, degree: int) -> csr_array:
     return csr_array((weight[used], value[used], rows), shape=(edges.size - 1, n))
 
 
+@checks_arguments
 def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpolation: str) -> Array:
     """Return the MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
 
@@ -224,6 +241,7 @@ def interpolation_mtf(frequency_cy_per_mm: ArrayLike, pitch_um: float, interpola
     return np.asarray(np.abs(np.sinc(x)) ** (degree + 1) / samples)
 
 
+@checks_arguments
 def ideal_luminance(
     irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Array, Array]
 ) -> Array:
@@ -245,6 +263,7 @@ def ideal_luminance(
     return np.maximum(rate, 0.0, out=rate)
 
 
+@checks_arguments
 def frame_luminance(
     frame: Frame, size_um: tuple[float, float], white_e: float, display: Display, edges_um: tuple[Array, Array]
 ) -> Array:
@@ -256,6 +275,8 @@ def frame_luminance(
     size_um : (height, width) of the picture on the sensor
     white_e : mean electrons on axis of the scene's white, in this frame's exposure
     edges_um : of the dots' rows and columns, from `dot_edges_um`
+
+    Raises PixsimError if the edges do not increase.
     """
     picture = frame.electrons
     picture /= white_e
@@ -269,6 +290,7 @@ def frame_luminance(
     return picture
 
 
+@checks_arguments
 def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
 
@@ -285,6 +307,7 @@ def shown_luminance(relative_luminance: Array, display: Display) -> Array:
     return light[np.rint(counts, out=counts).astype(np.intp)]
 
 
+@checks_arguments
 def to_xyz(luminance: Array) -> Array:
     """Return the XYZ of grey light on a D65 display, (H, W, 3) with white at Y = 100, for relative luminance (H, W). CIE 15."""
     return luminance[:, :, None] * WHITE_XYZ

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import dct, empty_planes, first_where, inverse_dct, strips_of
 from pixsim.base.errors import invalid
 
@@ -191,6 +192,7 @@ CIE_LAB = (216 / 24389, 841 / 108, 24389 / 27)  # [CIE]: (6/29)^3, (29/6)^2 / 3,
 ZHANG1996_LAB = (0.008856, 7.787, 903.3)  # [1996]
 
 
+@checks_arguments
 def delta_e_map(
     reference_xyz: npt.ArrayLike,
     test_xyz: npt.ArrayLike,
@@ -225,6 +227,7 @@ def delta_e_map(
     return delta_e(lab(reference), lab(test), formula)
 
 
+@checks_arguments
 def filtered_lab(
     xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
 ) -> Floats:
@@ -253,6 +256,7 @@ def filtered_lab(
     return _assemble_strips(_iter_lab_strips(spectrum, view, workers), spectrum.shape)
 
 
+@checks_arguments
 def filtered_grey_lab(
     luminance: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
 ) -> Floats:
@@ -269,6 +273,7 @@ def filtered_grey_lab(
     return _assemble_strips(_iter_lab_strips(spectrum, view, workers, grey=True), spectrum.shape)
 
 
+@checks_arguments
 def grey_delta_e_map(
     reference_lab: npt.ArrayLike,
     luminance: npt.ArrayLike,
@@ -336,6 +341,7 @@ def _assemble_strips(strips: Strips, shape: tuple[int, ...]) -> Floats:
     return np.moveaxis(planes, 0, -1)
 
 
+@checks_arguments
 def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
     """Return the colour difference of each sample, (...), between two CIELAB arrays (..., 3).
 
@@ -369,6 +375,7 @@ def _distance(first: Floats, second: Floats, out: Floats) -> None:
     np.sqrt(out, out=out)
 
 
+@checks_arguments
 def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
     """Return the CIELAB [CIE], (..., 3), of unfiltered xyz (..., 3) under white_xyz (3,) in the same unit.
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr
 
+from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
@@ -36,6 +37,7 @@ SCENE_CACHE_BYTES = 1 << 28  # memory for prepared scenes
 MAX_STORED_SAMPLES = 1 << 22  # of a running integral that is stored, 32 MiB: a film of 2048²
 
 
+@checks_fields
 @dataclass(frozen=True)
 class Score:
     """A sensor's picture as shown to a viewer, and its S-CIELAB difference from the ideal image.
@@ -92,6 +94,7 @@ class Score:
             panel.set_xlabel("display dots")
         return figure
 
+    @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return `statistics` as CSV, and write it to `path` if given."""
         return rows_csv([self.statistics()], path)
@@ -326,6 +329,7 @@ def make_imaging_chain(
     return chain_at_pitch(light, physics, exposure)
 
 
+@checks_arguments
 def evaluate(
     irradiance: SpectralImage,
     camera: Camera,

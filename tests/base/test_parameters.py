@@ -8,8 +8,20 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pixsim.base.config import explain
-from pixsim.base.parameters import Camera, CameraOptions, Display, Exposure, Pixel, Run, Study, content_hash, merge, read_curve
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import (
+    Camera,
+    CameraOptions,
+    Display,
+    Exposure,
+    Pixel,
+    Run,
+    Study,
+    content_hash,
+    explain,
+    merge,
+    read_curve,
+)
 from pixsim.sensor.pixel import derive
 
 RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
@@ -17,7 +29,7 @@ RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
 
 @pytest.mark.parametrize("record", RECORDS)
 def test_record_is_frozen_and_rejects_unknown_name(record):
-    with pytest.raises(ValidationError, match="pitch_mm"):
+    with pytest.raises(PixsimError, match="pitch_mm"):
         record(pitch_mm=1.0)
     with pytest.raises(ValidationError, match="frozen"):
         setattr(record(), next(iter(record.model_fields)), 1.0)
@@ -37,7 +49,7 @@ def test_record_is_frozen_and_rejects_unknown_name(record):
 )
 def test_record_invalid_value_raises(record, values):
     """Bounds of numbers are in test_properties."""
-    with pytest.raises(ValidationError, match=next(reversed(values))):
+    with pytest.raises(PixsimError, match=next(reversed(values))):
         record(**values)
 
 
@@ -65,7 +77,7 @@ def test_quickened_applies_quick_table():
     study = Study(name="x", repeats=8, pitch={"count": 24, "max_um": 12.0}, quick={"repeats": 2, "pitch": {"count": 6}})
     assert (study.quickened.repeats, study.quickened.pitch.count, study.quickened.pitch.max_um) == (2, 6, 12.0)
     assert study.quickened.quickened == study.quickened
-    with pytest.raises(ValidationError, match="counts"):
+    with pytest.raises(PixsimError, match="counts"):
         _ = Study(name="x", quick={"pitch": {"counts": 6}}).quickened
 
 
@@ -149,7 +161,7 @@ def test_camera_obeys_thin_lens_equation(camera):
 
 @pytest.mark.parametrize("object_distance_m", [0.05, 0.049])
 def test_camera_object_within_focal_length_raises(object_distance_m):
-    with pytest.raises(ValidationError, match=r"focal_length_mm = 50 .*no real image"):
+    with pytest.raises(PixsimError, match=r"focal_length_mm = 50 .*no real image"):
         CameraOptions(object_distance_m=object_distance_m).over(Camera(focal_length_mm=50))
 
 

@@ -150,8 +150,8 @@ def test_make_chart_other_die_keeps_frequencies():
     [
         ({"kind": "nope"}, r"chart: got 'nope'; allowed: csf, flat, siemens_star, slanted_edge"),
         ({"kind": "csf", "width": 1}, r"chart size: got .*1.*2 to 32768"),
-        ({"kind": "flat", "height": 40_000}, r"chart size: got .*40000.*2 to 32768"),
-        ({"kind": "csf", "die_mm": 0.0}, r"die_mm: got 0 for csf"),
+        ({"kind": "flat", "height": 40_000}, r"height: got 40000; allowed: a whole number from 1 to 32768"),
+        ({"kind": "csf", "die_mm": 0.0}, r"die_mm: got 0.0; allowed: a number from 1e-05 to 1000"),
         ({"kind": "flat", "die_mm": 2.0}, r"die_mm: got 2 for flat.*for csf only"),
     ],
 )

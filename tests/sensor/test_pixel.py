@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.constants import c as light_speed, e as electron, h as planck, k as boltzmann
 from scipy.integrate import quad
 
@@ -71,7 +70,7 @@ def test_derive_small_fill_factor_limit_gives_reachable_hint(monkeypatch):
 
 @pytest.mark.parametrize("fill_factor", [0.0, -0.1, 0.826, 1.0])
 def test_pitch_for_fill_factor_unreachable_raises(fill_factor):
-    with pytest.raises(PixsimError, match=r"fill factor: got .*0\.826.*0\.35um"):
+    with pytest.raises(PixsimError, match=r"fill_factor: got .*0\.826.*0\.35um"):
         pixels.pitch_for_fill_factor_um(fill_factor, T035)
 
 
@@ -251,7 +250,7 @@ def test_response_curve_scales_with_peak(reading):
 def test_quantum_efficiency_given_with_infrared_cut():
     physics = pixels.derive(Pixel(quantum_efficiency=0.6, infrared_cut_nm=650))
     np.testing.assert_array_equal(physics.quantum_efficiency([300, 650, 650.1, 900]), [0.6, 0.6, 0.0, 0.0])
-    with pytest.raises(ValidationError, match="greater than 0"):  # it would show black as white
+    with pytest.raises(PixsimError, match="greater than 0"):  # it would show black as white
         Pixel(quantum_efficiency=0)
 
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.constants import c as light_speed, h as planck
 from scipy.stats import poisson
 
@@ -311,7 +310,6 @@ def test_capture_equals_its_stages(options):
 @pytest.mark.parametrize(
     "light",
     [
-        {"data": np.ones((4, 4, 3)), "pitch_um": math.inf},
         {"factors": (np.full(3, 1e300), np.ones((1, 4, 4)))},
         {"data": np.ones((0, 4, 3))},
         *({kind: value} for value in (math.nan, math.inf, -math.inf, -1.0) for kind in ("data", "factors")),
@@ -347,7 +345,7 @@ def test_read_out_largest_dsnu_is_valid():
 
 
 def test_pixel_large_prnu_raises():
-    with pytest.raises(ValidationError, match="prnu"):
+    with pytest.raises(PixsimError, match="prnu"):
         Pixel(prnu=0.31)
     gain = sensors.sample_sensor(derive(Pixel(prnu=0.3)), (1000, 1000), seeded(0)).gain
     # Cut at zero: E max(1 + sN, 0) - 1 = s φ(1/s) - Φ(-1/s) = 3.4e-5; 5σ of a million.
@@ -359,8 +357,8 @@ def test_pixel_large_prnu_raises():
     [
         ({"pitch_um": 1e-3, "fill_factor": 0.5}, {"die_mm": 1000}, {}, r"got 0\.001, which makes 1e\+09 pixels; .*at most"),
         ({"pitch_um": 3000}, {}, {}, r"pitch_um: got 3000; allowed: at most the die, 2713\.6"),
-        ({}, {}, {"seed": -1}, "seed: got -1; allowed: an integer of 0 or more"),
-        *(({}, {}, {"aspect": item}, r"aspect: got .*; allowed: width over height") for item in (0.0, -1.0, math.nan, math.inf)),
+        ({}, {}, {"seed": -1}, "seed: got -1; allowed: a finite whole number not below 0"),
+        *(({}, {}, {"aspect": item}, r"aspect: got .*; allowed: a number from") for item in (0.0, -1.0, math.nan, math.inf)),
     ],
 )
 def test_make_sensor_invalid_arguments_raise(pixel, camera, options, message):

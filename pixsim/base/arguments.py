@@ -1,0 +1,360 @@
+"""Arguments of public functions, checked by their annotations and names before any of them is used.
+
+An annotation states the kind of an argument (a number, an array, a record), its name the quantity, and so its bounds: a pitch
+is above 0 wherever it is asked for. What depends on several arguments is checked where they are used.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import inspect
+import math
+import numbers
+import os
+import reprlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from pixsim.base.errors import PixsimError, invalid
+
+P = ParamSpec("P")
+R = TypeVar("R")
+C = TypeVar("C", bound=type)
+Check = Callable[[str, Any], Any]  # of the name and the value of an argument; returns the value to use
+MAX_SHOWN = 80  # characters of a value in a message
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Range of a quantity.
+
+    unknown : NaN is allowed, for a number that was not counted
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    infinite: bool = False
+    unknown: bool = False
+
+    def of(self, what: str) -> str:
+        """The allowed values of `what`, such as "number", for a message."""
+        finite = "" if self.infinite or self.high < math.inf else "finite "
+        if self.low == -math.inf:
+            return f"{finite}{what}" if finite else f"{what}, not NaN"
+        if self.high < math.inf:
+            return f"{what} {'above' if self.open_low else 'from'} {self.low:g} to {self.high:g}"
+        return f"{finite}{what} {'above' if self.open_low else 'not below'} {self.low:g}"
+
+    def hold(self, low: float, high: float) -> bool:
+        """Whether numbers from `low` to `high` are within."""
+        if math.isnan(low):
+            return self.unknown
+        above = low > self.low if self.open_low else low >= self.low
+        return bool(above and high <= self.high and (self.infinite or (math.isfinite(low) and math.isfinite(high))))
+
+
+FINITE = Bounds()
+INFINITE_TOO = Bounds(infinite=True)
+POSITIVE = Bounds(0, open_low=True)
+NOT_NEGATIVE = Bounds(0)
+FRACTION = Bounds(0, 1)
+COUNT = Bounds(1, 1 << 31)
+# Quantities by the names of arguments. A number of another name is finite; the values of other arrays are not looked at.
+BOUNDS = {
+    **dict.fromkeys(("wavelength_nm", "band_width_nm", "pitch_um", "samples_per_deg", "width_mm"), POSITIVE),
+    **dict.fromkeys(("image_distance_mm", "length_um", "white_e", "area_um2", "feature_size_um"), POSITIVE),
+    **dict.fromkeys(("half_window_px", "size_um", "dn_per_e", "full_well_e"), POSITIVE),
+    **dict.fromkeys(("integration_s", "photocurrent_e_per_s", "brightest_e_per_s", "mean_e", "signal_e"), NOT_NEGATIVE),
+    **dict.fromkeys(("total_e_per_s", "signal_e_per_s", "side_um", "border_um", "mean_dark_e"), NOT_NEGATIVE),
+    **dict.fromkeys(("frequency_lp_per_mm", "dark_current_e_per_s", "reset_noise_e", "read_noise_e", "prnu", "dsnu"), NOT_NEGATIVE),
+    **dict.fromkeys(("offset_fpn_e", "column_fpn_e", "black_level_dn"), NOT_NEGATIVE),
+    **dict.fromkeys(("contrast", "dark", "peak_quantum_efficiency"), FRACTION),
+    **dict.fromkeys(("columns", "count", "shape", "repeats"), COUNT),
+    **dict.fromkeys(("width", "height"), Bounds(1, 32768)),
+    **dict.fromkeys(("workers", "jobs"), Bounds(1, 1 << 16)),
+    "f_number": Bounds(0, open_low=True, infinite=True),  # infinite for a pinhole
+    "white_cd_per_m2": POSITIVE,
+    "tolerance_e": Bounds(0, 1, open_low=True),
+    "seed": NOT_NEGATIVE,
+    "bits": Bounds(1, 32),
+    "die_mm": Bounds(1e-5, 1000),
+    "saturated_fraction": Bounds(0, 1, unknown=True),
+    "aspect": Bounds(1e-6, 1e6),
+    "highest_lp_per_mm": Bounds(0, 1e6, open_low=True),
+    "resolution": Bounds(1, 16384),
+    **dict.fromkeys(("magnification", "frequency_cy_per_mm"), FINITE),
+    **dict.fromkeys(("x", "y"), FRACTION),  # of a chart
+    "index": NOT_NEGATIVE,
+    "axis": Bounds(0, 1),
+    "degree": Bounds(0, 5),
+    "fov_deg": Bounds(1e-9, 180 - 1e-9),
+    **dict.fromkeys(("aperture_radius_m", "focus_distance_m"), Bounds(0, 1e18, open_low=True)),
+    "tan_field": INFINITE_TOO,  # infinite for light parallel to the sensor
+    "level_dn": INFINITE_TOO,
+    "relative_luminance": INFINITE_TOO,
+}
+# Axes of arrays, by the names of arguments; other arrays may have any.
+AXES = {**dict.fromkeys(("picture", "texels", "signal_e_per_s", "luminance"), 2), **dict.fromkeys(("weight", "edges_um"), 1)}
+
+
+def check_broadcast(**shapes: tuple[int, ...]) -> None:
+    """Raise PixsimError, which names the arguments, if arrays of these shapes do not broadcast together."""
+    import numpy as np
+
+    try:
+        np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        got = ", ".join(map(str, shapes.values()))
+        raise invalid(" and ".join(shapes), f"shapes {got}", "shapes that broadcast together") from None
+
+
+def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
+    """Check the arguments of a function by their annotations and `BOUNDS`; arrays are converted from lists and numbers.
+
+    The function then raises PixsimError that names the first argument that is not of its kind or out of bounds.
+    """
+    checks: dict[str, Check] = {}
+    positions: list[str] = []
+
+    def prepare() -> None:  # at the first call: annotations may name what is defined further down
+        parameters = inspect.signature(function).parameters.values()
+        hints = get_type_hints(_Annotated(function))
+        for parameter in parameters:
+            if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD):
+                positions.append(parameter.name)
+            if parameter.name in hints and parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+                checks[parameter.name] = check_of(hints[parameter.name], BOUNDS.get(parameter.name), AXES.get(parameter.name))
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not positions and not checks:
+            prepare()
+        values = list(args)
+        for index, (name, value) in enumerate(zip(positions, args, strict=False)):
+            if name in checks:
+                values[index] = checks[name](name, value)
+        named = {name: checks[name](name, value) if name in checks else value for name, value in kwargs.items()}
+        return function(*values, **named)  # type: ignore[arg-type]
+
+    return call
+
+
+class _Annotated:
+    """The annotations of a function's arguments without that of its result, which only the type checker may know."""
+
+    def __init__(self, function: Any) -> None:
+        function = inspect.unwrap(function)
+        self.__annotations__ = {name: hint for name, hint in function.__annotations__.items() if name != "return"}
+        self.__globals__ = function.__globals__ if hasattr(function, "__globals__") else {}
+
+
+def checks_fields(kind: C) -> C:
+    """Check the arguments of the constructor of a dataclass, as `checks_arguments` does those of a function."""
+    kind.__init__ = checks_arguments(kind.__init__)  # type: ignore[misc]
+    return kind
+
+
+def check_of(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> Check:
+    """The check of an annotation.
+
+    axes : of an array
+    """
+    import numpy as np  # here: `parameters`, which `pixsim --help` imports, does without
+    from numpy.typing import ArrayLike
+
+    origin, inner = get_origin(hint), get_args(hint)
+    if hint is ArrayLike or origin is np.ndarray:
+        return _array_check(hint, bounds, axes)
+    if origin in (Union, UnionType):
+        return _any_of(hint, bounds)
+    if origin is Literal:
+        return _choice(inner)
+    if origin is tuple:
+        return _tuple_of(inner, bounds)
+    if origin in (collections.abc.Sequence, collections.abc.Iterable):
+        return _several(inner[0], bounds, origin)
+    if origin in (dict, collections.abc.Mapping):
+        return _table(inner[1], bounds)
+    if origin is collections.abc.Callable or hint is collections.abc.Callable:
+        return _kind("a function", callable)
+    if hint in (Any, object):
+        return lambda _, value: value
+    if hint in (float, int):
+        return _number(hint, bounds)
+    if hint is bool:
+        return _kind("True or False", lambda value: type(value).__name__ in ("bool", "bool_"))  # of NumPy, too
+    if hint is str:
+        return _kind("a text", lambda value: isinstance(value, str))
+    kind = origin or hint
+    if kind is os.PathLike:
+        return _path
+    if kind is Path:
+        return _kind("a pathlib.Path", lambda value: isinstance(value, Path))
+    return _kind(f"a {kind.__name__}", lambda value: isinstance(value, kind))
+
+
+def brief(value: object) -> str:
+    """A value for a message, in one short line."""
+    if hasattr(value, "dtype") and getattr(value, "size", 0) > 1:
+        return f"an array of {value.dtype}, shape {getattr(value, 'shape', ())}"
+    try:
+        text = reprlib.repr(value)
+    except Exception:  # of another program's class
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "…"
+
+
+def _kind(expected: str, holds: Callable[[Any], bool]) -> Check:
+    def check(name: str, value: Any) -> Any:
+        if not holds(value):
+            raise invalid(name, brief(value), expected)
+        return value
+
+    return check
+
+
+def _path(name: str, value: Any) -> Any:
+    if not isinstance(value, str | os.PathLike) or not os.fspath(value) or "\0" in str(value):
+        raise invalid(name, brief(value), "the path of a file")
+    return value
+
+
+def _number(kind: type, bounds: Bounds | None) -> Check:
+    bounds = bounds or FINITE
+    expected = f"a {bounds.of('whole number' if kind is int else 'number')}"
+
+    def check(name: str, value: Any) -> Any:
+        number = value.item() if getattr(value, "ndim", None) == 0 else value  # a number of NumPy
+        if isinstance(number, bool) or not isinstance(number, numbers.Integral if kind is int else numbers.Real):
+            raise invalid(name, brief(value), expected)
+        try:
+            size = float(number)
+        except OverflowError:
+            size = math.inf
+        if not bounds.hold(size, size):
+            raise invalid(name, brief(value), expected)
+        return number
+
+    return check
+
+
+def _array_check(hint: Any, bounds: Bounds | None, axes: int | None = None) -> Check:
+    import numpy as np
+    from numpy.typing import ArrayLike
+
+    is_array = hint is not ArrayLike
+    dtype = get_args(get_args(hint)[1])[0] if is_array and get_args(get_args(hint)[1]) else None
+    wanted = dtype if dtype in (np.float64, np.float32) else None
+
+    def check(name: str, value: Any) -> Any:
+        expected = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'real numbers'}"
+        try:
+            array = np.asarray(value)
+            if array.dtype.kind == "O" and all(isinstance(part, numbers.Real) for part in array.flat):
+                array = array.astype(float)  # integers beyond 64 bits
+        except (TypeError, ValueError, OverflowError):
+            raise invalid(name, brief(value), expected) from None
+        if array.dtype.kind not in "iufb":
+            raise invalid(name, brief(value), expected)
+        if is_array and axes and (array.ndim != axes or not array.size):
+            raise invalid(
+                name, f"an array of shape {array.shape}", f"{expected}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
+            )
+        if bounds and array.size and not bounds.hold(array.min(), array.max()):
+            at = np.unravel_index(np.argmin(_within(array, bounds)), array.shape)
+            where = f" at {[int(i) for i in at]}" if array.ndim else ""
+            raise invalid(name, f"{array[at]}{where}", expected)
+        return array.astype(wanted) if wanted and array.dtype.kind != "f" else array
+
+    return check
+
+
+def _within(array: Any, bounds: Bounds) -> Any:
+    import numpy as np
+
+    finite = ~np.isnan(array) if bounds.infinite else np.isfinite(array)
+    above = array > bounds.low if bounds.open_low else array >= bounds.low
+    return finite & above & (array <= bounds.high)
+
+
+def _any_of(hint: Any, bounds: Bounds | None) -> Check:
+    """One of several kinds; the message is that of the last, which is the most general."""
+    from numpy.typing import ArrayLike
+
+    kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+    optional = len(kinds) < len(get_args(hint))
+    if _is_array_like(hint):
+        return _optional(_array_check(ArrayLike, bounds), optional)
+    if str in kinds and any((get_origin(kind) or kind) is os.PathLike for kind in kinds):
+        kinds = [kind for kind in kinds if kind is not str]  # a path may be a text
+    checks = [check_of(kind, bounds) for kind in kinds]
+
+    def check(name: str, value: Any) -> Any:
+        allowed = []
+        for one in checks:
+            try:
+                return one(name, value)
+            except PixsimError as error:
+                allowed.append(str(error).rpartition("allowed: ")[2].removesuffix("."))
+        raise invalid(name, brief(value), ", or ".join([*allowed, *(["None"] if optional else [])]))
+
+    return _optional(check if len(checks) > 1 else checks[0], optional)
+
+
+def _is_array_like(hint: Any) -> bool:
+    """Whether a union is NumPy's `ArrayLike`, perhaps with None, which typing flattens."""
+    from numpy.typing import ArrayLike
+
+    return set(get_args(ArrayLike)) <= set(get_args(hint))
+
+
+def _optional(check: Check, optional: bool) -> Check:
+    return (lambda name, value: None if value is None else check(name, value)) if optional else check
+
+
+def _choice(allowed: tuple[Any, ...]) -> Check:
+    return _kind(", ".join(map(repr, allowed)), lambda value: isinstance(value, str | int) and value in allowed)
+
+
+def _tuple_of(inner: tuple[Any, ...], bounds: Bounds | None) -> Check:
+    endless = inner[-1] is Ellipsis
+    checks = [check_of(kind, bounds) for kind in inner if kind is not Ellipsis]
+
+    def check(name: str, value: Any) -> Any:
+        if not isinstance(value, tuple | list) or not (endless or len(value) == len(checks)):
+            raise invalid(name, brief(value), "a tuple" if endless else f"a tuple of {len(checks)}")
+        each = checks * len(value) if endless else checks
+        return tuple(one(f"{name}[{index}]", part) for index, (one, part) in enumerate(zip(each, value, strict=True)))
+
+    return check
+
+
+def _several(kind: Any, bounds: Bounds | None, origin: Any) -> Check:
+    one = check_of(kind, bounds)
+
+    def check(name: str, value: Any) -> Any:
+        if not isinstance(value, collections.abc.Iterable) or isinstance(value, str | bytes | Mapping):
+            raise invalid(name, brief(value), "a list" if origin is collections.abc.Sequence else "a list, or a generator")
+        if origin is collections.abc.Sequence:
+            return [one(f"{name}[{index}]", part) for index, part in enumerate(value)]
+        return (one(f"{name}[{index}]", part) for index, part in enumerate(value))
+
+    return check
+
+
+def _table(kind: Any, bounds: Bounds | None) -> Check:
+    one = check_of(kind, bounds)
+
+    def check(name: str, value: Any) -> Any:
+        if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+            raise invalid(name, brief(value), "a table with texts as keys")
+        for key, part in value.items():
+            one(f"{name}[{key!r}]", part)
+        return value
+
+    return check

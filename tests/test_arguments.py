@@ -1,0 +1,315 @@
+"""Every public function, class and method against arguments that make no sense, generated from the signatures.
+
+A call raises PixsimError that names the argument, or returns a result without NaN. A value of another kind than the
+annotation's must raise.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import signal
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.public_names import PUBLIC
+from pydantic import BaseModel
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import CameraOptions
+
+LIMIT_S = 2.0  # of a call; the slowest takes 0.1 s
+NM = np.array([450.0, 550.0, 650.0])
+JUNK: dict[str, Any] = {
+    "None": None, "empty text": "", "text": "x", "-1": -1, "0": 0, "nan": math.nan, "inf": math.inf, "10**30": 10**30,
+    "[]": [], "{}": {}, "object()": object(), "missing path": Path("/no/such/file"), "folder": Path("/tmp"),
+}  # fmt: skip
+
+
+class TooLongError(BaseException):
+    """Not an Exception: nothing in pixsim may catch it."""
+
+
+@contextmanager
+def limited() -> Iterator[None]:
+    def stop(_: int, __: FrameType | None) -> None:
+        raise TooLongError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+CAMERA, PIXEL, DISPLAY, EXPOSURE = pixsim.Camera(), pixsim.Pixel(pitch_um=100.0), pixsim.Display(dots=8), pixsim.Exposure()
+LIGHT = pixsim.SpectralImage(NM, 10.0, 2713.6 / 8, data=np.full((8, 8, 3), 1e-3), header={"luminance_cd_per_m2": 100.0})
+PHYSICS = pixsim.derive(PIXEL)
+TECHNOLOGY = pixsim.load_technology("0.35um")
+SENSOR = pixsim.make_sensor(PIXEL, CAMERA)
+FRAME = pixsim.capture(LIGHT, CAMERA, SENSOR, rng=np.random.default_rng(0))
+STUDY = pixsim.Study.model_validate(
+    {"name": "x", "repeats": 2, "resolution": 32, "scene": {"file": "csf", "parameters": {"spp": 4}},
+     "pitch": {"values_um": [20.0, 30.0, 40.0, 60.0, 90.0]}, "display": {"dots": 8}}
+)  # fmt: skip
+XYZ = np.full((4, 4, 3), 50.0)
+PLANE = np.ones((4, 4))
+EDGE = 1 / (1 + np.exp(30 - np.arange(64) + np.arange(64)[:, None] * 0.1))
+EDGES = np.linspace(0.0, 2713.6, 9)
+
+
+@cache
+def scene() -> Any:
+    return pixsim.load_scene("flat", resolution=8, spp=4, variant="scalar_spectral")
+
+
+@cache
+def plan() -> Any:
+    return pixsim.make_plan(scene())
+
+
+@cache
+def score() -> Any:
+    return pixsim.evaluate(LIGHT, CAMERA, PIXEL, display=DISPLAY)
+
+
+@cache
+def edge() -> Any:
+    return pixsim.edge_response(EDGE)
+
+
+# Valid arguments by name; of some functions, by name and argument.
+GOOD: dict[str, Any] = {
+    "message": "x", "path": "a.exr", "name": "0.35um", "wavelength_nm": NM, "band_width_nm": 10.0,
+    "pitch_um": 100.0, "data": np.ones((2, 2, 3)), "irradiance": LIGHT, "image": LIGHT, "camera": CAMERA, "pixel": PIXEL,
+    "exposure": EXPOSURE, "display": DISPLAY, "sensor": SENSOR, "rng": np.random.default_rng(0), "physics": PHYSICS,
+    "technology": TECHNOLOGY, "frame": FRAME, "kind": "flat", "texels": np.ones((2, 2), np.float32), "scene": scene,
+    "reference_xyz": XYZ, "test_xyz": XYZ, "white_xyz": [95.0, 100.0, 108.0], "samples_per_deg": 23.0, "xyz": XYZ,
+    "reference_lab": XYZ, "lab_reference": XYZ, "lab_test": XYZ, "luminance": PLANE, "picture": PLANE, "weight": np.ones(3),
+    "f_number": 4.0, "tan_field": 0.1, "shape": (4, 4), "image_distance_mm": 4.0, "magnification": 0.1, "side_um": 5.0,
+    "frequency_cy_per_mm": np.array([1.0, 2.0, 3.0]), "pictures": lambda: [(PLANE, np.ones(3))], "photocurrent_e_per_s": 100.0,
+    "integration_s": 0.01, "total_e_per_s": np.ones(3), "diode": lambda: pixsim.photodiode.diode_of(PIXEL),
+    "fill_factor": 0.5, "peak_quantum_efficiency": 0.5, "reading": "silicon", "given": 0.5, "area_um2": 10.0, "study": STUDY,
+    "signal_e_per_s": np.full(SENSOR.shape, 10.0), "mean_e": np.full(SENSOR.shape, 10.0), "brightest_e_per_s": 100.0,
+    "dn": FRAME.dn, "saturated_fraction": 0.0, "level_dn": PLANE, "bits": 8, "size_um": (2713.6, 2713.6), "border_um": 0.0,
+    "length_um": 100.0, "count": 3, "values": PLANE, "low_um": 0.0, "edges_um": (EDGES, EDGES), "degree": 1, "axis": 0,
+    "interpolation": "linear", "white_e": 100.0, "relative_luminance": PLANE, "x": 0.5, "y": 0.5, "frequency_lp_per_mm": 3.0,
+    "width": 4, "height": 4, "header": {}, "width_mm": 2.0, "content": "x", "make": lambda: lambda: np.ones((2, 2), np.float32),
+    "highest_lp_per_mm": 33.0, "die_mm": 2.0, "index": 0, "columns": 4, "part": (slice(0, 2), slice(0, 2)),
+    "response": lambda: np.ones_like,
+    "signal_e": 100.0, "statistic": "mean_delta_e", "resolution": 8, "state": lambda: scene().parse(), "options": CameraOptions(),
+    "fov_x_deg": 40.0, "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
+}  # fmt: skip
+OWN: dict[str, Any] = {
+    "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
+    "pixsim.read_frame.path": "raw.npz", "pixsim.Technology.with_numbers.values": {"prnu": 0.01},
+    "pixsim.Study.options_of.technology": "0.35um", "pixsim.base.parameters.pixel_of.technology": "0.35um",
+    "pixsim.sensor.pixel.physics_of.technology": "0.35um", "pixsim.sensor.pixel.photodiode_widths_um.technology": "0.35um",
+    "pixsim.sensor.pixel.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
+    "pixsim.load_scene.sensor": None, "pixsim.viewer.display.average_axis.edges_um": np.array([0.0, 100.0, 200.0]),
+    "pixsim.viewer.scielab.grey_delta_e_map.reference_lab": lambda: np.zeros((4, 4, 3)),
+    "pixsim.study.plan": STUDY, "pixsim.study.out": "", "pixsim.study.pixel": {}, "pixsim.study.scene": None,
+    "pixsim.sensor.pixel.response_curve.reading": "silicon", "pixsim.evaluate.irradiance": LIGHT,
+    "pixsim.base.parameters.Camera.from_lens_geometry.die_mm": 2.7,
+    "pixsim.SpectralImage.factors": None, "pixsim.SpectralImage.pitch_um": 100.0,
+    "pixsim.viewer.display.picture_size_um.irradiance": LIGHT,
+    "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
+}  # fmt: skip
+# Optional arguments that every call has: without them it takes long, or means nothing.
+ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
+    (f"pixsim.scene.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")), ("width", "height")
+)
+INSTANCES: dict[str, Callable[[], Any]] = {
+    "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
+    "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Score": score, "Scene": scene,
+    "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,
+}  # fmt: skip
+# Built by pixsim only, from parts that are not public, or called above with a whole study.
+NOT_CALLED = {
+    "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
+    "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
+    "pixsim.PixsimError": "takes any text",
+}  # fmt: skip
+ANY_VALUE = {"object", "Any"}
+
+
+def owner_of(name: str) -> str | None:
+    """The class of a method's dotted name."""
+    above = name.split(".")[-2]
+    return above if above[:1].isupper() else None
+
+
+def targets() -> dict[str, Callable[..., Any]]:
+    """Functions, classes and methods that take arguments."""
+    found: dict[str, Callable[..., Any]] = {}
+    for name, thing in PUBLIC.items():
+        if not callable(getattr(thing, "__func__", thing)) or any(name.startswith(skipped) for skipped in NOT_CALLED):
+            continue
+        signature = inspect.signature(getattr(thing, "__func__", thing))
+        if [each for each in signature.parameters if each not in ("self", "cls")]:
+            found[name] = thing
+    return found
+
+
+TARGETS = targets()
+
+
+def arguments_of(name: str) -> dict[str, inspect.Parameter]:
+    thing = TARGETS[name]
+    parameters = inspect.signature(getattr(thing, "__func__", thing)).parameters
+    variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    return {key: each for key, each in parameters.items() if key not in ("self", "cls") and each.kind not in variadic}
+
+
+def good(name: str, argument: str) -> Any:
+    value = OWN.get(f"{name}.{argument}", GOOD.get(argument, inspect.Parameter.empty))
+    assert value is not inspect.Parameter.empty, f"no valid value of {argument} of {name}"
+    return value() if callable(value) and not isinstance(value, type) else value
+
+
+def required(name: str) -> dict[str, Any]:
+    if issubclass_of_record(TARGETS[name]):
+        return records(name)
+    return {
+        key: good(name, key)
+        for key, each in arguments_of(name).items()
+        if each.default is each.empty or key in ALWAYS.get(name, ())
+    }
+
+
+def issubclass_of_record(thing: Any) -> bool:
+    return inspect.isclass(thing) and (issubclass(thing, BaseModel) or is_dataclass(thing))
+
+
+def records(name: str) -> dict[str, Any]:
+    """The fields of a valid instance."""
+    thing: Any = TARGETS[name]
+    if thing.__name__ == "RawFrame":
+        return {"dn": FRAME.dn}
+    if thing.__name__ == "Optimum":
+        ranges = dict.fromkeys(("interval_um", "within_1_percent_um", "within_2_percent_um"), (4.0, 6.0))
+        return {"pitch_um": 5.0, "mean_delta_e": 1.0, "mean_delta_e_interval": (0.9, 1.1), "inside": True, **ranges}
+    if issubclass(thing, BaseModel):
+        of = {"Study": STUDY, "Technology": TECHNOLOGY, "Junction": TECHNOLOGY.junction}
+        if thing.__name__ in of:
+            return {key: getattr(of[thing.__name__], key) for key in of[thing.__name__].model_fields_set}
+        return {"e_per_s": 1.0, "at_c": 20.0} if thing.__name__ == "DarkCurrent" else {}
+    instance = INSTANCES[thing.__name__]()
+    return {each.name: getattr(instance, each.name) for each in fields(thing) if each.init}
+
+
+def call(name: str, arguments: dict[str, Any]) -> Any:
+    thing: Any = TARGETS[name]
+    if (owner := owner_of(name)) and not isinstance(thing, classmethod):
+        thing = getattr(INSTANCES[owner](), name.split(".")[-1])
+    elif owner:
+        thing = getattr(PUBLIC[name.rpartition(".")[0]], name.split(".")[-1])
+    with limited(), warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
+        return thing(**arguments)
+
+
+def is_right(result: Any) -> bool:
+    """Whether a result has no NaN."""
+    if isinstance(result, np.ndarray):
+        return result.dtype.kind not in "fc" or not np.isnan(result).any()
+    if isinstance(result, float):
+        return not math.isnan(result)
+    if isinstance(result, tuple | list):
+        return all(map(is_right, result))
+    return True
+
+
+def kind_is_wrong(hint: str, value: Any) -> bool:
+    """Whether a value cannot be meant by an annotation, as text."""
+    if value is None:
+        return "None" not in hint and hint not in ANY_VALUE
+    plain = {"float": (int, float), "int": (int, float), "str": (str,), "bool": (int,)}
+    if hint.removesuffix(" | None") in plain:
+        return not isinstance(value, plain[hint.removesuffix(" | None")])
+    return type(value) is object and hint not in ANY_VALUE
+
+
+def names(message: str, argument: str, value: Any) -> bool:
+    """Whether a message names an argument, or quotes the value: a file, a choice, or a number out of range."""
+    quoted = f"'{value}'" if isinstance(value, str | Path) else "1e+30" if value == 10**30 else argument
+    return argument in message or quoted in message
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The files of `GOOD` in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    pixsim.write_exr("a.exr", LIGHT)
+    pixsim.write_frame("raw.npz", FRAME)
+
+
+@pytest.mark.usefixtures("files")
+@pytest.mark.parametrize("name", TARGETS)
+def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) -> None:
+    base = required(name)
+    assert is_right(call(name, base)), "the valid call"
+    wrong = []
+    for argument, parameter in arguments_of(name).items():
+        if parameter.annotation == "Any":  # Mitsuba's own objects
+            continue
+        for label, junk in JUNK.items():
+            case = f"{argument} = {label}"
+            try:
+                result = call(name, base | {argument: junk})
+            except PixsimError as error:
+                if not names(str(error), argument, junk):
+                    wrong.append(f"{case}: not named in '{error}'")
+            except (Exception, TooLongError) as error:
+                wrong.append(f"{case}: {type(error).__name__}: {str(error)[:150]}")
+            else:
+                if not is_right(result):
+                    wrong.append(f"{case}: NaN")
+                elif kind_is_wrong(str(parameter.annotation), junk):
+                    wrong.append(f"{case}: taken for {parameter.annotation}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_study_any_argument_gives_an_error_that_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All values of a wrong kind; none of them gets as far as a render."""
+    monkeypatch.chdir(tmp_path)
+    base: dict[str, Any] = {"plan": STUDY, "out": "out"}
+    parameters = inspect.signature(pixsim.study).parameters
+    wrong = []
+    for argument in [name for name, each in parameters.items() if each.kind is not each.VAR_KEYWORD]:
+        for label in ("-1", "nan", "10**30", "object()", "None", "text"):
+            valid_kind = {"None": parameters[argument].default is None, "text": argument in ("out", "progress")}.get(label, False)
+            if valid_kind or (label == "10**30" and argument == "scheduler"):
+                continue
+            try:
+                with limited(), warnings.catch_warnings(action="ignore"):
+                    pixsim.study(**base | {argument: JUNK[label]})
+            except PixsimError as error:
+                if not names(str(error), argument, JUNK[label]):
+                    wrong.append(f"{argument} = {label}: not named in '{error}'")
+            except (Exception, TooLongError) as error:
+                wrong.append(f"{argument} = {label}: {type(error).__name__}: {error}")
+            else:
+                wrong.append(f"{argument} = {label}: taken")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("label", JUNK)
+def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
+    with pytest.raises(PixsimError, match=r"result: got .*; allowed: a StudyResult"):
+        pixsim.write_report(JUNK[label], tmp_path / "out")
+
+
+def test_every_public_name_is_called() -> None:
+    assert len(TARGETS) > 100
+    assert all(any(name.startswith(skipped) for name in PUBLIC) for skipped in NOT_CALLED), "a name that is gone"
