@@ -109,7 +109,7 @@ GOOD: dict[str, Any] = {
     "highest_lp_per_mm": 33.0, "die_mm": 2.0, "index": 0, "columns": 4, "part": (slice(0, 2), slice(0, 2)),
     "response": lambda: np.ones_like,
     "signal_e": 100.0, "statistic": "mean_delta_e", "resolution": 8, "state": lambda: scene().parse(), "options": CameraOptions(),
-    "fov_x_deg": 40.0, "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
+    "planes": LIGHT.data.transpose(2, 0, 1), "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
 }  # fmt: skip
 OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),

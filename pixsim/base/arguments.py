@@ -249,10 +249,10 @@ def _array_check(hint: Any, bounds: Bounds | None, axes: int | None = None) -> C
 
     is_array = hint is not ArrayLike
     dtype = get_args(get_args(hint)[1])[0] if is_array and get_args(get_args(hint)[1]) else None
+    expected = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'real numbers'}"
     wanted = dtype if dtype in (np.float64, np.float32) else None
 
     def check(name: str, value: Any) -> Any:
-        expected = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'real numbers'}"
         try:
             array = np.asarray(value)
             if array.dtype.kind == "O" and all(isinstance(part, numbers.Real) for part in array.flat):

@@ -10,7 +10,6 @@ import json
 import os
 import platform
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ from pixsim.base.arrays import read_arrays
 from pixsim.base.errors import invalid
 from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text
 from pixsim.base.locks import PARTIAL_FILE, unfinished
-from pixsim.base.notes import MachineWarning
+from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.version import VERSION
 
 Result = TypeVar("Result")
@@ -125,7 +124,7 @@ def _load(path: Path, read: Callable[[], Result]) -> Result | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except DAMAGE as error:
-        warnings.warn(f"cache entry '{path}' is damaged ({error}) and is computed again", MachineWarning, stacklevel=4)
+        warn(f"cache entry '{path}' is damaged ({error}) and is computed again", MachineWarning)
         return None
     with suppress(OSError):  # a read-only cache works too
         os.utime(path)
@@ -143,7 +142,7 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
             partial.replace(path)
     except OSError as error:
         text = f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}"
-        warnings.warn(text, MachineWarning, stacklevel=4)
+        warn(text, MachineWarning)
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():

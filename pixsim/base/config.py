@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import tomllib
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from importlib import resources
@@ -15,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import read_text
+from pixsim.base.notes import warn
 from pixsim.base.parameters import (
     DATA_SHEET,
     NO_TECHNOLOGY,
@@ -123,7 +123,7 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
         own = [name for name in layer.table["pixel"] if name in left]
         left -= set(own)
         parts.insert(0, f"{layer.source}: {', '.join(own) or 'nothing'}")
-    warnings.warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}", stacklevel=3)
+    warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}")
 
 
 def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
@@ -153,9 +153,7 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
         names = ", ".join(map(str, study.table.get("technologies", Study.model_fields["technologies"].default)))
         missing = ", ".join(missing_of_data_sheet(given))
-        warnings.warn(
-            f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}", stacklevel=2
-        )
+        warn(f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}")
     scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
     if "pitch_um" in given and scaled:
         derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
@@ -216,13 +214,13 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
             sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
         elif name.endswith(".toml") and Path(name).is_file() and "pixel" in (layer := settings_layer(Path(name))).table:
             if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
-                warnings.warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}", stacklevel=3)
+                warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}")
             sheet = [Layer({"pixel": study.get("pixel", {})}), Layer({"pixel": layer.table["pixel"]}, layer.source)]
         else:
             continue
         settings: Run = checked(Run, [*sheet, Layer({"pixel": pixel_options})])
         if settings.pixel.assumption:
-            warnings.warn(f"{name}: {settings.pixel.assumption}", stacklevel=3)
+            warn(f"{name}: {settings.pixel.assumption}")
         sensors[name] = settings.pixel.model_dump()
     return [*layers, Layer({"sensors": sensors})] if sensors else layers
 

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from pathlib import Path
 from typing import Any
+
+from pixsim.base.errors import shown
 
 MOST_DIGITS = 17  # which tell any two floats apart
 
 
 class MachineWarning(UserWarning):
     """A warning about this machine or this run of a command, not about its result: no note of a result."""
+
+
+PACKAGE = str(Path(__file__).parents[1])
+
+
+def warn(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn of a text, made printable, at the first line outside pixsim: the user's."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back and frame.f_code.co_filename.startswith(PACKAGE):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(shown(text), category, stacklevel=level)
 
 
 _outer: ContextVar[list[str] | None] = ContextVar("notes", default=None)

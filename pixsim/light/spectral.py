@@ -223,13 +223,18 @@ class SpectralImage:
         """The pictures, (n, H, W) float32: of the factors, relative to their spectra, or of the bands, W m⁻² nm⁻¹."""
         return self.factors[1] if self.factors else np.moveaxis(self.data, 2, 0)
 
+    @checks_arguments
     def with_planes(
         self, planes: NDArray[np.float32], *, pitch_um: float | None = None, header: dict[str, Any] | None = None
     ) -> SpectralImage:
         """Return an image of the same bands with other `planes`, (n, H, W), of any height and width.
 
         pitch_um, header : None keeps those of this image
+
+        Raises PixsimError if there are not as many planes as this image has.
         """
+        if planes.ndim != 3 or len(planes) != len(self.planes):
+            raise invalid("planes", f"an array of shape {planes.shape}", f"({len(self.planes)}, rows, columns)")
         content: dict[str, Any] = {"factors": (self.factors[0], planes)} if self.factors else {"data": np.moveaxis(planes, 0, 2)}
         content |= {"within": self.within, "header": self.header if header is None else header}
         return SpectralImage(self.wavelength_nm, self.band_width_nm, self.pitch_um if pitch_um is None else pitch_um, **content)

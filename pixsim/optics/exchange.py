@@ -6,7 +6,6 @@ Missing metadata is an error, never a guess. Row 0 is the top of the scene and c
 from __future__ import annotations
 
 import os
-import warnings
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from pixsim.base.arrays import Array, first_where
 from pixsim.base.config import checked
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, CameraOptions, Layer
 from pixsim.base.version import VERSION
 from pixsim.light import foreign
@@ -141,10 +141,9 @@ def _read_pixsim_exr(path: Path, camera: Camera | None, units: str | None, pitch
     _agreed_unit(path, foreign.IRRADIANCE_UNIT, units)
     _agreed_pitch(path, image.pitch_um, pitch_um, camera, image.shape[1])
     if before := image.header.get("reduced"):
-        warnings.warn(
+        warn(
             f"'{path.name}' holds means over {before['factor']:.4g} × {before['factor']:.4g} samples of the render, "
-            f"{image.pitch_um:.4g} µm wide: what is finer is lost, and results differ; pixsim run --irradiance full keeps it",
-            stacklevel=4,
+            f"{image.pitch_um:.4g} µm wide: what is finer is lost, and results differ; pixsim run --irradiance full keeps it"
         )
     # Check the pictures of the factors: a band that is made of them may be slightly below zero.
     planes = list(image.factors[1]) if image.factors else [image.band(band) for band in range(image.wavelength_nm.size)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -17,7 +16,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
 from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
-from pixsim.base.notes import collected_notes
+from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
@@ -211,7 +210,7 @@ def run_and_write(
             progress("write")
             summary = summary_of(score, image, camera, settings.exposure, settings.display, settings.seed) | more
             if irradiance == "factors" and not image.factors:
-                warnings.warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full", stacklevel=2)
+                warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
             summary["notes"] = [*notes, *summary["notes"]]
             given = {"sensor": sensor, "variant": variant, "units": units}
             command = ["pixsim", "run", light.source, "--config", SETTINGS_FILE, *["--full"] * full]
@@ -319,7 +318,7 @@ def _prepare(
 
     plan = plan_of(scene)
     for note in plan.warnings:
-        warnings.warn(note, stacklevel=2)
+        warn(note)
 
     def render() -> Light:
         options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress("render")}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
@@ -13,7 +12,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
-from pixsim.base.notes import told_apart
+from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
@@ -137,7 +136,7 @@ def render_until(
         cause = causes[ended]
         remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(fraction, render_noise))
         hint = "Give --max-seconds for more samples, or raise --render-noise" if max_seconds is None else RAISE
-        warnings.warn(f"{cause}: {remains}. {hint}", stacklevel=2)
+        warn(f"{cause}: {remains}. {hint}")
     for mean, odd in zip(*halves, strict=True):  # in place: pictures of all bands are large
         mean += odd
         mean /= 2 * weight

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base import notes
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason
@@ -52,9 +53,7 @@ class OwnChart:
         status = self.path.stat() if self.path.exists() else None
         file, share = _texture(self, aspect, (status.st_mtime_ns, status.st_size) if status else (0, 0))
         if warn and share > 0:
-            warnings.warn(
-                f"the picture '{self.path.name}' keeps its aspect: {100 * share:.3g} % of the chart is a grey border", stacklevel=2
-            )
+            notes.warn(f"the picture '{self.path.name}' keeps its aspect: {100 * share:.3g} % of the chart is a grey border")
         return file
 
 
@@ -155,7 +154,7 @@ def _codes(path: Path) -> Array:
             if image.format == "PNG" and _png_depth(path) == 16:  # in colour, which Pillow cuts to 8 bits
                 return np.asarray(_of_mitsuba(path)) / 65535
             if 16 in np.atleast_1d(getattr(image, "tag_v2", {}).get(258, 8)):  # BitsPerSample
-                warnings.warn(f"'{path.name}' is read with 8 of its 16 bits; a PNG or EXR keeps them", stacklevel=2)
+                notes.warn(f"'{path.name}' is read with 8 of its 16 bits; a PNG or EXR keeps them")
             grey = mode in ("1", "L", "LA")
             return np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(float) / 255
     except PixsimError:

@@ -13,14 +13,13 @@ import re
 import shutil
 import subprocess
 import sys
-import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from pixsim.base.errors import invalid
-from pixsim.base.notes import MachineWarning
+from pixsim.base.notes import MachineWarning, warn
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
@@ -168,7 +167,7 @@ def choose(asked: str | None = None) -> Choice:
         if asked is not None:
             raise invalid("variant", f"'{asked}' after Mitsuba was imported", "scalar_spectral", f"Or {hint}.")
         cause = "Mitsuba was imported before its LLVM was checked"
-        warnings.warn(f"rendering with scalar_spectral, since {cause}; {hint}", MachineWarning, stacklevel=2)
+        warn(f"rendering with scalar_spectral, since {cause}; {hint}", MachineWarning)
         return Choice("scalar_spectral", None, "Mitsuba was imported before pixsim could check its LLVM")
     path, reason = find_llvm()
     if path is not None:
@@ -178,5 +177,5 @@ def choose(asked: str | None = None) -> Choice:
     hint = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if asked is not None:
         raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {hint}.")
-    warnings.warn(f"rendering with scalar_spectral, since {reason}; {hint}", MachineWarning, stacklevel=2)
+    warn(f"rendering with scalar_spectral, since {reason}; {hint}", MachineWarning)
     return Choice("scalar_spectral", None, reason)

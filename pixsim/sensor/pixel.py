@@ -7,7 +7,6 @@ undefined beyond V = -PB (0.4 V forward for the sidewall at 0.18 µm), so below 
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 from pixsim.base.arguments import check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
+from pixsim.base.notes import warn
 from pixsim.base.parameters import ABSOLUTE_ZERO_C, MIN_FRACTION, WELL_RANGE_E, EfficiencyCurve, Pixel, Study, pixel_of
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
@@ -632,7 +632,7 @@ def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) ->
     Raises PixsimError as `derive` does.
     """
     for text in sheet_disagreements(pixel, technology):
-        warnings.warn(text, stacklevel=3)
+        warn(text)
 
 
 @checks_arguments

@@ -36,7 +36,7 @@ from scipy.special import ndtr, stdtrit
 from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
-from pixsim.base.notes import told_apart
+from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run, Study, content_hash, pixel_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
@@ -637,7 +637,7 @@ def settle(scene: Scene, camera: Camera, setup: Setup, tolerance_delta_e: float)
     if not choice.met:
         hint = "" if free else "; the film is fixed: leave --resolution unset"
         error, asked = told_apart(choice.expected_delta_e, tolerance_delta_e)
-        warnings.warn(f"no settings meet --tolerance-delta-e {asked}: smallest error {error}{hint}", stacklevel=3)
+        warn(f"no settings meet --tolerance-delta-e {asked}: smallest error {error}{hint}")
     chosen = scene.with_resolution(choice.width) if free else scene
     return Settled(chosen, tolerance_delta_e, calibration, choice, free)
 

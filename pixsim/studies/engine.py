@@ -18,7 +18,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import disk_faults_named
 from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import processors
-from pixsim.base.notes import MachineWarning
+from pixsim.base.notes import MachineWarning, warn
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -136,7 +136,7 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
         if not left:
             break
         text = f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks"
-        warnings.warn(text, MachineWarning, stacklevel=2)
+        warn(text, MachineWarning)
         indices = list(left)
         if len(left) < before:  # the calls started first may be the cause: the others go before them
             half = len(indices) // 2
@@ -175,7 +175,7 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
     for index, result, notes in results:
         for text, category in notes:
             if (text, category) not in shown:
-                warnings.warn(text, category, stacklevel=4)
+                warn(text, category)
                 shown.add((text, category))
         yield index, result
 

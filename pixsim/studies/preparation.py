@@ -15,6 +15,7 @@ from typing import Any
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, PitchRange, Study
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
@@ -124,7 +125,7 @@ def fitted_range(study: Study, camera: Camera) -> Study:
         wished, high = high, min(high, max(min(height_um, width_um) / MIN_ACROSS, own_um))
         if high < wished:
             ends = f"{high:.4g} µm in place of {wished:.4g} µm"
-            warnings.warn(f"the largest pixel size is {ends}: a larger one leaves fewer than {MIN_ACROSS} on the die", stacklevel=3)
+            warn(f"the largest pixel size is {ends}: a larger one leaves fewer than {MIN_ACROSS} on the die")
     if pitch.min_um is not None:
         check_smallest(pitch.min_um, camera, "pitch.min_um")
     else:
@@ -145,10 +146,9 @@ def fitted_range(study: Study, camera: Camera) -> Study:
                 limit = "as many as pixsim simulates"
             elif most > MAX_FRAME_BYTES / BYTES_PER_PIXEL:
                 limit = "as many as the data sheet's sensor has"
-            warnings.warn(
+            warn(
                 f"the smallest pixel size is {low:.4g} µm in place of {min(lows):.4g} µm, with {most / 1e6:.3g} million pixels on "
-                f"the die, {limit}; smaller ones: --pitch.min-um, or a part of the die by --window",
-                stacklevel=3,
+                f"the die, {limit}; smaller ones: --pitch.min-um, or a part of the die by --window"
             )
     if own_um is None and low == pitch.min_um:
         return study

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
-from pixsim.base.notes import collected_notes
+from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Camera, Layer, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
@@ -212,7 +211,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
     if quick and not study.quick:
-        warnings.warn(f"the study {study.name} has no [quick] table: running it in full", stacklevel=2)
+        warn(f"the study {study.name} has no [quick] table: running it in full")
     study = study.quickened if quick else study
     check_technologies(study)
     scene, camera = scene_for(study, variant)

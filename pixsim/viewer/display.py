@@ -7,7 +7,6 @@ measured maximum.
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from scipy.sparse import csr_array
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
@@ -64,10 +64,9 @@ def white_header(irradiance: SpectralImage, camera: Camera, display: Display) ->
     if not white > 0:
         got = "no value, and the picture is too dark to estimate it"
         raise invalid("display.white_cd_per_m2", got, "the scene luminance in cd/m² shown as white")
-    warnings.warn(
+    warn(
         f"the scene does not define its white: using {white:g} cd/m², the 99th percentile of its luminance; "
-        f"set --display.white-cd-per-m2 {white:g} to fix this value",
-        stacklevel=2,
+        f"set --display.white-cd-per-m2 {white:g} to fix this value"
     )
     return {"luminance_cd_per_m2": white, "white_from": f"{WHITE_PERCENTILE:g}th percentile"}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from scipy.special import gammaincinv, gammaln, ndtr
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Camera, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.integration import array_size_um, diffracted_rate, integrate_pixels, running_integral
@@ -246,7 +246,7 @@ def warn_of_clipping(beyond_white: float) -> None:
     """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
     if beyond_white > CLIPPED_WARNING:
         text = f"{beyond_white:.0%} of the ideal image is brighter than display white; raise display.white_cd_per_m2"
-        warnings.warn(text, stacklevel=4)
+        warn(text)
 
 
 def prepare_scene(
@@ -321,7 +321,7 @@ def make_imaging_chain(
     """
     rendered = irradiance.header.get("camera")
     if rendered is not None and Camera.model_validate(rendered) != camera:
-        warnings.warn("the irradiance was rendered with another camera than the one given", stacklevel=3)
+        warn("the irradiance was rendered with another camera than the one given")
     physics = derive(pixel)
     warn_of_disagreements(pixel)
     light = prepare_scene(irradiance, camera, physics, display, full)
