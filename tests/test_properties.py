@@ -281,7 +281,8 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
             assert all(math.isfinite(value) for value in score.statistics().values())
 
     scored()
-    assert outcomes["accepted"] > 0.6 * outcomes.total(), outcomes
+    # Most of the other chains have a white that fills no well, or pixels larger than the die.
+    assert outcomes["accepted"] > 0.55 * outcomes.total(), outcomes
 
 
 def any_technology() -> st.SearchStrategy[Technology]:

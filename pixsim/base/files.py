@@ -65,7 +65,8 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             yield partial
         except OSError as error:  # of a write, which does not know the name
-            error.filename = error.filename or str(path)
+            if error.errno is not None:
+                error.filename = error.filename or str(path)
             raise
         partial.replace(path)
 

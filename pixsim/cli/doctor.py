@@ -275,11 +275,15 @@ def _gib(size: int | None) -> str:
 def _cache() -> Finding:
     fix = f"export {FOLDER_VARIABLE}=FOLDER"
     try:
-        folder, limit = cache.folder(), cache.limit_bytes()
+        folder = cache.folder()
+    except PixsimError as error:
+        return Finding("folders", "cache", PROBLEM, str(error), fix)
+    try:
+        limit = cache.limit_bytes()
         size = sum(entry.size_bytes for entry in cache.entries())
     except PixsimError as error:
         return Finding("folders", "cache", PROBLEM, str(error), f"unset {cache.LIMIT_VARIABLE}")
-    except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home folder
+    except OSError as error:
         return Finding("folders", "cache", PROBLEM, f"cannot be read: {error}", fix)
     fault, _ = machine.check_folder(folder)
     text = f"{folder}: {_gib(size)} of {_gib(limit)}" + (", disabled" if not limit else "")

@@ -198,7 +198,8 @@ class ImagingChain:
         """Return the score of a frame as shown on the screen."""
         screen = self.screen
         image = displays.shown_luminance(screen.luminance(frame, self.white_e_per_s * frame.integration_s), screen.display)
-        border_um = float(screen.dot_edges_um[0][0]), float(screen.dot_edges_um[1][0])
+        # Pixels that fill the picture exactly may begin at -1e-18 µm.
+        border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
         return Score(screen.delta_e_of(image), screen.ideal, image, frame, self.physics, border_um)
 
 
