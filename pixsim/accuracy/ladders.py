@@ -16,7 +16,6 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.thin_lens import field_factor
 from pixsim.scene import variant as variants
 from pixsim.scene.bands import Pulse
-from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer, film, film_response
 from pixsim.scene.scene import Scene
@@ -163,20 +162,10 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
     job = Renderer(scene, camera, plan, 0)
     flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
     factor = field_factor(job.size, job.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
-    with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
-        config = mi.parser.ParserConfig(scene.choice.variant)
-        state = scene.for_camera(camera)
-        mi.parser.transform_all(config, state)
-        built = mi.parser.instantiate(config, state)
-        world = next(child for child in (built if isinstance(built, list) else [built]) if isinstance(child, mi.Scene))
-        lens: dict[str, Any] = job.sensor | {
-            "type": "thinlens",
-            "aperture_radius": camera.aperture_radius_m,
-            "focus_distance": camera.object_distance_m,
-            "sampler": {"type": sampler, "sample_count": spp},
-            "film": film([film_response(pulse) for pulse in flat], job.size, 0, job.size[0]),
-        }
-        sensor, integrator = mi.load_dict(lens), world.integrator() or mi.load_dict({"type": "path"})
+    lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
+    plain = replace(job.job, lamps=(None,), lens=job.job.lens | lens, integrator=None, regular_tables=False)
+    tracer = job.traced(plain)
+    whole = film([film_response(pulse) for pulse in flat], job.size, 0, job.size[0])
     header: dict[str, Any] = {"camera": camera.model_dump()}
     if plan.white_cd_per_m2 is not None:
         header["luminance_cd_per_m2"] = plan.white_cd_per_m2
@@ -186,8 +175,7 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
         header["lamp_w_per_m2_sr_nm"] = lamps[0].cell_means(edges).tolist()
 
     def picture(seed: int) -> SpectralImage:
-        with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
-            radiance = np.asarray(mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed), np.float32)
+        radiance = tracer.trace(0, whole, sampler, spp, seed)
         irradiance = radiance * (factor * camera.transmittance / BAND_NM)[:, :, None].astype(np.float32)
         return SpectralImage(CENTRES_NM, np.full(CENTRES_NM.size, BAND_NM), job.pitch_um, data=irradiance, header=header)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement, product
@@ -13,12 +12,11 @@ import numpy as np
 
 from pixsim.base.arrays import Array, first_where
 from pixsim.base.errors import invalid
-from pixsim.base.files import judge_picture, missing
 from pixsim.base.parameters import Camera
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, grid_nm, tabulated
-from pixsim.scene.files import judge_asset
+from pixsim.scene.assets import EIGHT_BIT
 from pixsim.scene.mitsuba import children, evaluate_reflection, evaluate_spectrum, nodes_of, plain, spectrum_dict
 
 # The property with the spectrum of each stock emitter.
@@ -438,26 +436,18 @@ PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
 # Maps that are neither light nor reflectance may have any values and channels.
 MAPS = ("normalmap", "bumpmap", "mask", "blendbsdf")
 MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic", "weight", "opacity")
-EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 
 
-def texture_files(state: Any, folder: Path) -> list[Path]:
-    """Return the files of all nodes. Raises PixsimError if one is missing."""
-    return [_file_of(node, folder) for node in state.nodes if "filename" in node.props]
+def named_files(state: Any) -> list[Path]:
+    """Return the files of all nodes, which are judged: pictures, meshes and volumes."""
+    return [_file_of(node) for node in state.nodes if "filename" in node.props]
 
 
-def _file_of(node: Any, folder: Path) -> Path:
-    name = str(node.props["filename"])
-    file = next((path for path in (folder / name, Path(name)) if os.path.lexists(path)), None)
-    if file is None:
-        has_folder = any(path.parent.is_dir() for path in (folder / name, Path(name)))
-        got = f"'{name}', which does not exist" if has_folder else missing(Path(name))
-        raise invalid("texture", got, f"a file, relative to '{folder}' or to the working directory")
-    judge_asset(file, "texture")
-    return file
+def _file_of(node: Any) -> Path:
+    return Path(str(node.props["filename"]))
 
 
-def check_textures(state: Any, folder: Path) -> None:
+def check_textures(state: Any) -> None:
     """Raise PixsimError for NaN, infinite and negative texels, which Mitsuba would interpolate into their neighbours."""
     maps_or_weights: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
     others: set[int] = set()
@@ -465,12 +455,10 @@ def check_textures(state: Any, folder: Path) -> None:
         for name, index in children(node, state).items():
             (maps_or_weights if node.props.plugin_name() in MAPS or name in MAP_NAMES else others).add(index)
     maps = maps_or_weights - others
-    files = {index: _file_of(node, folder) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
+    files = {index: _file_of(node) for index, node in nodes_of(state, "Texture") if "filename" in node.props}
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
     numbers = {path for index, path in files.items() if index in maps}
-    for path in texture_files(state, folder):
-        if path.suffix.lower() in EIGHT_BIT:
-            judge_picture(path)
+    for path in named_files(state):
         if path in numbers and path not in raw:
             continue
         what = f"texture '{path}'"
@@ -506,7 +494,7 @@ class EmittedPicture:
     beyond: Literal["edge", "wrap", "symmetric"] | None = "edge"
 
 
-def emitted_picture(state: Any, emitter: Any, folder: Path) -> EmittedPicture | None:
+def emitted_picture(state: Any, emitter: Any) -> EmittedPicture | None:
     """Return an emitter's neutral EXR, or one texel of value 1 if it has no picture.
 
     Returns None if the picture is of another kind, rotated, repeated or not centred.
@@ -524,7 +512,7 @@ def emitted_picture(state: Any, emitter: Any, folder: Path) -> EmittedPicture | 
     to_uv = matrix_of(node, "to_uv")
     if "filename" not in node.props:
         return None
-    path = _file_of(node, folder)
+    path = _file_of(node)
     whole = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2)) and np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
     if path.suffix.lower() != ".exr" or not whole:
         return None

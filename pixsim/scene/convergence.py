@@ -16,6 +16,7 @@ from pixsim.base.notes import told_apart, warn
 from pixsim.base.parameters import Camera, Effort, Exposure, Pixel, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
+from pixsim.scene.child import GRACE_S
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene.scene import Scene
@@ -81,7 +82,8 @@ def render_until(
 
     Returns the irradiance, with the noise in its header, and the noise.
     """
-    job, start = Renderer(scene, camera, plan, seed, keep=keep), time.perf_counter()
+    ends_at_s = None if max_seconds is None else time.monotonic() + max_seconds + GRACE_S
+    job, start = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s), time.perf_counter()
     if plan.exact:
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target")

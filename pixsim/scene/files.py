@@ -1,6 +1,8 @@
-"""Check Mitsuba's XML before Mitsuba reads it: its parser and plugins recurse, block and allocate without bounds.
+"""Read a Mitsuba XML into a tree that pixsim has judged, and write that tree anew for Mitsuba.
 
-The check follows includes and substitutes parameters in the same order as Mitsuba.
+Mitsuba's own parser recurses, blocks and allocates without bounds, and obeys encodings that pixsim would not. So Mitsuba never
+reads a file of XML: it gets the text that `written` makes of the tree. Includes and parameters are resolved here, in the order
+of Mitsuba, and are gone from the tree.
 
 An XML may include files in the scene's folder or the working directory, and in their subfolders. Only a parameter that the
 user sets may include other files, so that a downloaded scene cannot read the user's other folders. Textures, spectra and
@@ -21,7 +23,7 @@ from typing import Any
 from xml.parsers import expat
 
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import MAX_ASSET, MAX_SPECTRUM, is_utf8, read_text, size_of
+from pixsim.base.files import is_utf8, read_text
 
 ALLOWED = "a readable XML file"
 MAX_XML = 8 << 20  # bytes of all files in total; repeated includes count each time
@@ -31,41 +33,94 @@ MAX_INCLUDE_DEPTH = 8
 MAX_PARAMETERS = 512
 MAX_VALUE = 1 << 20  # characters of an attribute
 MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
+MAX_SUBSTITUTED = 20_000  # parameters in all attributes
+OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
 TAG = re.compile(r"<[^<>\"']*(?:\"[^\"]*\"[^<>\"']*|'[^']*'[^<>\"']*)*>")
+DOLLAR = re.compile(r"\\\$|\$([\w.-]*)")
+ENCODINGS = ("utf-8", "us-ascii", "ascii")  # that say the same of an ASCII text; all others are refused
+TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
+
+
+@dataclass(frozen=True)
+class Node:
+    """An element of a scene, with its parameters and includes resolved.
+
+    file, line : where it is written, for messages
+    parameter : names of the parameters that its value has, separated by commas
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    children: tuple[Node, ...]
+    file: Path
+    line: int
+    parameter: str = ""
+
+    @property
+    def place(self) -> str:
+        return f"line {self.line} of '{self.file.name}'"
 
 
 @dataclass
-class SceneText:
-    """The parameters of a scene's files: names after `$`, <default> values, and values in use, the user's before those."""
+class SceneFiles:
+    """The tree of a scene's files and its parameters: names after `$`, and values of <default>.
 
-    folder: Path
+    path : of the scene's XML
+    given : parameters that the user sets, which come before the defaults
+    root : the tree, complete when `read_scene` returns
+    content : of the scene's XML
+    """
+
+    path: Path
     given: dict[str, str]
+    content: str = ""
     names: set[str] = field(default_factory=set)
     defaults: dict[str, str] = field(default_factory=dict)
-    values: dict[str, str] = field(default_factory=dict)
-    left_bytes: int = MAX_XML
-    left_expanded: int = MAX_EXPANDED
-    includes: int = 0
+    root: Node | None = None
+    _values: dict[str, str] = field(default_factory=dict)
+    _left_bytes: int = MAX_XML
+    _left_expanded: int = MAX_EXPANDED
+    _left_substituted: int = MAX_SUBSTITUTED
+    _includes: int = 0
 
-    def put_in(self, value: str, path: Path) -> str:
-        """Substitute the parameters of an attribute as Mitsuba does: the longest names first, each once."""
+    @property
+    def folder(self) -> Path:
+        return Path(os.path.realpath(self.path)).parent
+
+    def put_in(self, value: str, path: Path, line: int) -> str:
+        """Substitute the parameters of an attribute as Mitsuba does: the longest name that fits, each once."""
         if "$" not in value:
             return value
-        self.names.update(re.findall(r"\$\{?(\w+)", value))
-        for name in sorted((name for name in self.values if f"${name}" in value), key=len, reverse=True):
-            grown = len(value) + value.count(f"${name}") * len(self.values[name])
-            if grown > MAX_VALUE:
-                got = f"an attribute of {grown} characters after substituting parameters"
+        size = len(value)
+
+        def put(found: re.Match[str]) -> str:
+            nonlocal size
+            if found[1] is None:  # an escaped dollar
+                return "$"
+            word: str = found[1]
+            name = next((word[:end] for end in range(len(word), 0, -1) if word[:end] in self._values), None)
+            if name is None:
+                self.names.update(re.findall(r"^\w+", word))
+                got = f"no value for '${word}' in line {line}"
+                raise invalid(f"scene '{path}'", got, f'<default name="{word}" value="…"/> before it, or -D {word}=…')
+            self.names.add(name)
+            size += len(self._values[name])
+            self._left_substituted -= 1
+            if size > MAX_VALUE:
+                got = f"an attribute of {size} characters after substituting parameters"
                 raise invalid(f"scene '{path}'", got, f"up to {MAX_VALUE}")
-            value = re.sub(rf"(?<!\\)\${re.escape(name)}", self.values[name].replace("\\", r"\\"), value)
-        self.left_expanded -= len(value)
-        if self.left_expanded < 0:
-            raise invalid(f"scene '{path}'", "too many substitutions of parameters", f"{MAX_EXPANDED} characters in total")
-        return value.replace("\\$", "$")
+            if self._left_substituted < 0 or size > self._left_expanded:
+                allowed = f"{MAX_SUBSTITUTED} of them, {MAX_EXPANDED} characters in total"
+                raise invalid(f"scene '{path}'", "too many substitutions of parameters", allowed)
+            return self._values[name] + word[len(name) :]
+
+        value = DOLLAR.sub(put, value)
+        self._left_expanded -= len(value)
+        return value
 
 
-def judge_scene(path: Path, given: dict[str, str]) -> SceneText:
-    """Check a scene's XML and its includes, and return their parameters.
+def read_scene(path: Path, given: dict[str, str]) -> SceneFiles:
+    """Read a scene's XML and its includes.
 
     given : parameters that the user sets
 
@@ -73,8 +128,10 @@ def judge_scene(path: Path, given: dict[str, str]) -> SceneText:
     """
     if not is_utf8(path):
         raise invalid("scene", f"'{path}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder.")
-    scene = SceneText(Path(os.path.realpath(path)).parent, given, values=dict(given))
-    _judge(path, scene, 0)
+    if bad := next((name for name, value in given.items() if "\0" in value), None):
+        raise invalid(f"scene parameter '{bad}'", repr(given[bad]), "text without NUL")
+    scene = SceneFiles(path, given, _values=dict(given))
+    scene.root = _read(path, scene, 0, 0)
     return scene
 
 
@@ -109,58 +166,91 @@ def _after(text: str, end: str, start: int, path: Path) -> int:
     return at + len(end)
 
 
-def _judge(path: Path, scene: SceneText, includes_deep: int) -> None:
-    text = read_text(path, "scene", ALLOWED, max(scene.left_bytes, 0))
-    scene.left_bytes -= len(text)
+def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
+    """Return the root of a file; `deep` elements and `includes_deep` files are around it."""
+    text = read_text(path, "scene", ALLOWED, max(scene._left_bytes, 0))
+    scene._left_bytes -= len(text)
+    if not includes_deep:
+        scene.content = text
     text = without_comments(text, path)
-    deep = 0
+    parser = expat.ParserCreate("utf-8")
+    # For each element that is open: what it will be, and its children so far.
+    open_elements: list[tuple[str, dict[str, str], int, str, list[Node]]] = [("", {}, 0, "", [])]
 
-    def begins(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal deep
-        deep += 1
-        if deep > MAX_DEPTH:
+    def begins(tag: str, written: dict[str, str]) -> None:
+        line = parser.CurrentLineNumber
+        if deep + len(open_elements) > MAX_DEPTH:
             raise invalid(f"scene '{path}'", f"elements nested more than {MAX_DEPTH} deep", f"at most {MAX_DEPTH}")
-        _judge_element(tag, attributes, path, scene, includes_deep)
+        attributes = {name: scene.put_in(value, path, line) for name, value in written.items()}
+        if tag == "default":
+            _take_default(attributes, path, scene)
+        elif tag == "include":
+            file = _included(attributes.get("filename", ""), written.get("filename", ""), path, scene, includes_deep)
+            root = _read(file, scene, includes_deep + 1, deep + len(open_elements) - 1)
+            if root.tag != "scene":  # an object takes the name that the include gives it
+                named = {key: value for key, value in root.attributes.items() if key not in ("version", "name")}
+                named |= {"name": attributes["name"]} if "name" in attributes else {}
+                root = Node(root.tag, named, root.children, root.file, root.line)
+            open_elements[-1][-1].extend(root.children if root.tag == "scene" else (root,))
+        elif tag == "path":
+            got = f'<path value="{attributes.get("value", "")}"/>'
+            raise invalid(f"scene '{path}'", got, "none", "Write folders into file names.")
+        used = dict.fromkeys(name for name in DOLLAR.findall("".join(written.values())) if name)
+        open_elements.append((tag, attributes, line, ", ".join(used), []))
 
     def ends(_: str) -> None:
-        nonlocal deep
-        deep -= 1
+        tag, attributes, line, parameter, children = open_elements.pop()
+        if tag not in ("default", "include"):
+            open_elements[-1][-1].append(Node(tag, attributes, tuple(children), path, line, parameter))
+        elif children:
+            raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
 
     def has_document_type(*_: Any) -> None:
         raise invalid(f"scene '{path}'", "a DOCTYPE", "none", "Remove it and its entities.")
 
-    parser = expat.ParserCreate("utf-8")
+    def is_declared(_: str, encoding: str | None, __: int) -> None:
+        if encoding is not None and encoding.lower() not in ENCODINGS:
+            raise invalid(f"scene '{path}'", f'encoding="{encoding}"', "UTF-8", "Save the file in UTF-8.")
+
     parser.StartElementHandler, parser.EndElementHandler = begins, ends
-    parser.StartDoctypeDeclHandler = has_document_type
+    parser.StartDoctypeDeclHandler, parser.XmlDeclHandler = has_document_type, is_declared
     try:
         parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
         raise invalid("scene", f"'{path}' ({error})", ALLOWED) from None
+    root = next(iter(open_elements[0][-1]), None)
+    if root is None:
+        raise invalid(f"scene '{path}'", "no element", ALLOWED)
+    _check_version(root)
+    return root
 
 
-def _judge_element(tag: str, attributes: dict[str, str], path: Path, scene: SceneText, includes_deep: int) -> None:
-    written = attributes.get("filename", "")
-    values = {name: scene.put_in(value, path) for name, value in attributes.items()}
-    if tag == "default" and "name" in values:
-        scene.defaults.setdefault(values["name"], values.get("value", ""))
-        scene.values.setdefault(values["name"], values.get("value", ""))
-        if len(scene.values) > MAX_PARAMETERS:
-            raise invalid(f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}")
-    elif tag == "include":
-        scene.includes += 1
-        if scene.includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
-            got = "includes nested too deep" if includes_deep >= MAX_INCLUDE_DEPTH else f"more than {MAX_INCLUDES} includes"
-            raise invalid(f"scene '{path}'", got, f"at most {MAX_INCLUDES}, nested {MAX_INCLUDE_DEPTH} deep")
-        _judge(_included(values.get("filename", ""), written, path, scene), scene, includes_deep + 1)
-    elif tag == "spectrum" and "filename" in values:
-        for folder in (path.parent, scene.folder, Path()):
-            judge_asset(folder / values["filename"], "spectrum", MAX_SPECTRUM)
-    elif tag == "path":
-        raise invalid(f"scene '{path}'", f'<path value="{values.get("value", "")}"/>', "none", "Write folders into file names.")
+def _check_version(root: Node) -> None:
+    version = root.attributes.get("version", "")
+    numbers = re.fullmatch(r"(\d{1,4})\.(\d{1,4})\.(\d{1,4})", version)
+    if numbers is None or tuple(map(int, numbers.groups())) < OLDEST_VERSION:
+        got = f'version="{version}"' if version else "no version"
+        oldest = ".".join(map(str, OLDEST_VERSION))
+        hint = 'Write <scene version="3.0.0">, and names with underscores, such as to_world.'
+        raise invalid(f"scene '{root.file}'", got, f"{oldest} or newer in its first element", hint)
 
 
-def _included(name: str, written: str, path: Path, scene: SceneText) -> Path:
-    """Return the file that Mitsuba will include, from the folder of the including file, the scene, or the working directory."""
+def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> None:
+    name, value = attributes.get("name", ""), attributes.get("value", "")
+    if not re.fullmatch(r"[\w.-]+", name):
+        raise invalid(f"scene '{path}'", f'<default name="{name}"/>', "a name of letters, digits and _")
+    scene.defaults.setdefault(name, value)
+    scene._values.setdefault(name, value)
+    if len(scene._values) > MAX_PARAMETERS:
+        raise invalid(f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}")
+
+
+def _included(name: str, written: str, path: Path, scene: SceneFiles, includes_deep: int) -> Path:
+    """Return the file that Mitsuba would include, from the folder of the including file, the scene, or the working directory."""
+    scene._includes += 1
+    if scene._includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
+        got = "includes nested too deep" if includes_deep >= MAX_INCLUDE_DEPTH else f"more than {MAX_INCLUDES} includes"
+        raise invalid(f"scene '{path}'", got, f"at most {MAX_INCLUDES}, nested {MAX_INCLUDE_DEPTH} deep")
     candidates = [folder / name for folder in (path.parent, scene.folder, Path())]
     file = next((place for place in candidates if os.path.lexists(place)), candidates[0])
     inside = any(Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder)) for folder in (scene.folder, Path()))
@@ -170,13 +260,30 @@ def _included(name: str, written: str, path: Path, scene: SceneText) -> Path:
     return file
 
 
-def judge_asset(path: Path, what: str, most_bytes: int = MAX_ASSET) -> None:
-    """Raise PixsimError if an existing spectrum, texture or mesh is not a file, is unreadable or is too large."""
-    if os.path.lexists(path):
-        size_of(path, what, "a readable file", most_bytes)
+def written(root: Node) -> str:
+    """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction, include or parameter."""
+    pieces: list[str] = []
+
+    def write(node: Node) -> None:
+        attributes = "".join(f' {name}="{_escaped(value)}"' for name, value in node.attributes.items())
+        if not node.children:
+            pieces.append(f"<{node.tag}{attributes}/>")
+            return
+        pieces.append(f"<{node.tag}{attributes}>\n")
+        for child in node.children:
+            write(child)
+        pieces.append(f"</{node.tag}>\n")
+
+    write(root)
+    return "".join(pieces)
 
 
-def judge_tree(nodes: list[list[int]]) -> None:
+def _escaped(value: str) -> str:
+    # Mitsuba would take a dollar for a parameter unless a backslash is before it.
+    return TO_ESCAPE.sub(lambda found: f"&#{ord(found[0])};", value.replace("$", "\\$"))
+
+
+def judge_references(nodes: list[list[int]]) -> None:
     """Raise PixsimError if references are circular or nested too deep; Mitsuba would follow them without limit.
 
     nodes : for each node, the indices of the nodes that it refers to

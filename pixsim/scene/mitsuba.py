@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.spectral import grid_nm
+from pixsim.scene.assets import mitsuba_folder
 
 
 def import_mitsuba(variant: str) -> Any:
@@ -36,17 +38,21 @@ def import_mitsuba(variant: str) -> Any:
 
 def read_bitmap(path: Path, variant: str) -> NDArray[Any]:
     """Read a picture as stored, (H, W, channels). Raises PixsimError if Mitsuba cannot."""
-    with speaking_mitsuba(variant, path.parent) as mi:
-        return np.array(mi.Bitmap(str(path)), copy=True)
+    with speaking_mitsuba(variant) as mi:
+        return np.array(mi.Bitmap(os.path.abspath(path)), copy=True)
 
 
 @contextmanager
-def speaking_mitsuba(variant: str, folder: Path) -> Iterator[Any]:
-    """Give Mitsuba with the scene's folder on its search path, and turn its errors into PixsimError."""
+def speaking_mitsuba(variant: str) -> Iterator[Any]:
+    """Give Mitsuba with only its own folder on its search path, and turn its errors into PixsimError.
+
+    Mitsuba looks for its plugins on that path too, and runs what it finds there.
+    """
     mi = import_mitsuba(variant)
     before = mi.file_resolver()
-    resolver = mi.FileResolver(before)
-    resolver.prepend(str(folder))
+    resolver = mi.FileResolver()
+    resolver.clear()
+    resolver.append(str(mitsuba_folder()))
     mi.set_file_resolver(resolver)
     try:
         yield mi
@@ -68,10 +74,10 @@ def _is_interrupt(error: BaseException | None) -> bool:
     return False
 
 
-def parse(path: Path, variant: str, parameters: dict[str, str]) -> Any:
-    """Return Mitsuba's parser state, the tree of nodes before objects are built."""
-    with speaking_mitsuba(variant, path.parent) as mi:
-        return mi.parser.parse_file(mi.parser.ParserConfig(variant), str(path), **parameters)
+def parse(text: str, variant: str) -> Any:
+    """Return Mitsuba's parser state, the tree of nodes before objects are built, of a judged text."""
+    with speaking_mitsuba(variant) as mi:
+        return mi.parser.parse_string(mi.parser.ParserConfig(variant), text)
 
 
 def children(node: Any, state: Any) -> dict[str, int]:
@@ -106,13 +112,13 @@ def nodes_of(state: Any, kind: str) -> list[tuple[int, Any]]:
 
 def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
     """Evaluate a spectrum plugin or an emitter in Mitsuba at 360 … 830 nm in steps of 1 nm."""
-    with speaking_mitsuba(variant, Path()) as mi:
+    with speaking_mitsuba(variant) as mi:
         return _at_each_wavelength(mi, variant, mi.load_dict(description).eval)
 
 
 def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str) -> Array:
     """Return the reflectance of a smooth conductor at an angle to its normal, at 360 … 830 nm in steps of 1 nm."""
-    with speaking_mitsuba(variant, Path()) as mi:
+    with speaking_mitsuba(variant) as mi:
         bsdf, context = mi.load_dict(description), mi.BSDFContext()
         towards = [math.sqrt(1 - cosine**2), 0.0, cosine]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,8 +16,9 @@ from numpy.typing import NDArray
 from pixsim.base import notes
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason
+from pixsim.base.files import judge_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
+from pixsim.scene.assets import judge_radiance
 from pixsim.scene.charts import texture_file
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
@@ -29,8 +29,6 @@ GREY = 0.18  # of white: the border, as a photographer's grey card
 MAX_TEXELS = 1 << 27  # with the border: 512 MiB
 GREY_MODES, SIXTEEN_BIT_MODES = ("1", "L", "P", "RGB", "CMYK", "YCbCr"), ("I;16", "I;16B", "I;16L", "I")
 ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
-HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
-MAX_HDR_HEADER = 1 << 12
 
 
 @dataclass(frozen=True)
@@ -186,16 +184,6 @@ def _of_mitsuba(path: Path) -> Array:
     from pixsim.scene.mitsuba import read_bitmap
 
     if path.suffix.lower() == ".hdr":
-        with opened(path, "chart picture", ALLOWED) as file:
-            head = file.read(MAX_HDR_HEADER)
-            file.seek(0, os.SEEK_END)
-            stored = file.tell()
-        size = HDR_SIZE.search(head)
-        if not head.startswith(b"#?") or size is None:
-            raise invalid(f"chart picture '{path}'", "no Radiance header with -Y and +X", ALLOWED)
-        height, width = int(size[1]), int(size[2])
-        if not 1 <= width * height <= MAX_PICTURE:
-            raise invalid(f"chart picture '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in all")
-        check_compression(f"chart picture '{path}'", 4 * width * height, stored)
+        judge_radiance(path, "chart picture")
     values: Any = read_bitmap(path, variant.choose().variant)
     return np.asarray(values, float)[:, :, :3]

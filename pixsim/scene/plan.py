@@ -174,7 +174,7 @@ def make_render_plan(
     by_index, tables = rules.decide_tables(state, full)
     lens, focus = rules.decide_lens(state, camera, bodies, width / height, pixel, tolerance_e, full)
     # An unfocused chart differs from its picture, and the lens needs samples too.
-    chart = rules.lone_chart(state, scene.path.parent, camera, bodies, (height, width)) if lens == "perspective" else None
+    chart = rules.lone_chart(state, camera, bodies, (height, width)) if lens == "perspective" else None
     scene_spp = sample_count(state, sensor)
     passes = sum(len(light.fit.passes) for light in lights)
     explicit = "spp" in scene.parameters

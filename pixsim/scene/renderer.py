@@ -20,12 +20,12 @@ from pixsim.base.version import VERSION
 from pixsim.light.spectral import WHOLE, SpectralImage
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.scene.bands import Pulse
-from pixsim.scene.mitsuba import children, nodes_of, plain, speaking_mitsuba
-from pixsim.scene.plan import Light, Plan, make_render_plan
-from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
-from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, sensor_node
-
-SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
+from pixsim.scene.child import child_tracer
+from pixsim.scene.mitsuba import parse
+from pixsim.scene.plan import Plan, make_render_plan
+from pixsim.scene.rules import SAMPLE_COUNTS
+from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
+from pixsim.scene.tracer import Job, Lamps, OwnTracer, Tracer, regular
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
@@ -37,38 +37,7 @@ def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, botto
 
 
 def film_response(pulse: Pulse) -> dict[str, Any]:
-    return _regular(pulse.low_nm, pulse.high_nm, pulse.values)
-
-
-def _regular(low_nm: float, high_nm: float, values: Array) -> dict[str, Any]:
-    text = ", ".join(repr(float(value)) for value in values)
-    return {"type": "regular", "wavelength_min": low_nm, "wavelength_max": high_nm, "values": text}
-
-
-def load_light(mi: Any, scene: Scene, state: Any, light: Light, scalar: bool, regular_tables: bool) -> Any:
-    """Build the scene with one light's emitters only, each as its neutral picture or power: the pulses have its spectrum."""
-    emitters = nodes_of(state, "Emitter")
-    dark = {index for index, _ in emitters} - light.lamp.pictures.keys()
-    for parent in state.nodes if dark else ():
-        for name, child in children(parent, state).items():
-            if child in dark:
-                del parent.props[name]
-    for index, node in emitters:
-        if index in light.lamp.pictures and light.lamp.spectrum is not None:
-            name, picture = light.lamp.pictures[index]
-            if isinstance(picture, int):
-                node.props[name] = mi.Properties.ResolvedReference(picture)
-            else:
-                node.props[name] = mi.load_dict({"type": "uniform", "value": picture})  # a plain number would be a d65
-    for _, node in nodes_of(state, "Integrator"):
-        if scalar and "block_size" not in node.props:
-            node.props["block_size"] = SCALAR_BLOCK
-    for (index, name), (table, values) in irregular_tables(state).items() if regular_tables else ():
-        state.nodes[index].props[name] = mi.load_dict(_regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
-    config = mi.parser.ParserConfig(scene.choice.variant)
-    mi.parser.transform_all(config, state)
-    built = mi.parser.instantiate(config, state)
-    return next(item for item in built if isinstance(item, mi.Scene)) if isinstance(built, list) else built
+    return regular(pulse.low_nm, pulse.high_nm, pulse.values)
 
 
 Pictures = list[NDArray[np.float32]]
@@ -82,7 +51,7 @@ def hash_of_job(scene: Scene, state: Any, camera: Camera, plan: Plan, seed: int)
         pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
         lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
     settings = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
-    tree, version = hash_of_tree(state, scene.path.parent), cache.version_fingerprint("mitsuba", "drjit")
+    tree, version = hash_of_tree(state), cache.version_fingerprint("mitsuba", "drjit")
     size = scene.film_shape(camera, state)
     return content_hash([tree, size, scene.sensor_id, scene.choice.variant, camera.model_dump(), lights, settings, seed, version])
 
@@ -170,12 +139,18 @@ def render(
 
 
 class Renderer:
-    """Independent renders of one scene, loaded once per lamp spectrum on first use; `keep` uses the cache of renders."""
+    """Independent renders of one scene, loaded once per lamp spectrum on first use.
 
-    def __init__(self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False) -> None:
+    keep : use the cache of renders
+    ends_at_s : time of `time.monotonic` at which a scene that is not packaged is given up; None waits for it
+    """
+
+    def __init__(
+        self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False, ends_at_s: float | None = None
+    ) -> None:
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
-        state = scene.for_camera(camera)
-        node = sensor_node(state, scene.sensor_id)[1]
+        text = scene.text_for_camera(camera)
+        state = parse(text.text, scene.choice.variant)
         self.size = scene.film_shape(camera, state)
         for side in self.size:
             check_resolution(side)
@@ -184,33 +159,27 @@ class Renderer:
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
         self.scalar = scene.choice.variant.startswith("scalar")
-        self.sensor = self._sensor(node)
+        lens: dict[str, Any] = {"type": plan.lens, "fov": camera.fov_deg}
+        if plan.lens == "thinlens":
+            lens |= {"aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
+        lamps = tuple(Lamps(light.lamp.pictures, light.lamp.spectrum is not None) for light in plan.lights)
+        sensor = sensor_node(state, scene.sensor_id)[0]
+        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, plan.regular_tables)
+        self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
 
     @cached_property
-    def _loaded(self) -> list[tuple[Any, Any]]:
-        """Mitsuba's scene and integrator for each light."""
-        with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
-            states = ((light, self.source.for_camera(self.camera)) for light in self.plan.lights)
-            scenes = [load_light(mi, self.source, state, light, self.scalar, self.plan.regular_tables) for light, state in states]
-            return [(built, self._integrator(mi, built)) for built in scenes]
+    def tracer(self) -> Tracer:
+        return self.traced(self.job)
+
+    def traced(self, job: Job) -> Tracer:
+        """Return what traces a job: this process if the scene is packaged, else a child."""
+        return OwnTracer(job) if self.packaged else child_tracer(job, self.ends_at_s)
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Return the irradiance relative to that on the axis, at the centre of each sample of some rows and columns."""
         lens = self.camera.image_distance_mm, self.camera.f_number, self.camera.magnification
         return field_factor(self.size, self.pitch_um, *lens, (rows, columns)) * (self.camera.transmittance / self.on_axis)
-
-    def _integrator(self, mi: Any, scene: Any) -> Any:
-        scene_integrator = None if self.plan.integrator else scene.integrator()
-        return scene_integrator or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.plan.integrator or {}))
-
-    def _sensor(self, node: Any) -> dict[str, Any]:
-        left_out = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")
-        properties = {key: value for key, value in plain(node) if key not in left_out}
-        properties |= {"type": self.plan.lens, "fov": self.camera.fov_deg}
-        if self.plan.lens == "thinlens":
-            properties |= {"aperture_radius": self.camera.aperture_radius_m, "focus_distance": self.camera.object_distance_m}
-        return properties
 
     def run(self, index: int, progress: Progress | None = None, level: int = 0) -> tuple[Pictures, int]:
         """Return pictures (H, W, pulses) of each light, relative to its lamp, and the samples per film cell.
@@ -232,33 +201,29 @@ class Renderer:
         if self.plan.exact:
             return self._exact(), 0
         pictures, number = [], 0
-        with speaking_mitsuba(self.source.choice.variant, self.source.path.parent) as mi:
-            # Long renders are averages of shorter ones. Most samplers round the number of samples up, to stratify them.
-            asked = self.plan.spp * LEVEL_FACTOR**level
-            if level:
-                asked = next((count for count in SAMPLE_COUNTS if count >= asked), asked)
-            renders = -(-asked // SPP_PER_RENDER)
-            sampler = {"type": self.plan.sampler}
-            spp = mi.load_dict(sampler | {"sample_count": -(-asked // renders)}).sample_count()
-            parts = [slice(*borders) for borders in pairwise(self._strip_borders(spp))]
-            first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
-            for light, (scene, integrator) in zip(self.plan.lights, self._loaded, strict=True):
-                planes = np.zeros((*self.size, len(light.fit.pulses)), np.float32)
-                for channels in light.fit.passes:
-                    responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
-                    for rows in parts:
-                        total = np.zeros((rows.stop - rows.start, self.size[1], len(channels)))
-                        crop = film(responses, self.size, rows.start, rows.stop)
-                        sensor = mi.load_dict(self.sensor | {"sampler": sampler | {"sample_count": spp}, "film": crop})
-                        for _ in range(renders):
-                            seed = (first + number) % 2**32
-                            rendered = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
-                            total += _checked(np.asarray(rendered, float), len(channels)) / renders
-                            number += 1
-                            if progress:
-                                progress(number / (self.plan.passes * renders * len(parts)))
-                        planes[rows, :, list(channels)] = total
-                pictures.append(planes)
+        # Long renders are averages of shorter ones. Most samplers round the number of samples up, to stratify them.
+        asked = self.plan.spp * LEVEL_FACTOR**level
+        if level:
+            asked = next((count for count in SAMPLE_COUNTS if count >= asked), asked)
+        renders = -(-asked // SPP_PER_RENDER)
+        spp = self.tracer.sample_count(self.plan.sampler, -(-asked // renders))
+        parts = [slice(*borders) for borders in pairwise(self._strip_borders(spp))]
+        first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * self.plan.passes * renders * len(parts)
+        for scene, light in enumerate(self.plan.lights):
+            planes = np.zeros((*self.size, len(light.fit.pulses)), np.float32)
+            for channels in light.fit.passes:
+                responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
+                for rows in parts:
+                    total = np.zeros((rows.stop - rows.start, self.size[1], len(channels)))
+                    crop = film(responses, self.size, rows.start, rows.stop)
+                    for _ in range(renders):
+                        seed = (first + number) % 2**32
+                        total += _checked(self.tracer.trace(scene, crop, self.plan.sampler, spp, seed), len(channels)) / renders
+                        number += 1
+                        if progress:
+                            progress(number / (self.plan.passes * renders * len(parts)))
+                    planes[rows, :, list(channels)] = total
+            pictures.append(planes)
         return pictures, renders * spp
 
     def _exact(self) -> Pictures:
@@ -319,14 +284,14 @@ class Renderer:
         return SpectralImage(b.wavelength_nm, b.width_nm, self.pitch_um, within=(b.nodes_nm, b.shares), header=header, **light)
 
 
-def _checked(values: Array, channels: int) -> Array:
+def _checked(values: NDArray[np.float32], channels: int) -> Array:
     """Return the values of a render. Raises PixsimError if one is negative or not finite."""
     if values.shape[2] != channels:
         raise invalid("integrator", f"{values.shape[2]} channels per pixel", "an integrator for radiance only, such as path")
     if not np.isfinite(values).all() or values.min() < 0:
         hint = "Check the scene's spectra and textures."
         raise invalid("rendered picture", "NaN, infinite or negative values", "finite values of 0 or more", hint)
-    return values
+    return values.astype(float)
 
 
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -286,7 +285,7 @@ def decide_lens(
     return "perspective", Decision("lens samples", False, reason, "2 of 5 dimensions", error)
 
 
-def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
+def lone_chart(state: Any, camera: Camera, bodies: list[Body], shape: tuple[int, int]) -> Chart | None:
     """Return the chart if the scene is one flat emitter that faces the lens upright, centred, and fills the film."""
     emitters = nodes_of(state, "Emitter")
     if len(bodies) != 1 or len(emitters) != 1 or emitters[0][1].props.plugin_name() != "area":
@@ -305,7 +304,7 @@ def lone_chart(state: Any, folder: Path, camera: Camera, bodies: list[Body], sha
     covers = all(v <= h * (1 + ALIGNED) for v, h in zip(view, half, strict=True))
     if not (upright and centred and covers and abs(body.normal[2]) > 1 - 1e-9):
         return None
-    picture = emitted_picture(state, emitters[0][1], folder)
+    picture = emitted_picture(state, emitters[0][1])
     if picture is None:
         return None
     # Rows of a film run down, columns to the right; y of the camera's frame points up, x to the left.

@@ -6,6 +6,7 @@ import difflib
 import math
 import os
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,9 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.parameters import Camera, CameraOptions, content_hash
 from pixsim.scene import charts, variant as variants
-from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, texture_files
-from pixsim.scene.files import judge_scene, judge_tree
+from pixsim.scene.contents import check_textures, check_transforms, find_lamp, is_neutral, named_files
 from pixsim.scene.film import FILM_ROUNDING
+from pixsim.scene.judge import SceneText, judge_scene
 from pixsim.scene.mitsuba import children, nodes_of, parse, plain
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, OwnChart, is_own_chart
 
@@ -31,6 +32,7 @@ LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
 INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
+READ_AT_ONCE = 1 << 18  # bytes
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
@@ -60,14 +62,17 @@ class Scene:
     resolution: int | None = None
     shows_csf: bool = False
 
-    @checks_arguments
-    def parse(self, **more: object) -> Any:
-        """Return Mitsuba's parser state, with `more` parameters unless the user set them."""
+    def text(self, **more: object) -> SceneText:
+        """Return the judged text of the scene, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
         given.pop(charts.MAX_LP_PER_MM, None)  # of pixsim: `for_camera` makes the chart
         if self.own_chart:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
-        return parse(self.path, self.choice.variant, given)
+        return judge_scene(self.path, given)
+
+    def parse(self, **more: object) -> Any:
+        """Return Mitsuba's parser state of `text`."""
+        return parse(self.text(**more).text, self.choice.variant)
 
     @checks_arguments
     def camera(self, options: CameraOptions | None = None) -> Camera:
@@ -92,7 +97,11 @@ class Scene:
 
     @checks_arguments
     def for_camera(self, camera: Camera) -> Any:
-        """Return the parser state with the scene's lens and chart parameters set for a camera."""
+        """Return the parser state of `text_for_camera`."""
+        return parse(self.text_for_camera(camera).text, self.choice.variant)
+
+    def text_for_camera(self, camera: Camera) -> SceneText:
+        """Return the judged text with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
         named = {name: repr(value) for name, value in lens.items() if name in self.names}
         shown = camera
@@ -109,7 +118,7 @@ class Scene:
             if CHART_HALF_WIDTH in self.parameters:
                 width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
             named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
-        return self.parse(**named)
+        return self.text(**named)
 
     @checks_arguments
     def film_shape(self, camera: Camera, state: Any) -> tuple[int, int]:
@@ -147,7 +156,7 @@ class Scene:
     @property
     def content_hash(self) -> str:
         """Hash of the parsed tree and the bytes of its textures."""
-        return hash_of_tree(self.parse(), self.path.parent)
+        return hash_of_tree(self.parse())
 
     def __repr__(self) -> str:
         given = "".join(f", {k}={v}" for k, v in self.parameters.items())
@@ -173,6 +182,16 @@ def packaged_scenes() -> dict[str, Path]:
     packaged = root / "data/scenes"
     folder = packaged if packaged.is_dir() else root.parent / "scenes"
     return {path.stem: path for path in sorted(folder.glob("*.xml"))}
+
+
+@lru_cache
+def _packaged_texts() -> frozenset[str]:
+    return frozenset(path.read_text(encoding="utf-8") for path in packaged_scenes().values())
+
+
+def is_packaged(text: SceneText) -> bool:
+    """Return whether a scene's XML equals that of a packaged one; its parameters may differ."""
+    return text.content in _packaged_texts()
 
 
 @checks_arguments
@@ -208,8 +227,9 @@ def load_scene(
     highest = parameters.pop(charts.MAX_LP_PER_MM, None)
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     given = {name: str(value) for name, value in parameters.items()}
-    text = judge_scene(path, given)
-    names = frozenset(text.names)
+    picture = _picture_of_chart(path, given)
+    text = judge_scene(path, given, picture)
+    names = text.names
     also = ((LUMINANCE, EMITTER_SCALE), (WHITE, WHITE), (CHART_LINEAR, CHART))
     settable = {name for name, needed in also if needed in names | text.defaults.keys()}
     shows_csf = CHART in names and CHART not in given and Path(text.defaults.get(CHART, "")).name == "csf.exr"
@@ -230,16 +250,15 @@ def load_scene(
     choice = variants.choose(variant)
     shown_white = None if display_white is None else _positive(WHITE, display_white)
     loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=shows_csf)
-    loaded = _with_own_chart(loaded, linear)
+    loaded = _with_own_chart(loaded, text, picture, linear)
     state = loaded.parse()
-    judge_tree([list(children(node, state).values()) for node in state.nodes])
     sensor_of_scene = sensor_node(state, sensor)[1]
     read_camera(sensor_of_scene, Camera().die_mm)
     film_size(state, sensor_of_scene)
     sample_count(state, sensor_of_scene)
     check_supported(state)
     check_transforms(state)
-    check_textures(state, loaded.path.parent)
+    check_textures(state)
     if luminance is not None:
         loaded = _with_luminance(loaded, luminance)
     if highest is not None:
@@ -247,18 +266,24 @@ def load_scene(
     return loaded
 
 
-def _with_own_chart(scene: Scene, linear: bool) -> Scene:
-    """Return the scene with the picture that its parameter `chart` names, where the scene takes neutral textures there."""
-    name = scene.parameters.get(CHART, "")
-    file = next((path for path in (scene.path.parent / name, Path(name)) if path.is_file()), None) if name else None
-    own = file is not None and is_own_chart(file)
-    if own:
-        textures = [node for _, node in nodes_of(scene.parse(), "Texture") if str(node.props.get("filename", "")) == name]
-        own = any(map(is_neutral, textures))
-    if linear and (not own or (file and file.suffix.lower() in LINEAR_SUFFIXES)):
+def _picture_of_chart(path: Path, given: dict[str, str]) -> Path | None:
+    """Return the file that the parameter `chart` names, if it is a picture to convert."""
+    name, folder = given.get(CHART, ""), Path(os.path.realpath(path)).parent
+    file = next((place for place in (folder / name, Path(name)) if place.is_file()), None) if name and "\0" not in name else None
+    return Path(os.path.abspath(file)) if file is not None and is_own_chart(file) else None
+
+
+def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear: bool) -> Scene:
+    """Return the scene with a picture as its chart, where the scene takes neutral textures there."""
+    own = False
+    if picture:
+        nodes = nodes_of(parse(text.text, scene.choice.variant), "Texture")
+        own = any(is_neutral(node) for _, node in nodes if str(node.props.get("filename", "")) == str(picture))
+    if linear and not (own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
+        name = scene.parameters.get(CHART, "")
         got = f"1 (--linear) with the chart '{Path(name).name}'" if name else "1 (--linear) without a chart"
         raise invalid(CHART_LINEAR, got, "a PNG, JPEG or TIFF as -D chart=FILE; other charts are linear already")
-    return replace(scene, own_chart=OwnChart(file, linear)) if own and file else scene
+    return replace(scene, own_chart=OwnChart(picture, linear)) if own and picture else scene
 
 
 def _flag(name: str, value: object) -> bool:
@@ -404,7 +429,7 @@ def read_camera(sensor: Any, die_mm: float, aspect: float = 1.0) -> Camera:
     return exact.model_copy(update=rounded)
 
 
-def hash_of_tree(state: Any, folder: Path) -> str:
+def hash_of_tree(state: Any) -> str:
     """Return a hash of a parsed tree and its textures, 16 hexadecimal digits. Raises PixsimError if a file is missing."""
     tree = []
     for node in state.nodes:
@@ -414,7 +439,7 @@ def hash_of_tree(state: Any, folder: Path) -> str:
             for name, value in plain(node, numbers_only=False)
         )
         tree.append([node.type.name, node.props.plugin_name(), values, sorted(children(node, state).items())])
-    return content_hash([tree, [digest_of(path) for path in texture_files(state, folder)]])
+    return content_hash([tree, [digest_of(path) for path in named_files(state)]])
 
 
 def in_full(value: Any) -> str:

@@ -51,14 +51,14 @@ def plain(name: str, resolution: int, sampler: str) -> Picture:
     film |= {"width": resolution, "height": resolution}
     for k, nm in enumerate(BANDS_NM.tolist()):
         film[f"band{k}"] = {"type": "regular", "wavelength_min": nm - 5, "wavelength_max": nm + 5, "values": "1, 1"}
-    with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+    with speaking_mitsuba(scene.choice.variant) as mi:
         loaded = mi.load_file(str(scene.path), **scene.parameters)
         sensor = sensor_node(scene.parse(), None)[1]
         names = ("type", "fov", "aperture_radius", "focus_distance", "to_world")
         lens = {key: sensor.props[key] for key in names if key in sensor.props}
 
     def picture(spp: int, seed: int) -> tuple[np.ndarray, float]:
-        with speaking_mitsuba(scene.choice.variant, scene.path.parent) as mi:
+        with speaking_mitsuba(scene.choice.variant) as mi:
             camera = mi.load_dict({"type": "thinlens", **lens, "film": film, "sampler": {"type": sampler, "sample_count": spp}})
             start = time.perf_counter()
             path = mi.load_dict({"type": "path"})

@@ -64,7 +64,7 @@ def cosine_fourth(f_number: float, tan_field: float) -> float:
 @cache
 def disc_irradiance(f_number: float, tan_field: float) -> float:
     """E/L under a disc of radius 1/2N at height 1, tan_field off its axis, by Mitsuba's path tracer on a white plane."""
-    with speaking_mitsuba(VARIANT, Path(__file__).parent) as mi:
+    with speaking_mitsuba(VARIANT) as mi:
         transform = mi.ScalarTransform4f
 
         def radiance(origin: list[float], target: list[float], samples: int) -> float:

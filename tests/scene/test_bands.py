@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -549,7 +548,7 @@ def test_render_pulses_add_no_spectral_noise(name, variant):
     else:
         result, _ = made(shipped(name), macbeth(), 1e-2)
         pulses = [result.pulses[index] for index in passes(len(result.pulses))[-1]]
-    with speaking_mitsuba(variant, Path()) as mi:
+    with speaking_mitsuba(variant) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in pulses])
     assert seen.shape[2] == len(pulses)
     # Every sample has one wavelength in each pulse, at which lamp over pulse is the same: float32 and its sums are left.
@@ -561,6 +560,6 @@ def test_render_pulses_add_no_spectral_noise(name, variant):
 @VARIANTS
 def test_render_adjoining_pulses_add_noise(variant):
     every = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, WITNESSES, TOLERANCE))
-    with speaking_mitsuba(variant, Path()) as mi:
+    with speaking_mitsuba(variant) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in every.pulses[10:15]])
     assert seen.std(axis=(0, 1)).max() > 1e-2  # so the gate above means something

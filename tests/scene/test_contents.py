@@ -127,7 +127,7 @@ SHAPES = dict.fromkeys(("rectangle", "cube", "disk"), f'<transform name="to_worl
 def test_find_bodies_corners_enclose_mitsubas_shape(plugin, tmp_path):
     path = edited(tmp_path, "flat", (END, f'<shape type="{plugin}" id="thing">{SHAPES[plugin]}</shape>'))
     body = bodies_of(path)[1]
-    with speaking_mitsuba(VARIANT, tmp_path) as mi:
+    with speaking_mitsuba(VARIANT) as mi:
         bounds = next(item for item in mi.load_file(str(path)).shapes() if item.id() == "thing").bbox()
         low, high = np.array(bounds.min), np.array(bounds.max)
     mine = body.corners.min(axis=0), body.corners.max(axis=0)
@@ -173,7 +173,8 @@ def test_find_bodies_group_members_are_at_instances(tmp_path):
 
 
 def test_find_bodies_unknown_member_has_no_corners(tmp_path):
-    inside = BALL + '<shape type="ply"><string name="filename" value="charts/flat.exr"/></shape>'
+    (tmp_path / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    inside = BALL + '<shape type="obj"><string name="filename" value="one.obj"/></shape>'
     chart, *instances = bodies_of(edited(tmp_path, "flat", (END, INSTANCE.format(inside=inside))))
     assert chart.corners is not None
     assert [body.corners for body in instances] == [None, None]
@@ -191,7 +192,7 @@ def test_find_bodies_normals_match_mitsuba(plugin, scale, flip, tmp_path):
     inside = f'<boolean name="flip_normals" value="{flip}"/><transform name="to_world">{turn}</transform>'
     path = edited(tmp_path, "flat", (END, f'<shape type="{plugin}">{inside}</shape>'), ('x="$chart_half_width"', 'x="0.0001"'))
     normal = bodies_of(path)[1].normal
-    with speaking_mitsuba(VARIANT, tmp_path) as mi:
+    with speaking_mitsuba(VARIANT) as mi:
         hit = mi.load_file(str(path)).ray_intersect(mi.Ray3f([0.05, 0.03, 0], [0, 0, 1]))
         shaded = np.array(hit.sh_frame.n)
     np.testing.assert_allclose(normal, shaded, atol=1e-6)

@@ -14,6 +14,7 @@ from helpers.edits import FOLDER, VARIANT, VARIANTS, lens_sr
 import pixsim
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
+from pixsim.scene.judge import judge_scene
 from pixsim.scene.mitsuba import import_mitsuba, nodes_of, parse, plain, speaking_mitsuba
 
 SCENES = ["line_lamp", "macbeth", "still_life"]
@@ -46,12 +47,12 @@ def rendered(path: Path, responses: list[dict], spp: int, size: int, crop: tuple
     """∫ radiance × response dλ, (H, W, responses) float64, by Mitsuba alone. crop: first row, first column, rows, columns."""
     row, column, rows, columns = crop or (0, 0, size, size)
     given = {name: str(value) for name, value in parameters.items()}
-    state = parse(path, VARIANT, given)
+    state = parse(judge_scene(path, given).text, VARIANT)
     ((_, sensor),) = nodes_of(state, "Sensor")
     film = {"type": "specfilm", "width": size, "height": size, "component_format": "float32", "rfilter": {"type": "box"}}
     film |= {"crop_offset_x": column, "crop_offset_y": row, "crop_width": columns, "crop_height": rows}
     film |= {f"band_{index:02d}": response for index, response in enumerate(responses)}
-    with speaking_mitsuba(VARIANT, path.parent) as mi:
+    with speaking_mitsuba(VARIANT) as mi:
         scene = mi.load_file(str(path), **given)
         sampler = {"type": "multijitter", "sample_count": spp}
         eye = mi.load_dict({"type": "thinlens", **dict(plain(sensor)), "film": film, "sampler": sampler})

@@ -1,0 +1,218 @@
+"""Trace scenes that are not pixsim's own in a child process: it can be killed where Mitsuba crashes or finds no end.
+
+One child serves all renders of a process and ends with it. Requests and replies are lines of JSON; pictures come through a file
+in memory. Nothing that the child sends is run or unpickled.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pixsim
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.scene.tracer import Job, Tracer
+
+GRACE_S = 10.0  # after the time limit of a render
+MAX_REPLY = 1 << 20  # bytes of a line
+MAX_CHANNELS = 256
+READ_AT_ONCE = 1 << 16
+LOOK_S = 0.5  # between two looks at the child and the clock
+
+
+def child_tracer(job: Job, ends_at_s: float | None) -> Tracer:
+    """Return a tracer that works in the child of this process.
+
+    ends_at_s : time of `time.monotonic` at which the child is killed, and a PixsimError raised
+    """
+    return _ChildTracer(job, ends_at_s)
+
+
+class _Child:
+    """The process, with its pipes and the file of its pictures."""
+
+    def __init__(self) -> None:
+        self.owner = os.getpid()
+        self.lock = threading.Lock()
+        self.loaded: Job | None = None
+        self.pictures = _memory_file()
+        requests, self.requests = os.pipe()
+        self.replies, replies = os.pipe()
+        life, self.life = os.pipe()  # its other end closes when this process ends, however it does
+        given = self.pictures, requests, replies, life
+        # Python would look for modules in the current folder first, which may be a stranger's.
+        command = [sys.executable, "-P", "-m", "pixsim.scene.worker", *map(str, given)]
+        folder = str(Path(pixsim.__file__).parents[1])
+        path = os.pathsep.join(part for part in (os.environ.get("PYTHONPATH"), folder) if part)
+        null = subprocess.DEVNULL
+        try:
+            self.process = subprocess.Popen(
+                command, stdin=null, stdout=null, stderr=null, pass_fds=given, env=os.environ | {"PYTHONPATH": path}
+            )
+        except OSError as error:
+            hint = "Close other programs, or ask for fewer --jobs."
+            raise PixsimError(f"a process for the scene cannot be started ({error.strerror}). {hint}") from None
+        finally:
+            for descriptor in (requests, replies, life):
+                os.close(descriptor)
+        self._read = b""
+
+    @property
+    def usable(self) -> bool:
+        return self.owner == os.getpid() and self.process.poll() is None
+
+    def kill(self) -> None:
+        """End the process and close everything; a process that was forked from the owner closes only its copies."""
+        if self.owner == os.getpid():
+            with suppress(OSError):
+                self.process.kill()
+            with suppress(OSError, subprocess.SubprocessError):
+                self.process.wait(timeout=GRACE_S)
+        for name in ("requests", "replies", "life", "pictures"):
+            with suppress(OSError):
+                os.close(getattr(self, name))
+            setattr(self, name, -1)
+
+    def ask(self, request: dict[str, Any], ends_at_s: float | None) -> dict[str, Any]:
+        """Send a request and return its reply. Raises PixsimError if the child reports an error, crashes or takes too long."""
+        try:
+            self._send(json.dumps(request).encode() + b"\n", ends_at_s)
+            reply = json.loads(self._line(ends_at_s))
+        except BaseException as error:  # also Ctrl-C and SIGTERM: the child may be within a kernel without an end
+            code = self._code() if isinstance(error, OSError | EOFError | ValueError | RecursionError) else None
+            self.kill()
+            if isinstance(error, PixsimError) or not isinstance(error, OSError | EOFError | ValueError | RecursionError):
+                raise
+            raise _crashed(code) from None
+        if not isinstance(reply, dict):
+            self.kill()
+            raise _crashed(None)
+        if "error" in reply:
+            raise PixsimError(str(reply["error"]))
+        return reply
+
+    def _code(self) -> int | None:
+        try:
+            return self.process.wait(timeout=LOOK_S)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def _send(self, line: bytes, ends_at_s: float | None) -> None:
+        left = memoryview(line)
+        os.set_blocking(self.requests, False)
+        while left:
+            self._wait([], [self.requests], ends_at_s)
+            left = left[os.write(self.requests, left[:READ_AT_ONCE]) :]
+
+    def _line(self, ends_at_s: float | None) -> bytes:
+        while b"\n" not in self._read:
+            self._wait([self.replies], [], ends_at_s)
+            more = os.read(self.replies, READ_AT_ONCE)
+            if not more:
+                raise EOFError
+            self._read += more
+            if len(self._read) > MAX_REPLY:
+                raise ValueError
+        line, _, self._read = self._read.partition(b"\n")
+        return line
+
+    def _wait(self, reading: list[int], writing: list[int], ends_at_s: float | None) -> None:
+        while not any(select.select(reading, writing, [], LOOK_S)):
+            if ends_at_s is not None and time.monotonic() > ends_at_s:
+                got = f"a scene that was still in work {GRACE_S:g} s after the time limit"
+                raise invalid("scene", got, "a scene that Mitsuba can finish", "Simplify it, or raise --max-seconds.")
+
+
+def _crashed(code: int | None) -> PixsimError:
+    how = "" if code is None else f" (exit code {code})"
+    if code is not None and code < 0:
+        with suppress(ValueError):
+            how = f" ({signal.Signals(-code).name})"
+    hint = "Remove parts of the scene to find the one, or use less memory: a coarser film, smaller meshes and pictures."
+    return invalid("scene", f"one that ends Mitsuba's process{how}", "a scene that Mitsuba can build and render", hint)
+
+
+def _memory_file() -> int:
+    """Open a file without a name, in memory where the system can."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("pixsim-pictures")
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
+_child: _Child | None = None
+
+
+def _usable_child() -> _Child:
+    global _child
+    if _child is None or not _child.usable:
+        end_child()
+        _child = _Child()
+    return _child
+
+
+@atexit.register
+def end_child() -> None:
+    """End the child of this process, if there is one."""
+    global _child
+    if _child is not None:
+        _child.kill()
+    _child = None
+
+
+_starting = threading.Lock()
+
+
+class _ChildTracer:
+    """A `Tracer` whose work the child does; it loads the job again after a job of another renderer."""
+
+    def __init__(self, job: Job, ends_at_s: float | None) -> None:
+        self.job, self.ends_at_s = job, ends_at_s
+
+    def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None) -> Any:
+        with _starting:
+            child = _usable_child()
+        with child.lock:
+            if child.loaded is not self.job:
+                child.loaded = None
+                child.ask({"job": asdict(self.job)}, self.ends_at_s)
+                child.loaded = self.job
+            reply = child.ask(request, self.ends_at_s)
+            if picture is None:
+                return reply
+            match reply.get("shape"):
+                case [int(rows), int(columns), int(channels)] if (rows, columns) == picture and 1 <= channels <= MAX_CHANNELS:
+                    shape = rows, columns, channels
+                case _:
+                    raise _crashed(None)
+            values = np.empty(shape, np.float32)
+            left, at = values.data.cast("B"), 0
+            while at < len(left):
+                count = os.preadv(child.pictures, [left[at:]], at)
+                if count == 0:  # the child has cut its file
+                    raise _crashed(None)
+                at += count
+            return values
+
+    def sample_count(self, sampler: str, samples: int) -> int:
+        return int(self._ask({"sampler": sampler, "samples": samples})["samples"])
+
+    def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        request = {"scene": scene, "film": film, "sampler": sampler, "spp": spp, "seed": seed}
+        result: NDArray[np.float32] = self._ask(request, (film["crop_height"], film["crop_width"]))
+        return result

@@ -1,0 +1,309 @@
+"""Judge a scene: what its XML says, and the files that it names, before Mitsuba sees any of it.
+
+The result is a text that pixsim writes anew, of elements that `plugins.PLUGINS` allows. Each file in it is an absolute path
+that was judged; tables of spectra are part of the text.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+from pixsim.base.errors import did_you_mean, invalid
+from pixsim.scene.assets import NUMBER, found, judge_asset, metals, spectrum_value
+from pixsim.scene.files import Node, SceneFiles, judge_references, read_scene, written
+from pixsim.scene.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, REASONS, SMALLEST, Plugin, Rule
+
+# Element -> attributes that it must have, and others.
+ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    **dict.fromkeys(("float", "integer", "boolean", "string", "rgb"), (("name", "value"), ())),
+    **dict.fromkeys(("point", "vector"), (("name",), ("x", "y", "z", "value"))),
+    "spectrum": (("name",), ("value", "filename")),
+    "transform": (("name",), ()),
+    **dict.fromkeys(("translate", "scale"), ((), ("x", "y", "z", "value"))),
+    "rotate": (("angle",), ("x", "y", "z", "value")),
+    "lookat": (("origin", "target"), ("up",)),
+    "matrix": (("value",), ()),
+    "ref": (("id",), ("name",)),
+    "alias": (("id", "as"), ()),
+}
+OF_OBJECTS = ("type",), ("id", "name")
+STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
+MAX_NAME = 256
+WHOLE = re.compile(r"\s*-?\d{1,18}\s*")
+FLAGS = ("true", "false")
+
+
+@dataclass(frozen=True)
+class SceneText:
+    """A judged scene, as text for Mitsuba.
+
+    text : XML in ASCII
+    names : of the parameters that it uses
+    defaults : values of its <default> parameters
+    content : of the XML file
+    """
+
+    text: str
+    names: frozenset[str]
+    defaults: dict[str, str]
+    content: str
+
+
+def judge_scene(path: Path, given: dict[str, str], unread: Path | None = None) -> SceneText:
+    """Return a scene's text for Mitsuba.
+
+    given : parameters that the user sets
+    unread : a picture that will be replaced before Mitsuba builds the scene
+
+    Raises PixsimError for files, elements, plugins, properties and values that Mitsuba must not read.
+    """
+    files = read_scene(path, given)
+    assert files.root is not None
+    judge = _Judge(files, unread)
+    root = judge.scene(files.root)
+    return SceneText(written(root), frozenset(files.names), files.defaults, files.content)
+
+
+class _Judge:
+    """The state of a judgement: elements so far, and what refers to what."""
+
+    def __init__(self, files: SceneFiles, unread: Path | None) -> None:
+        self.files, self.unread = files, unread
+        self.counts: Counter[str] = Counter()
+        self.kinds: list[str] = []  # of each object, in the order of the text
+        self.ids: dict[str, int] = {}
+        self.children: list[list[int]] = []
+        self.references: list[tuple[int, str, tuple[str, ...], Node]] = []  # (object, id, allowed kinds, where)
+
+    def scene(self, root: Node) -> Node:
+        if root.tag != "scene" or root.attributes.get("type", "scene") != "scene":
+            raise invalid(f"scene '{root.file}'", f"<{root.tag}> in {root.place}", "<scene> as the first element")
+        version = {"version": root.attributes["version"]}
+        _check_attributes(root, ("version",), ("type", "id", "name"))
+        judged = self.object(replace(root, attributes={"type": "scene"}), "scene")
+        for owner, name, kinds, node in self.references:
+            if name not in self.ids:
+                near = did_you_mean(name, self.ids)
+                raise invalid(
+                    "scene", f"a reference to '{name}' in {node.place}, which does not exist", "ids of its elements", near
+                )
+            target = self.ids[name]
+            if self.kinds[target] not in kinds:
+                got = f"'{name}' in {node.place}, a {self.kinds[target]}"
+                raise invalid("reference", got, f"a {' or '.join(kinds)}")
+            self.children[owner].append(target)
+        judge_references(self.children)
+        return replace(judged, attributes=version)
+
+    def object(self, node: Node, kind: str) -> Node:
+        """Return an object with its children judged."""
+        _check_attributes(node, *OF_OBJECTS)
+        self.counts[kind] += 1
+        if self.counts[kind] > MAX_ELEMENTS.get(kind, 1):
+            raise invalid("scene", f"more than {MAX_ELEMENTS[kind]} elements of the kind {kind}", f"up to {MAX_ELEMENTS[kind]}")
+        name = node.attributes["type"]
+        plugin = PLUGINS[kind].get(name)
+        if plugin is None:
+            hint = did_you_mean(name, PLUGINS[kind]) or REASONS.get(kind, "")
+            raise invalid(kind, f"'{name}' in {node.place}", ", ".join(PLUGINS[kind]), hint)
+        index = len(self.kinds)
+        self.kinds.append(kind)
+        self.children.append([])
+        if identifier := node.attributes.get("id"):
+            if identifier in self.ids:
+                raise invalid("id", f"'{identifier}' a second time in {node.place}", "an id for one element")
+            self.ids[identifier] = index
+        children, names = [], set[str]()
+        for child in node.children:
+            named = child.attributes.get("name", "")
+            if named and named in names:
+                raise invalid(f"{name}.{named}", f"a second time in {child.place}", "once")
+            names.add(named)
+            children.append(self.child(child, node, plugin, index))
+        if missing := next((needed for needed in plugin.needs if needed not in names), None):
+            raise invalid(name, f"no '{missing}' in {node.place}", f'<string name="{missing}" value="…"/>')
+        return replace(node, children=tuple(children))
+
+    def child(self, node: Node, of: Node, plugin: Plugin, owner: int) -> Node:
+        """Return a child of an object: a property, a reference, or another object."""
+        kind = "texture" if node.tag == "spectrum" and "type" in node.attributes else node.tag
+        if node.tag == "alias":
+            _check_attributes(node, *ATTRIBUTES["alias"])
+            if node.attributes["id"] not in self.ids or node.attributes["as"] in self.ids:
+                raise invalid("alias", f"{node.attributes} in {node.place}", "an id that is there, and a new one")
+            self.ids[node.attributes["as"]] = self.ids[node.attributes["id"]]
+            return node
+        name, parent = node.attributes.get("name", ""), of.attributes["type"]
+        rule = plugin.properties.get(name)
+        if kind == "ref" or kind in PLUGINS:
+            kinds = rule.kinds if rule else plugin.holds
+            if rule is None and name and not re.fullmatch(r"[A-Za-z]\w{0,63}", name):
+                raise invalid(f"name of a {kind}", f"'{name}' in {node.place}", "letters, digits and _")
+            if kind == "ref":
+                _check_attributes(node, *ATTRIBUTES["ref"])
+                self.references.append((owner, node.attributes["id"], kinds, node))
+                return node
+            if kind not in kinds:
+                self.unknown(name, node, parent, plugin, f"<{node.tag}> '{name}'" if name else f"<{node.tag}>")
+            self.children[owner].append(len(self.kinds))
+            return self.object(node, kind)
+        if kind not in ATTRIBUTES or kind in STEPS_OF_TRANSFORM:
+            known = (*PLUGINS, *ATTRIBUTES)
+            raise invalid(f"scene '{node.file}'", f"<{kind}> in line {node.line}", "elements of Mitsuba", did_you_mean(kind, known))
+        _check_attributes(node, *ATTRIBUTES[kind])
+        if rule is None:
+            self.unknown(name, node, parent, plugin, f"'{name}'")
+            raise AssertionError
+        what = f"{node.parameter} ({parent}.{name})" if node.parameter else f"{parent}.{name}"
+        if kind not in rule.tags:
+            allowed = " or ".join(f"<{tag}>" for tag in (*rule.tags, *rule.kinds))
+            raise invalid(what, f"<{kind}> in {node.place}", allowed)
+        if kind == "transform":
+            for step in node.children:
+                _check_step(step, what)
+            return node
+        if node.children:
+            raise invalid(what, f"<{node.children[0].tag}> in {node.children[0].place}", "no element within it")
+        return self.value(node, rule, what, of)
+
+    def unknown(self, name: str, node: Node, parent: str, plugin: Plugin, got: str) -> None:
+        known = [*plugin.properties, *(f"<{kind}>" for kind in plugin.holds)]
+        raise invalid(
+            parent, f"{got} in {node.place}", ", ".join(known) or "nothing within it", did_you_mean(name, plugin.properties)
+        )
+
+    def value(self, node: Node, rule: Rule, what: str, of: Node) -> Node:
+        """Return a property with its value judged, and its file found."""
+        attributes = node.attributes
+        value = attributes.get("value", "")
+        match node.tag:
+            case "float":
+                _check_numbers([value.strip()], rule, what, node)
+            case "integer":
+                if not WHOLE.fullmatch(value):
+                    raise invalid(what, f"'{value}' in {node.place}", "a whole number")
+                _check_numbers([value.strip()], rule, what, node)
+            case "boolean":
+                if value.lower() not in FLAGS:
+                    raise invalid(what, f"'{value}' in {node.place}", " or ".join(FLAGS))
+            case "rgb":
+                _check_numbers(_split(value), rule, what, node, (1, 3))
+            case "point" | "vector":
+                _check_vector(node, what, all_three=True)
+            case "spectrum":
+                if bool(value) == ("filename" in attributes):
+                    raise invalid(what, f"<spectrum> in {node.place}", 'either value="…" or filename="…"')
+                if not value:
+                    folders = (node.file.parent, self.files.folder, Path())
+                    value = spectrum_value(found(attributes["filename"], folders, "spectrum"))
+                _check_table(value, rule, what, node)
+                return replace(node, attributes={"name": attributes["name"], "value": value})
+            case "string":
+                return self.string(node, rule, what, of)
+        return node
+
+    def string(self, node: Node, rule: Rule, what: str, of: Node) -> Node:
+        value = node.attributes["value"]
+        if rule.file == "metal":
+            if value not in metals():
+                raise invalid(what, f"'{value}' in {node.place}", ", ".join(metals()), did_you_mean(value, metals()))
+        elif rule.file:
+            what_file = "texture" if rule.file == "picture" else rule.file
+            path = found(value, (self.files.folder, Path(), node.file.parent), what_file)
+            if path != self.unread:
+                indices = [
+                    child.attributes.get("value", "") for child in of.children if child.attributes.get("name") == "shape_index"
+                ]
+                shape_index = int(indices[0]) if indices and WHOLE.fullmatch(indices[0]) else 0
+                judge_asset(path, rule.file, of.attributes["type"], shape_index)
+            return replace(node, attributes={**node.attributes, "value": str(path)})
+        elif rule.words is not None:
+            if value not in rule.words:
+                raise invalid(what, f"'{value}' in {node.place}", ", ".join(rule.words), did_you_mean(value, rule.words))
+        elif rule.pattern == "numbers":
+            _check_numbers(_split(value), rule, what, node, None)
+        elif rule.pattern is None or not re.fullmatch(rule.pattern, value):
+            raise invalid(what, f"'{value[:MAX_NAME]}' in {node.place}", "a name or a number as Mitsuba has them")
+        return node
+
+
+def _split(value: str) -> list[str]:
+    return value.replace(",", " ").split()
+
+
+def _check_attributes(node: Node, needed: Iterable[str], others: Iterable[str]) -> None:
+    if wrong := [name for name in node.attributes if name not in (*needed, *others)]:
+        allowed = ", ".join((*needed, *others))
+        raise invalid(
+            f"<{node.tag}> in {node.place}", f"the attribute '{wrong[0]}'", allowed, did_you_mean(wrong[0], (*needed, *others))
+        )
+    if absent := [name for name in needed if name not in node.attributes]:
+        raise invalid(f"<{node.tag}> in {node.place}", f"no attribute '{absent[0]}'", ", ".join((*needed, *others)))
+    for name in ("id", "name", "as", "type"):
+        value = node.attributes.get(name, "")
+        if len(value) > MAX_NAME or not value.isprintable():
+            raise invalid(f"<{node.tag}> in {node.place}", f"{name}={value[:MAX_NAME]!r}", f"up to {MAX_NAME} printable characters")
+
+
+def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: tuple[int, ...] | None = (1,)) -> None:
+    """Raise PixsimError if a text is no number within the bounds, or if there are not so many as one of `counts`."""
+    if counts is not None and len(texts) not in counts:
+        raise invalid(what, f"{len(texts)} numbers in {node.place}", " or ".join(map(str, counts)))
+    values = []
+    for text in texts:
+        number = float(text) if NUMBER.fullmatch(text) else None
+        if number is None or not rule.low <= number <= rule.high:
+            bounds = "a number" if rule.high >= LARGEST else f"{rule.low:.10g} to {rule.high:.10g}"
+            raise invalid(what, f"{text[:MAX_NAME]!r} in {node.place}", bounds)
+        values.append(abs(number))
+    if 0 < max(values, default=0) < rule.smallest:
+        raise invalid(what, f"{max(values):g} in {node.place}", f"0, or at least {SMALLEST:g}")
+
+
+def _check_table(value: str, rule: Rule, what: str, node: Node) -> None:
+    """Check the value of a <spectrum>: a number, or pairs of a wavelength and a value."""
+    words = _split(value)
+    if len(words) == 1 and ":" not in words[0]:
+        return _check_numbers(words, rule, what, node)
+    pairs = [word.split(":") for word in words]
+    if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):
+        raise invalid(what, f"'{value[:MAX_NAME]}' in {node.place}", 'a number, or pairs such as "400:0.1, 700:0.2"')
+    wavelengths = [pair[0] for pair in pairs]
+    _check_numbers(wavelengths, Rule((), 0, LARGEST), what, node, None)
+    if any(not float(one) < float(other) for one, other in pairwise(wavelengths)):
+        raise invalid(what, f"wavelengths in {node.place} that do not rise", "rising wavelengths in nm")
+    return _check_numbers([pair[1] for pair in pairs], rule, what, node, None)
+
+
+def _check_vector(node: Node, what: str, all_three: bool = False) -> None:
+    attributes = node.attributes
+    if "value" in attributes:
+        if any(axis in attributes for axis in "xyz"):
+            raise invalid(what, f"value and x, y or z in {node.place}", "one of them")
+        return _check_numbers(_split(attributes["value"]), Rule(()), what, node, (1, 3))
+    if all_three and any(axis not in attributes for axis in "xyz"):
+        raise invalid(what, f"<{node.tag}> without x, y or z in {node.place}", "all three, or a value")
+    return _check_numbers([attributes[axis].strip() for axis in "xyz" if axis in attributes], Rule(()), what, node, None)
+
+
+def _check_step(step: Node, what: str) -> None:
+    """Check a step of a transform."""
+    if step.tag not in STEPS_OF_TRANSFORM:
+        raise invalid(what, f"<{step.tag}> in {step.place}", ", ".join(f"<{tag}>" for tag in STEPS_OF_TRANSFORM))
+    _check_attributes(step, *ATTRIBUTES[step.tag])
+    if step.children:
+        raise invalid(what, f"<{step.children[0].tag}> in {step.children[0].place}", "no element within it")
+    if step.tag == "lookat":
+        for name, value in step.attributes.items():
+            _check_numbers(_split(value), Rule(()), what, step, (3,) if value.strip() or name != "up" else (0,))
+    elif step.tag == "matrix":
+        _check_numbers(_split(step.attributes["value"]), Rule(()), what, step, (9, 16))
+    else:
+        _check_vector(step, what)
+        if step.tag == "rotate":
+            _check_numbers([step.attributes["angle"].strip()], Rule(()), what, step)

@@ -1,0 +1,74 @@
+"""The child process of `scene.child`: `python -m pixsim.scene.worker`, with the numbers of its files as arguments."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import signal
+import sys
+import warnings
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.errors import PixsimError
+from pixsim.scene.tracer import Job, Lamps, OwnTracer
+
+
+def job_of(content: dict[str, Any]) -> Job:
+    """Return a job from its JSON, in which keys are texts and tuples are lists."""
+    lamps = [
+        of and Lamps({int(node): (name, picture) for node, (name, picture) in of["pictures"].items()}, of["neutral"])
+        for of in content["lamps"]
+    ]
+    return Job(**{**content, "lamps": tuple(lamps)})
+
+
+def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> tuple[OwnTracer, dict[str, Any]]:
+    """Return the tracer of the current job, and the reply to a request; a picture goes into a file."""
+    if "job" in request:
+        tracer = OwnTracer(job_of(request["job"]))
+        return tracer, {"scenes": len(tracer.loaded)}
+    assert tracer is not None
+    if "samples" in request:
+        return tracer, {"samples": tracer.sample_count(request["sampler"], request["samples"])}
+    picture = np.ascontiguousarray(tracer.trace(**request))
+    os.ftruncate(pictures, picture.nbytes)
+    left, at = picture.data.cast("B"), 0
+    while at < len(left):
+        at += os.pwrite(pictures, left[at:], at)
+    return tracer, {"shape": list(picture.shape)}
+
+
+def end_with_parent(life: int) -> None:
+    """Let the system end this process as soon as the other end of a pipe closes, also while Mitsuba is at work."""
+    fcntl.fcntl(life, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(life, fcntl.F_SETFL, fcntl.fcntl(life, fcntl.F_GETFL) | os.O_ASYNC | os.O_NONBLOCK)
+    try:
+        if os.read(life, 1) == b"":  # it is closed already
+            os.kill(os.getpid(), signal.SIGKILL)
+    except BlockingIOError:
+        return
+
+
+def main(pictures: int, requests: int, replies: int, life: int) -> None:
+    """Answer requests until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which kills this process
+    signal.signal(signal.SIGIO, signal.SIG_DFL)
+    end_with_parent(life)
+    warnings.simplefilter("ignore")  # the parent has given them
+    tracer: OwnTracer | None = None
+    with os.fdopen(requests, encoding="utf-8") as lines, os.fdopen(replies, "w", encoding="utf-8", buffering=1) as out:
+        for line in lines:
+            try:
+                tracer, reply = answer(tracer, json.loads(line), pictures)
+            except PixsimError as error:
+                reply = {"error": str(error)}
+            except MemoryError:
+                reply = {"error": "the scene needs more memory than there is; take smaller meshes and pictures, or a coarser film"}
+            out.write(json.dumps(reply) + "\n")
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:5]))
