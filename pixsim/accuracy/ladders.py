@@ -163,7 +163,7 @@ def plain_picture(scene: Scene, camera: Camera, plan: Plan, sampler: str, spp: i
     flat = [Pulse(nm - BAND_NM / 2, nm + BAND_NM / 2, np.ones(2)) for nm in CENTRES_NM.tolist()]
     factor = field_factor(job.size, job.pitch_um, camera.image_distance_mm, camera.f_number, camera.magnification)
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
-    plain = replace(job.job, lamps=(None,), lens=job.job.lens | lens, integrator=None, regular_tables=False)
+    plain = replace(job.job, lamps=(None,), lens=job.job.lens | lens, integrator=None, tables=())
     tracer = job.traced(plain)
     whole = film([film_response(pulse) for pulse in flat], job.size, 0, job.size[0])
     header: dict[str, Any] = {"camera": camera.model_dump()}

@@ -389,7 +389,9 @@ def read_bytes(path: Path, name: str, expected: str, max_bytes: int) -> bytes:
     """Read a regular file. Raises PixsimError if it is not readable or larger than `max_bytes`."""
     with opened(path, name, expected, max_bytes) as file:
         try:
-            content = file.read(max_bytes + 1)
+            content = file.read(min(os.fstat(file.fileno()).st_size, max_bytes) + 1)  # Python allocates as many as asked for
+            if len(content) <= max_bytes:
+                content += file.read(max_bytes + 1 - len(content)) if file.peek(1) else b""  # type: ignore[attr-defined]
         except OSError as error:
             raise invalid(name, f"'{path}' ({error.strerror})", expected) from None
     if len(content) > max_bytes:  # it has grown

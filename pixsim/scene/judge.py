@@ -103,10 +103,11 @@ class _Judge:
     def object(self, node: Node, kind: str) -> Node:
         """Return an object with its children judged."""
         _check_attributes(node, *OF_OBJECTS)
-        self.counts[kind] += 1
-        if self.counts[kind] > MAX_ELEMENTS.get(kind, 1):
-            raise invalid("scene", f"more than {MAX_ELEMENTS[kind]} elements of the kind {kind}", f"up to {MAX_ELEMENTS[kind]}")
         name = node.attributes["type"]
+        for counted in {kind, name} & MAX_ELEMENTS.keys():
+            self.counts[counted] += 1
+            if self.counts[counted] > MAX_ELEMENTS[counted]:
+                raise invalid("scene", f"more than {MAX_ELEMENTS[counted]} elements of '{counted}'", f"up to {MAX_ELEMENTS[counted]}")
         plugin = PLUGINS[kind].get(name)
         if plugin is None:
             hint = did_you_mean(name, PLUGINS[kind]) or REASONS.get(kind, "")

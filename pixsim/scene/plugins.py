@@ -12,13 +12,15 @@ LARGEST = 1e30  # of any number: float32 ends at 3.4e38
 SMALLEST = 1e-30  # of a spectrum or a scale that is not 0: below 1e-38 float32 has no full digits, and each operation is slow
 LIGHT_NM = (1.0, 1e5)
 MAX_DEPTH_OF_PATHS = 1 << 16
-MAX_ROULETTE = 1024  # surfaces that light may meet before Russian roulette ends its path
+MAX_ROULETTE = 256  # surfaces that light may meet before Russian roulette ends its path
 MAX_SAMPLES = 1 << 20
 MAX_SIDE = 16384  # samples of a film
 WHOLE_TAGS, NUMBER_TAGS = ("integer",), ("float", "integer")
 COLOUR_TAGS = (*NUMBER_TAGS, "spectrum", "rgb")
-# Elements of each kind in a scene. A lamp may need a render of its own, and each shape makes Mitsuba's tree deeper.
+# Elements of each kind in a scene, or of one plugin. A lamp may need a render of its own, and each shape makes Mitsuba's tree deeper.
 MAX_ELEMENTS = {"emitter": 512, "sensor": 64, "medium": 256, "volume": 256, "phase": 256, "integrator": 8}
+# Mitsuba compiles each instance for itself, in a time that grows with the square of their number.
+MAX_ELEMENTS |= {"instance": 512}
 MAX_ELEMENTS |= dict.fromkeys(("shape", "bsdf", "texture", "film", "sampler", "rfilter"), 4096)
 
 

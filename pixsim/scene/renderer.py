@@ -23,7 +23,7 @@ from pixsim.scene.bands import Pulse
 from pixsim.scene.child import child_tracer
 from pixsim.scene.mitsuba import parse
 from pixsim.scene.plan import Plan, make_render_plan
-from pixsim.scene.rules import SAMPLE_COUNTS
+from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tracer import Job, Lamps, OwnTracer, Tracer, regular
 
@@ -164,7 +164,12 @@ class Renderer:
             lens |= {"aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
         lamps = tuple(Lamps(light.lamp.pictures, light.lamp.spectrum is not None) for light in plan.lights)
         sensor = sensor_node(state, scene.sensor_id)[0]
-        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, plan.regular_tables)
+        equal_steps = irregular_tables(state) if plan.regular_tables else {}
+        tables = tuple(
+            (index, name, regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
+            for (index, name), (table, values) in equal_steps.items()
+        )
+        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables)
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
 

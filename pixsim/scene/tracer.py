@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.scene.mitsuba import children, nodes_of, parse, plain, speaking_mitsuba
-from pixsim.scene.rules import irregular_tables
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")  # properties that the camera states
@@ -40,7 +39,7 @@ class Job:
     sensor : node of the sensor
     lens : type of the sensor, and properties in place of those in `OF_THE_LENS`
     integrator : plugin and its parameters, or None for that of the scene
-    regular_tables : whether tables with equal steps are converted to regular spectra
+    tables : (node, property, spectrum) of the tables of surfaces that a spectrum takes the place of
     """
 
     variant: str
@@ -49,7 +48,7 @@ class Job:
     sensor: int
     lens: dict[str, Any]
     integrator: dict[str, Any] | None
-    regular_tables: bool
+    tables: tuple[tuple[int, str, dict[str, Any]], ...]
 
 
 class Tracer(Protocol):
@@ -105,8 +104,8 @@ class OwnTracer:
         for _, node in nodes_of(state, "Integrator"):
             if self._scalar and "block_size" not in node.props:
                 node.props["block_size"] = SCALAR_BLOCK
-        for (index, name), (table, values) in irregular_tables(state).items() if self.job.regular_tables else ():
-            state.nodes[index].props[name] = mi.load_dict(regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
+        for index, name, table in self.job.tables:
+            state.nodes[index].props[name] = mi.load_dict(table)
         config = mi.parser.ParserConfig(self.job.variant)
         mi.parser.transform_all(config, state)
         built = mi.parser.instantiate(config, state)
