@@ -107,7 +107,9 @@ class _Judge:
         for counted in {kind, name} & MAX_ELEMENTS.keys():
             self.counts[counted] += 1
             if self.counts[counted] > MAX_ELEMENTS[counted]:
-                raise invalid("scene", f"more than {MAX_ELEMENTS[counted]} elements of '{counted}'", f"up to {MAX_ELEMENTS[counted]}")
+                raise invalid(
+                    "scene", f"more than {MAX_ELEMENTS[counted]} elements of '{counted}'", f"up to {MAX_ELEMENTS[counted]}"
+                )
         plugin = PLUGINS[kind].get(name)
         if plugin is None:
             hint = did_you_mean(name, PLUGINS[kind]) or REASONS.get(kind, "")

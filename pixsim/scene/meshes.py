@@ -23,6 +23,7 @@ MAX_TEXT = 128 << 20  # bytes of an OBJ or ASCII PLY, which are read as a whole
 MAX_MESH = 2048 << 20  # bytes of a binary mesh, unpacked
 MAX_HEADER = 1 << 16
 MAX_LINE = 1000  # bytes of a line of an OBJ; Mitsuba takes no more
+OBJ_NUMBER = rb"[ \t]*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?(?=[ \t\r\n]|\Z)"
 AT_ONCE = 1 << 20  # vertices or faces
 CORNERS = 3
 PLY_TYPES = {
@@ -178,15 +179,24 @@ def _judge_obj(path: Path, file: IO[bytes]) -> None:
         raise invalid(f"mesh '{path}'", "an empty file", "an OBJ")
     if re.search(rb"[^\n]{%d}" % MAX_LINE, text):
         raise invalid(f"mesh '{path}'", f"a line of {MAX_LINE} bytes or more", "shorter lines, as Mitsuba needs")
-    have = [sum(1 for _ in re.finditer(rb"^[ \t]*%b[ \t]" % kind, text, re.MULTILINE)) for kind in (b"v", b"vt", b"vn")]
+    have = []
+    for kind, count in ((b"v", 3), (b"vt", 2), (b"vn", 3)):
+        begin = rb"^[ \t]*%b[ \t]" % kind
+        have.append(sum(1 for _ in re.finditer(begin, text, re.MULTILINE)))
+        if sum(1 for _ in re.finditer(begin + OBJ_NUMBER * count, text, re.MULTILINE)) < have[-1]:
+            raise invalid(f"mesh '{path}'", f"a line of {kind.decode()} without {count} numbers", "numbers")
     names = "vertices", "texture coordinates", "normals"
     largest = [0, 0, 0]
+    faces = 0
     for face in re.finditer(rb"^[ \t]*f[ \t]([^\r\n]*)", text, re.MULTILINE):
+        faces += 1
         for corner in face[1].split():
             if not re.fullmatch(rb"\d{1,9}(/\d{0,9}){0,2}", corner):
                 raise invalid(f"mesh '{path}'", "a face of other words than 1, 1/2, 1//3 or 1/2/3", "positive whole numbers")
             for kind, number in enumerate(corner.split(b"/")):
                 largest[kind] = max(largest[kind], int(number or 0))
+    if not (have[0] and faces):
+        raise invalid(f"mesh '{path}'", f"{have[0]} vertices and {faces} faces", "at least one of each")
     for name, most, count in zip(names, largest, have, strict=True):
         if most > count:
             raise invalid(f"mesh '{path}'", f"a face with number {most} of {count} {name}", f"up to {count}")

@@ -56,6 +56,8 @@ def speaking_mitsuba(variant: str) -> Iterator[Any]:
     mi.set_file_resolver(resolver)
     try:
         yield mi
+    except UnicodeDecodeError:  # Mitsuba quotes a file that is no text
+        raise PixsimError("Mitsuba cannot load or render the scene: a file in it is damaged") from None
     except RuntimeError as error:
         if _is_interrupt(error):
             raise KeyboardInterrupt from None

@@ -17,7 +17,7 @@ MAX_SAMPLES = 1 << 20
 MAX_SIDE = 16384  # samples of a film
 WHOLE_TAGS, NUMBER_TAGS = ("integer",), ("float", "integer")
 COLOUR_TAGS = (*NUMBER_TAGS, "spectrum", "rgb")
-# Elements of each kind in a scene, or of one plugin. A lamp may need a render of its own, and each shape makes Mitsuba's tree deeper.
+# Elements of each kind in a scene, or of one plugin. A lamp may need a render of its own.
 MAX_ELEMENTS = {"emitter": 512, "sensor": 64, "medium": 256, "volume": 256, "phase": 256, "integrator": 8}
 # Mitsuba compiles each instance for itself, in a time that grows with the square of their number.
 MAX_ELEMENTS |= {"instance": 512}
@@ -251,7 +251,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "mask": Plugin({"opacity": COLOUR}, holds=("bsdf",)),
         "blendbsdf": Plugin({"weight": COLOUR}, holds=("bsdf",)),
         "bumpmap": Plugin(more(OF_MAPS, {"scale": SCALE}), holds=("bsdf", "texture")),
-        "normalmap": Plugin(OF_MAPS, holds=("bsdf", "texture")),
+        "normalmap": Plugin(more(OF_MAPS, {"normalmap": COLOUR}), holds=("bsdf", "texture")),
         "null": Plugin(),
     },
     "texture": {

@@ -32,7 +32,6 @@ LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
 INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
-READ_AT_ONCE = 1 << 18  # bytes
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
@@ -70,6 +69,7 @@ class Scene:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
         return judge_scene(self.path, given)
 
+    @checks_arguments
     def parse(self, **more: object) -> Any:
         """Return Mitsuba's parser state of `text`."""
         return parse(self.text(**more).text, self.choice.variant)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import struct
+import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from hypothesis import strategies as st
 from PIL import Image
 
 import pixsim
@@ -19,6 +22,7 @@ from pixsim.measure.sfr import read_edge_picture
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.pictures import picture_axes
 from pixsim.scene.charts import write_chart
+from pixsim.scene.plugins import PLUGINS, Rule
 from pixsim.scene.scene import load_scene, packaged_scenes
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.evaluations import COLUMNS, ResultsFile
@@ -129,3 +133,83 @@ def changed(content: bytes, changes: list[tuple[float, bytes]], end: float, repe
     work = work[: int(end * len(work)) or 1]
     middle = work[len(work) // 3 : 2 * len(work) // 3]
     return bytes(work + middle * repeated)
+
+
+# --- Scenes and meshes for `test_hostile_scenes` -------------------------------------------------------------------------------
+
+TRIANGLES = np.array([(3, (0, 1, 2)), (3, (1, 2, 3))], [("n", "u1"), ("corners", "<i4", 3)])
+POSITIONS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]], "<f4")
+PLY = (
+    b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    b"element face 2\nproperty list uchar int vertex_indices\nend_header\n" + POSITIONS.tobytes() + TRIANGLES.tobytes()
+)
+SERIALIZED = (
+    struct.pack("<HH", 0x041C, 4)
+    + zlib.compress(
+        struct.pack("<I", 0x1000) + b"name\0" + struct.pack("<QQ", 4, 2) + POSITIONS.tobytes() + TRIANGLES["corners"].tobytes()
+    )
+    + struct.pack("<QI", 0, 1)
+)
+ODD_NUMBERS = [
+    "0",
+    "1",
+    "-1",
+    "0.5",
+    "2",
+    "1e-3",
+    "400:0.1, 700:0.2",
+    "1 0 0",
+    "1, 2, 3",
+    "nan",
+    "1e400",
+    "1e-310",
+    "9" * 30,
+    "x",
+    "",
+]
+TAGS = ["float", "integer", "string", "boolean", "spectrum", "rgb", "point", "vector", "transform", "ref", "texture", "bdsf"]
+STEPS = [
+    '<scale value="2"/>',
+    '<rotate y="1" angle="30"/>',
+    '<translate x="1"/>',
+    '<matrix value="1"/>',
+    '<lookat origin="0 0 0"/>',
+]
+RIGHT = {
+    "float": "1", "integer": "2", "boolean": "true", "spectrum": "400:0.1, 700:0.2", "rgb": "0.1, 0.2, 0.3", "point": "1, 2, 3",
+    "vector": "0 0 1", "string": "1, 2",
+}  # fmt: skip
+
+
+@st.composite
+def random_scene(draw: st.DrawFn) -> str:
+    """The body of a scene: elements of the allowed plugins, mostly with properties that they may have."""
+    return "".join(draw(_element(draw(st.sampled_from(["shape", "bsdf", "emitter", "medium", "texture"])))) for _ in range(2))
+
+
+@st.composite
+def _element(draw: st.DrawFn, kind: str, name: str = "", deep: int = 0) -> str:
+    plugin, content = draw(st.sampled_from(sorted(PLUGINS[kind].items())))
+    named = f' name="{name}"' if name else ""
+    if draw(st.integers(0, 15)) == 0:
+        plugin = draw(st.sampled_from(["../x", "blender", "", "scene", "a" * 999]))
+    names = st.lists(st.sampled_from(sorted(content.properties)), max_size=3, unique=True) if content.properties else st.just([])
+    inside = [draw(_property(content.properties[each], each, deep)) for each in {*content.needs, *draw(names)}]
+    if content.holds and deep < 4:
+        inside += [draw(_element(draw(st.sampled_from(content.holds)), deep=deep + 1)) for _ in range(draw(st.integers(0, 2)))]
+    return f'<{kind} type="{plugin}"{named}>{"".join(inside)}</{kind}>'
+
+
+@st.composite
+def _property(draw: st.DrawFn, rule: Rule, name: str, deep: int) -> str:
+    if rule.kinds and deep < 4 and draw(st.booleans()):
+        return str(draw(_element(draw(st.sampled_from(rule.kinds)), name, deep + 1)))
+    right = draw(st.integers(0, 19)) > 0
+    tag = draw(st.sampled_from(rule.tags if right else TAGS))
+    if tag == "transform":
+        return f'<transform name="{name}">{draw(st.sampled_from(STEPS[: 3 if right else None]))}</transform>'
+    value = RIGHT.get(tag, "1") if right else draw(st.sampled_from(ODD_NUMBERS))
+    if right and tag == "string":
+        files = {"picture": "chart.exr", "mesh": "a.ply", "volume": "a.vol", "metal": "Au"}
+        value = files[rule.file] if rule.file else rule.words[0] if rule.words else "vertex_c" if name == "name" else "1.5"
+    return f'<{tag} name="{name}" value="{value}"/>'

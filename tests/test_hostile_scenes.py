@@ -1,0 +1,648 @@
+"""Scenes of strangers run no foreign code, read no other files, and end: what Mitsuba gets was judged, or is refused."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+import xml.etree.ElementTree as ET
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.edits import NEEDS_LLVM
+from helpers.fuzz_targets import PLY, SERIALIZED, random_scene
+from helpers.processes import HANG_S
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.scene import child
+from pixsim.scene.assets import metals
+from pixsim.scene.child import child_tracer, end_child
+from pixsim.scene.judge import judge_scene
+from pixsim.scene.meshes import judge_mesh
+from pixsim.scene.mitsuba import nodes_of, parse, speaking_mitsuba
+from pixsim.scene.plugins import MAX_ELEMENTS, PLUGINS
+from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.tracer import Job, OwnTracer
+
+VARIANT = "scalar_spectral"
+SIDE = 8
+FILM = f'<film type="hdrfilm"><integer name="width" value="{SIDE}"/><integer name="height" value="{SIDE}"/></film>'
+SAMPLER = '<sampler type="multijitter"><integer name="sample_count" value="4"/></sampler>'
+LENS = '<float name="fov" value="40"/><float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="1"/>'
+SENSOR = f'<sensor type="thinlens">{LENS}{SAMPLER}{FILM}</sensor>'
+LIT = '<integrator type="path"/>' + SENSOR + '<emitter type="constant"/>'
+HEAD = '<scene version="3.0.0">'
+
+
+def scene_of(folder: Path, body: str, head: str = HEAD, lit: str = LIT) -> Path:
+    path = folder / "scene.xml"
+    path.write_text(f"{head}{lit}{body}</scene>", encoding="utf-8")
+    return path
+
+
+def load(path: Path, **parameters: object) -> pixsim.scene.scene.Scene:
+    return pixsim.load_scene(path, variant=VARIANT, **parameters)
+
+
+# --- Foreign code -----------------------------------------------------------------------------------------------------------
+
+PLUGIN_FOLDER = Path(importlib.util.find_spec("mitsuba").origin).parent / "plugins"
+# Loads and renders a scene in a fresh process, in the current folder, and prints which of the attacker's files were mapped.
+ATTACKED = """
+import json, sys
+from pathlib import Path
+import pixsim
+from pixsim.scene import child
+
+def mapped(process):
+    return [line.split()[-1] for line in open(f"/proc/{process}/maps") if sys.argv[1] in line]
+
+how, scene, found = sys.argv[2], sys.argv[3], []
+try:
+    if how == "stock":
+        import mitsuba as mi
+        mi.set_variant("scalar_spectral")
+        mi.load_file(scene)
+    else:
+        if how == "resolver":
+            import mitsuba as mi
+            mi.set_variant("scalar_spectral")
+            mi.file_resolver().prepend(sys.argv[1])
+        loaded = pixsim.load_scene(scene, variant="scalar_spectral")
+        pixsim.render(loaded.with_resolution(2))
+    error = ""
+except Exception as wrong:
+    error = f"{type(wrong).__name__}: {wrong}"
+if child._child:
+    found += mapped(child._child.process.pid)
+print(json.dumps({"found": found + mapped("self"), "error": error}))
+"""
+SPHERE = '<shape type="sphere"><transform name="to_world"><translate z="3"/></transform>{}</shape>'
+# Way -> (file that the attacker puts there, how it is loaded, the scene, text of the error).
+WAYS = {
+    "another plugin beside the scene": ("plugins/evil.so", "pixsim", SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
+    "a known plugin beside the scene": ("plugins/thinlens.so", "pixsim", SPHERE.format(""), ""),
+    "a shape in the current folder": ("plugins/rectangle.so", "pixsim", '<shape type="rectangle"/>', ""),
+    "an emitter under a packaged scene": ("plugins/area.so", "pixsim", "csf", ""),
+    "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got '../trav'"),
+    "a <path>": ("q/plugins/evil.so", "pixsim", '<path value="q"/>' + SPHERE.format('<bsdf type="evil"/>'), "<path"),
+    "a spectrum by load_dict": ("plugins/d65.so", "resolver", "csf", ""),
+    "a film by load_dict": ("plugins/specfilm.so", "resolver", "flat", ""),
+}
+
+
+def attacked(folder: Path, way: str, how: str | None = None) -> dict:
+    file, usual, body, _ = WAYS[way]
+    (folder / file).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(PLUGIN_FOLDER / ("diffuse.so" if Path(file).stem in ("evil", "trav") else Path(file).name), folder / file)
+    scene = str(scene_of(folder, body)) if body.startswith("<") else body
+    arguments = [sys.executable, "-c", ATTACKED, str(folder), how or usual, scene]
+    done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=HANG_S, check=True)
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_foreign_plugin_is_not_loaded(way, tmp_path):
+    result = attacked(tmp_path, way)
+    assert result["found"] == []
+    expected = WAYS[way][3]
+    assert (expected in result["error"]) if expected else result["error"] == ""
+
+
+def test_foreign_plugin_would_be_seen(tmp_path):
+    """The attack works on Mitsuba by itself, or the test above could not fail."""
+    result = attacked(tmp_path, "another plugin beside the scene", "stock")
+    assert result["found"][0] == str(tmp_path / "plugins/evil.so")
+
+
+# --- The text that Mitsuba gets ----------------------------------------------------------------------------------------------
+
+
+def test_judged_text_has_what_the_file_has(tmp_path):
+    """ASCII without comments, parameters or includes; the same elements otherwise, and files as absolute paths."""
+    (tmp_path / "part.xml").write_text(f'<?xml version="1.0"?>{HEAD}<!-- part --><bsdf type="null" id="b"/></scene>')
+    pixsim.write_chart(tmp_path / "ü.exr", np.ones((2, 2), np.float32))
+    body = """<?php x?><!-- - -- --><default name="file" value="ü.exr"/><include filename="part.xml"/>
+        <bsdf type="diffuse" id="grün &lt; &amp; &quot; 'x' \\$5"><texture name="reflectance" type="bitmap">
+        <string name="filename" value="$file"/></texture></bsdf>"""
+    text = judge_scene(scene_of(tmp_path, body), {})
+    assert text.text.isascii()
+    assert not any(word in text.text for word in ("<!", "<?", "<include", "<default", "&lt", "&#0;"))
+    root = ET.fromstring(text.text)
+    assert root.attrib == {"version": "3.0.0"}
+    assert [child.tag for child in root] == ["integrator", "sensor", "emitter", "bsdf", "bsdf"]
+    state = parse(text.text, VARIANT)
+    ids = [node.props.id() for _, node in nodes_of(state, "BSDF")]
+    assert ids == ["b", "grün < & \" 'x' $5"]
+    files = [str(node.props["filename"]) for node in state.nodes if "filename" in node.props]
+    assert files == [str(tmp_path / "ü.exr")]
+    assert (text.names, text.defaults) == ({"file"}, {"file": "ü.exr"})
+
+
+@pytest.mark.parametrize("encoding", ["latin1", "ISO-8859-1", "utf-16", "UTF-32", "windows-1252", "utf-7", "x"])
+def test_other_encoding_is_refused(encoding, tmp_path):
+    with pytest.raises(PixsimError, match=rf'got encoding="{encoding}"; allowed: UTF-8'):
+        judge_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {})
+    (tmp_path / "scene.xml").write_bytes(f"{HEAD}</scene>".encode("utf-16"))
+    with pytest.raises(PixsimError, match="UTF-8"):
+        judge_scene(tmp_path / "scene.xml", {})
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "UTF-8", "US-ASCII"])
+def test_utf_8_is_read(encoding, tmp_path):
+    assert judge_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {}).text.startswith("<scene")
+
+
+@pytest.mark.parametrize("version", ["0.5.0", "1.9.9", "3", "x", ""])
+def test_old_version_is_refused(version, tmp_path):
+    with pytest.raises(PixsimError, match=r"allowed: 2\.0\.0 or newer"):
+        judge_scene(scene_of(tmp_path, "", f'<scene version="{version}">'), {})
+
+
+def test_parameter_goes_in_as_in_mitsuba(tmp_path):
+    """The longest name that fits; what a parameter holds is text, also where it looks like another parameter."""
+    body = """<default name="a" value="1"/><default name="ab" value="2"/><default name="c" value="$ab"/>
+        <default name="d" value="\\$ab"/><bsdf type="null" id="$a $ab $abc $c $d \\$a"/>"""
+    path = scene_of(tmp_path, body)
+    state = parse(judge_scene(path, {}).text, VARIANT)
+    assert state.nodes[-1].props.id() == "1 2 2c 2 $ab $a"
+    with speaking_mitsuba(VARIANT) as mi:
+        path.write_text(path.read_text().replace(" $d", ""))  # Mitsuba puts parameters into parameters
+        stock = mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path))
+    assert stock.nodes[-1].props.id() == "1 2 2c 2 $a"
+    with pytest.raises(PixsimError, match=r"no value for '\$x' in line"):
+        judge_scene(scene_of(tmp_path, '<bsdf type="null" id="$x"/>'), {})
+
+
+# --- What a scene may say -----------------------------------------------------------------------------------------------------
+
+PICTURE = '<texture name="reflectance" type="bitmap">{}</texture>'
+GROUP = '<shape type="shapegroup" id="g"><shape type="sphere"/></shape>'
+INSTANCE = '<shape type="instance"><ref id="g"/></shape>'
+REFUSED = {
+    "an unknown plugin": ('<bsdf type="difuse"/>', r"bsdf: got 'difuse' in line 1 of 'scene.xml'.*Did you mean 'diffuse'"),
+    "raw pointers": ('<shape type="blender"/>', "shape: got 'blender'"),
+    "a plugin of another kind": ('<shape type="diffuse"/>', "shape: got 'diffuse'"),
+    "an unknown property": ('<bsdf type="diffuse"><float name="reflectanse" value="1"/></bsdf>', "Did you mean 'reflectance'"),
+    "a property of another type": ('<bsdf type="twosided"><string name="x" value="y"/></bsdf>', "twosided: got 'x'"),
+    "text for a number": ('<shape type="sphere"><string name="radius" value="1"/></shape>', "sphere.radius: got <string>"),
+    "no number": ('<shape type="sphere"><float name="radius" value="1m"/></shape>', r"sphere.radius: got '1m'.*a number"),
+    "nan": ('<shape type="sphere"><float name="radius" value="nan"/></shape>', "sphere.radius: got 'nan'"),
+    "too large": ('<shape type="sphere"><float name="radius" value="1e31"/></shape>', "sphere.radius: got '1e31'"),
+    "no flag": ('<bsdf type="plastic"><boolean name="nonlinear" value="1"/></bsdf>', "true or false"),
+    "an unknown element": ('<bdsf type="diffuse"/>', r"<bdsf>.*Did you mean 'bsdf'"),
+    "an unknown attribute": ('<bsdf type="diffuse" kind="x"/>', "the attribute 'kind'"),
+    "no type": ("<bsdf/>", "no attribute 'type'"),
+    "a property twice": ('<shape type="sphere">' + '<float name="radius" value="1"/>' * 2 + "</shape>", "a second time"),
+    "an id twice": ('<bsdf type="null" id="a"/>' * 2, "'a' a second time"),
+    "a reference to another kind": ('<bsdf type="null" id="b"/><shape type="instance"><ref id="b"/></shape>', "a bsdf"),
+    "a child of another kind": ('<bsdf type="twosided"><shape type="sphere"/></bsdf>', "twosided: got <shape>"),
+    "a picture without a file": ('<bsdf type="diffuse">' + PICTURE.format("") + "</bsdf>", "bitmap: got no 'filename'"),
+    "a sky without a file": ('<emitter type="envmap"/>', "envmap: got no 'filename'"),
+    "a mesh without a file": ('<shape type="ply"/>', "ply: got no 'filename'"),
+    "no samples": ('<sampler type="independent"><integer name="sample_count" value="0"/></sampler>', "independent.sample_count"),
+    "late roulette": ('<integrator type="volpath"><integer name="rr_depth" value="2000000000"/></integrator>', "volpath.rr_depth"),
+    "many instances": (GROUP + INSTANCE * 20_000, "more than 512 elements of 'instance'"),
+    "many lamps": ('<emitter type="point"/>' * 600, "more than 512 elements of 'emitter'"),
+    "denormal light": ('<emitter type="point"><spectrum name="intensity" value="1e-320"/></emitter>', "0, or at least 1e-30"),
+    "a denormal table": ('<emitter type="point"><spectrum name="intensity" value="400:1e-320, 500:1e-310"/></emitter>', "1e-30"),
+    "a denormal scale": ('<texture type="d65"><float name="scale" value="1e-320"/></texture>', "d65.scale"),
+    "a falling table": ('<emitter type="point"><spectrum name="intensity" value="500:1, 400:2"/></emitter>', "rising"),
+    "a metal elsewhere": ('<bsdf type="conductor"><string name="material" value="../../Au"/></bsdf>', "conductor.material"),
+    "a metal not there": ('<bsdf type="conductor"><string name="material" value="Auu"/></bsdf>', "Did you mean 'Au'"),
+    "a name with a path": ('<shape type="sphere"><bsdf name="../x" type="null"/></shape>', "name of a bsdf"),
+    "a long id": (f'<bsdf type="null" id="{"x" * 300}"/>', "up to 256 printable"),
+    "a control character": ('<bsdf type="null" id="&#x9b;31m"/>', r"x9b"),
+    "a transform of text": ('<shape type="cube"><transform name="to_world"><matrix value="1 2 3"/></transform></shape>', "9 or 16"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_refused_with_its_reason(what, tmp_path):
+    body, words = REFUSED[what]
+    with pytest.raises(PixsimError, match=words) as error:
+        load(scene_of(tmp_path, body))
+    assert str(error.value).isprintable()
+
+
+def test_parameter_of_a_wrong_value_is_named(tmp_path):
+    body = '<default name="size" value="1"/><shape type="sphere"><float name="radius" value="$size"/></shape>'
+    with pytest.raises(PixsimError, match=r"size \(sphere.radius\): got 'x' in line 1 of 'scene.xml'; allowed: a number"):
+        load(scene_of(tmp_path, body), size="x")
+
+
+def test_nested_defaults_take_no_time(tmp_path):
+    """Each of 500 names the one before: 90 s in the past."""
+    body = '<default name="p0" value="x"/>' + "".join(f'<default name="p{n}" value="$p{n - 1}x"/>' for n in range(1, 500))
+    start = time.process_time()
+    assert judge_scene(scene_of(tmp_path, body), {}).defaults["p499"] == "x" * 500
+    assert time.process_time() - start < 5
+
+
+@pytest.mark.parametrize("kind", PLUGINS)
+def test_allowed_plugins_are_mitsubas(kind):
+    """Every name is one of Mitsuba's own files, or written in Python there; `scene` is built in."""
+    own = {path.stem for path in PLUGIN_FOLDER.glob("*.so")} | {"prb", "prbvolpath", "scene"}
+    assert PLUGINS[kind].keys() <= own
+    assert set(MAX_ELEMENTS) <= {*PLUGINS, "instance"}
+    assert {"none", "Au", "Ag"} <= set(metals())
+
+
+# What each needs to be built, where its defaults do not do.
+NEEDED = {
+    "twosided": '<bsdf type="diffuse"/>', "mask": '<bsdf type="diffuse"/>', "blendbsdf": '<bsdf type="diffuse"/>' * 2,
+    "bumpmap": '<texture type="checkerboard"/><bsdf type="diffuse"/>',
+    "normalmap": '<texture name="normalmap" type="checkerboard"/><bsdf type="diffuse"/>',
+    "blendbsdf_weight": "",
+    "mesh_attribute": '<string name="name" value="vertex_c"/>', "volume": '<volume name="volume" type="constvolume"/>',
+    "regular": '<string name="values" value="1, 2"/><string name="range" value="400, 500"/>',
+    "uniform": '<float name="value" value="1"/>', "irregular": '<string name="values" value="1, 2"/><string name="wavelengths" value="400, 500"/>',
+    "srgb": '<rgb name="color" value="0.1, 0.2, 0.3"/>', "blackbody": '<float name="temperature" value="5000"/>',
+    "bitmap": '<string name="filename" value="chart.exr"/>', "envmap": '<string name="filename" value="sky.exr"/>',
+    "ply": '<string name="filename" value="a.ply"/>', "serialized": '<string name="filename" value="a.serialized"/>',
+    "obj": '<string name="filename" value="a.obj"/>', "gridvolume": '<string name="filename" value="a.vol"/>',
+    "shapegroup": '<shape type="sphere"/>', "blendphase": '<phase type="isotropic"/><phase type="hg"/>',
+}  # fmt: skip
+WEIGHT = '<float name="weight" value="0.5"/>'
+BUILT = {
+    "bsdf": '<shape type="sphere"><bsdf type="{}">{}</bsdf></shape>',
+    "texture": '<shape type="sphere"><bsdf type="diffuse"><texture name="reflectance" type="{}">{}</texture></bsdf></shape>',
+    "shape": '<shape type="{}">{}</shape>',
+    "medium": '<shape type="sphere"><medium name="interior" type="{}">{}</medium></shape>',
+    "phase": '<shape type="sphere"><medium name="interior" type="homogeneous"><phase type="{}">{}</phase></medium></shape>',
+    "volume": '<shape type="sphere"><medium name="interior" type="heterogeneous"><volume name="albedo" type="{}">{}</volume>'
+    "</medium></shape>",
+    "emitter": '<emitter type="{}">{}</emitter>',
+}
+
+
+@pytest.fixture(scope="module")
+def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small valid file of each kind."""
+    folder = tmp_path_factory.mktemp("assets")
+    pixsim.write_chart(folder / "chart.exr", np.ones((4, 4), np.float32))
+    from pixsim.light.exr import write_channels
+
+    write_channels(folder / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
+    (folder / "a.ply").write_bytes(PLY)
+    (folder / "a.serialized").write_bytes(SERIALIZED)
+    (folder / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3//1\n")
+    (folder / "a.vol").write_bytes(VOLUME)
+    (folder / "a.spd").write_text("# nm, value\n400 0.2\n700 0.4\n")
+    return folder
+
+
+VOLUME = b"VOL\x03" + struct.pack("<5i6f", 1, 2, 2, 2, 1, 0, 0, 0, 1, 1, 1) + np.full(8, 0.5, "<f4").tobytes()
+
+
+@pytest.mark.parametrize("kind", BUILT)
+def test_allowed_plugins_are_built(kind, assets):
+    """Mitsuba takes each allowed plugin with every one of its flags and numbers that the table lets be 1."""
+    for name in PLUGINS[kind]:
+        if name in ("instance", "area", "directionalarea", "projector", "mesh_attribute"):  # of a shape, or of two pictures
+            continue
+        inside = NEEDED.get(name, "") + (WEIGHT if name.startswith("blend") else "")
+        lit = SENSOR if kind == "emitter" else LIT.removeprefix('<integrator type="path"/>')
+        text = judge_scene(scene_of(assets, BUILT[kind].format(name, inside), lit=lit), {}).text
+        assert OwnTracer(Job(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())).loaded, name
+
+
+# --- Files that a scene names ----------------------------------------------------------------------------------------------------
+
+NAMED = {
+    "spectrum": ("spd", '<bsdf type="diffuse"><spectrum name="reflectance" filename="{}"/></bsdf>'),
+    "bitmap": ("exr", '<bsdf type="diffuse">' + PICTURE.format('<string name="filename" value="{}"/>') + "</bsdf>"),
+    "png": ("png", '<bsdf type="diffuse">' + PICTURE.format('<string name="filename" value="{}"/>') + "</bsdf>"),
+    "hdr": ("hdr", '<emitter type="envmap"><string name="filename" value="{}"/></emitter>'),
+    "ply": ("ply", '<shape type="ply"><string name="filename" value="{}"/></shape>'),
+    "obj": ("obj", '<shape type="obj"><string name="filename" value="{}"/></shape>'),
+    "serialized": ("serialized", '<shape type="serialized"><string name="filename" value="{}"/></shape>'),
+    "gridvolume": ("vol", '<volume type="gridvolume"><string name="filename" value="{}"/></volume>'),
+}
+SECRET = "root:hunter2:0"
+
+
+@pytest.mark.parametrize("kind", NAMED)
+def test_only_whole_regular_files_are_read(kind, tmp_path):
+    """No pipe, device or file of the system without an end; what another file holds is not in the message."""
+    suffix, body = NAMED[kind]
+    os.mkfifo(tmp_path / f"pipe.{suffix}")
+    (tmp_path / f"zero.{suffix}").symlink_to("/dev/zero")
+    (tmp_path / f"pagemap.{suffix}").symlink_to("/proc/self/pagemap")
+    (tmp_path / f"folder.{suffix}").mkdir()
+    (tmp_path / f"empty.{suffix}").write_bytes(b"")
+    (tmp_path / f"secret.{suffix}").write_text(SECRET + "\nnext\n")
+    with (tmp_path / f"sparse.{suffix}").open("wb") as file:
+        file.truncate(1 << 40)
+    for name in ("pipe", "zero", "pagemap", "folder", "empty", "secret", "sparse", "absent"):
+        start = time.process_time()
+        with pytest.raises(PixsimError, match=name) as error:
+            judge_scene(scene_of(tmp_path, body.format(f"{name}.{suffix}")), {})
+        assert "hunter2" not in str(error.value)
+        assert time.process_time() - start < 5
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.png", b"\x76\x2f\x31\x01" + b"\0" * 99), ("a.exr", b"\x89PNG\r\n\x1a\n" + b"\0" * 99), ("a.hdr", b"BM" + b"\0" * 99),
+        ("a.hdr", b"#?RADIANCE\n\n-Y 999999 +X 999999\n"), ("a.pfm", b"Pf\n999999 999999\n-1.0\n"), ("a.txt", b"#?RADIANCE\n"),
+        ("a.tga", b"\x76\x2f\x31\x01" + b"\0" * 99),
+    ],
+)  # fmt: skip
+def test_picture_of_another_kind_is_refused(name, content, tmp_path):
+    """Mitsuba chooses the decoder by the content, pixsim judges by the name."""
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(PixsimError, match=name):
+        judge_scene(scene_of(tmp_path, NAMED["bitmap"][1].format(name)), {})
+
+
+def test_spectrum_of_a_file_equals_mitsubas(assets):
+    """The table goes into the text with all its digits: Mitsuba reads the same numbers from the file itself."""
+    path = scene_of(assets, NAMED["spectrum"][1].format(assets / "a.spd"))
+    (assets / "a.spd").write_text("# nm, value\n\n400.123456789012 0.1234567890123456\n 5e2\t2e-1 x\n700 .4\n")
+    (ours,) = nodes_of(parse(judge_scene(path, {}).text, VARIANT), "BSDF")
+    with speaking_mitsuba(VARIANT) as mi:
+        (stock,) = nodes_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path)), "BSDF")
+    for name in ("wavelengths", "values"):
+        assert list(getattr(ours[1].props["reflectance"], name)) == list(getattr(stock[1].props["reflectance"], name))
+
+
+# --- Meshes ---------------------------------------------------------------------------------------------------------------------
+
+
+def ply(corners: str = "3 0 1 2\n3 1 2 3\n", faces: int = 2, of: str = "list uchar int vertex_indices", more: str = "") -> bytes:
+    vertices = "0 0 0\n1 0 0\n0 1 0\n1 1 0\n"
+    position = "property float x\nproperty float y\nproperty float z\n"
+    head = f"ply\nformat ascii 1.0\ncomment x\nelement vertex 4\n{position}element face {faces}\nproperty {of}\n{more}end_header\n"
+    return (head + vertices + corners).encode()
+
+
+def serialized(corners: list[int], vertices: int = 3, faces: int = 1, version: int = 4) -> bytes:
+    positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
+    name = b"name\0" if version == 4 else b""
+    body = struct.pack("<I", 0x1000) + name + struct.pack("<QQ", vertices, faces) + positions + np.array(corners, "<u4").tobytes()
+    return struct.pack("<HH", 0x041C, version) + zlib.compress(body) + struct.pack("<QI" if version == 4 else "<II", 0, 1)
+
+
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
+GOOD_MESHES = {
+    "ascii.ply": ply(), "crlf.ply": ply().replace(b"\n", b"\r\n"), "unsigned.ply": ply(of="list uchar uint vertex_index"),
+    "edges.ply": ply("3 0 1 2\n3 1 2 3\n0 1\n", more="element edge 1\nproperty int a\nproperty int b\n"),
+    "little.ply": PLY, "v3.serialized": serialized([0, 1, 2], version=3), "v4.serialized": serialized([0, 1, 2]),
+    "a.obj": (OBJ + "f 1 2 3\nf 1/1 2/1 3/1\nf 1//1 2//1 3//1\nf 1/1/1 2/1/1 3/1/1").encode(),
+}  # fmt: skip
+BAD_MESHES = {
+    "beyond.ply": (ply("3 0 1 2\n3 1 2 4\n"), "corner 4"), "negative.ply": (ply("3 0 1 2\n3 1 2 -1\n"), "corner -1"),
+    "half.ply": (ply("3 0 1 2\n3 1 2 1.5\n", of="list uchar float vertex_indices"), "corner 1.5"),
+    "quads.ply": (ply("4 0 1 3 2 0\n3 1 2\n"), "no triangles"), "short.ply": (ply("3 0 1 2\n"), "damaged"),
+    "words.ply": (ply("3 0 1 two\n3 1 2 3\n"), "no number"),
+    "infinite.ply": (ply().replace(b"1 1 0", b"1 inf 0"), "NaN or infinite"),
+    "many.ply": (ply(faces=10**9), "damaged"), "no faces.ply": (ply("", faces=0), "other elements"),
+    "lists.ply": (ply(more="property list uchar int more\n"), "other elements"),
+    "endless.ply": (b"ply\n" + b"comment x\n" * 9999, "end"),
+    "cut.ply": (PLY[:-1], "bytes"), "large.ply": (PLY.replace(b"face 2", b"face 2000000000"), "bytes"),
+    "beyond.serialized": (serialized([0, 1, 3]), "corner 3"), "cut.serialized": (serialized([0, 1]), "damaged"),
+    "huge.serialized": (serialized([0, 1, 2], vertices=1 << 40), "1099511627776 vertices"),
+    "bomb.serialized": (serialized([0, 1, 2], faces=1 << 30), "1073741824 triangles"),
+    "old.serialized": (serialized([0, 1, 2], version=2), "version 2"), "no.serialized": (b"\0" * 99, "no header"),
+    "beyond.obj": ((OBJ + "f 1 2 4\n").encode(), "number 4 of 3 vertices"),
+    "uv.obj": ((OBJ + "f 1/1 2/2 3/1\n").encode(), "texture"),
+    "normal.obj": ((OBJ + "f 1//1 2//2 3//1\n").encode(), "normals"),
+    "negative.obj": ((OBJ + "f -1 -2 -3\n").encode(), "other words"),
+    "long.obj": ((OBJ + "f" + " 1 2 3" * 999).encode(), "a line of"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", GOOD_MESHES)
+def test_mesh_is_read(name, tmp_path):
+    """Mitsuba finds as many vertices as the file has."""
+    (tmp_path / name).write_bytes(GOOD_MESHES[name])
+    kind = name.rpartition(".")[2]
+    judge_mesh(tmp_path / name, kind)
+    with speaking_mitsuba(VARIANT) as mi:
+        mesh = mi.load_dict({"type": kind, "filename": str(tmp_path / name), "face_normals": True})
+    assert mesh.vertex_count() >= 3
+
+
+@pytest.mark.parametrize("name", BAD_MESHES)
+def test_damaged_mesh_is_refused(name, tmp_path):
+    content, words = BAD_MESHES[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(PixsimError, match=words):
+        judge_mesh(tmp_path / name, name.rpartition(".")[2])
+
+
+@pytest.mark.parametrize("name", ["ascii.ply", "little.ply", "v3.serialized", "v4.serialized", "a.obj"])
+def test_random_mesh_is_read_or_refused(name, tmp_path):
+    """Mitsuba reads what pixsim lets through, in this process, which a corner out of range would end."""
+    kind, whole, path = name.rpartition(".")[2], GOOD_MESHES[name], tmp_path / name
+    place = st.tuples(st.integers(0, len(whole) - 1), st.binary(min_size=1, max_size=4))
+
+    def packed(content: bytes) -> bytes:  # change what is within the compressed stream too
+        return content if kind != "serialized" else content[:4] + zlib.compress(content[4:]) + whole[-12:]
+
+    @settings(derandomize=True, max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @given(st.lists(place, max_size=4), st.integers(0, len(whole)))
+    def check(changes: list[tuple[int, bytes]], end: int) -> None:
+        work = bytearray(whole if kind != "serialized" else whole[:4] + zlib.decompressobj().decompress(whole[4:]))
+        for at, new in changes:
+            work[at : at + len(new)] = new
+        path.write_bytes(packed(bytes(work if end % 2 else work[:end])))
+        try:
+            judge_mesh(path, kind)
+        except PixsimError:
+            return
+        with speaking_mitsuba(VARIANT) as mi:
+            try:
+                mi.load_dict({"type": kind, "filename": str(path), "face_normals": True})
+            except RuntimeError:
+                return
+
+    check()
+
+
+# --- Random scenes ---------------------------------------------------------------------------------------------------------------
+
+
+def test_random_scene_is_loaded_or_refused(assets):
+    """A grammar of elements, right and wrong: PixsimError or a scene that Mitsuba parses, and most of both."""
+    ends: list[bool] = []
+
+    @settings(derandomize=True, max_examples=250, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @given(random_scene())
+    def check(body: str) -> None:
+        path = scene_of(assets, body)
+        try:
+            load(path)
+            ends.append(True)
+        except PixsimError:
+            ends.append(False)
+
+    check()
+    assert 20 < sum(ends) < len(ends) - 20
+
+
+# --- The child process -------------------------------------------------------------------------------------------------------
+
+TRACED = LIT + SPHERE.format('<bsdf type="diffuse"><spectrum name="reflectance" value="400:0.2, 700:0.4"/></bsdf>')
+
+
+def job_of(folder: Path, variant: str = VARIANT) -> Job:
+    text = judge_scene(scene_of(folder, TRACED, lit=""), {}).text
+    lens = {"type": "thinlens", "fov": 40.0, "aperture_radius": 0.0005, "focus_distance": 1.0}
+    return Job(variant, text, (None,), 2, lens, None, ())
+
+
+def film_of(side: int = SIDE) -> dict:
+    whole = {"type": "specfilm", "width": side, "height": side, "component_format": "float32", "rfilter": {"type": "box"}}
+    band = {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 600.0, "values": "1, 1"}
+    return whole | {"crop_offset_x": 0, "crop_offset_y": 0, "crop_width": side, "crop_height": side, "band0": band}
+
+
+@pytest.mark.parametrize("variant", [VARIANT, pytest.param("llvm_ad_spectral", marks=NEEDS_LLVM)])
+def test_child_traces_as_this_process(variant, tmp_path):
+    job = job_of(tmp_path, variant)
+    own, other = OwnTracer(job), child_tracer(job, None)
+    assert other.sample_count("multijitter", 7) == own.sample_count("multijitter", 7) >= 7
+    one, two = (tracer.trace(0, film_of(), "multijitter", 16, 5) for tracer in (own, other))
+    assert np.array_equal(one, two)
+    assert one.min() > 0
+    process = child._child.process
+    again = child_tracer(job_of(tmp_path, variant), None).trace(0, film_of(), "multijitter", 16, 5)
+    assert np.array_equal(again, one)
+    assert child._child.process is process, "one child for all renders"
+
+
+def test_packaged_scene_needs_no_child(tmp_path):
+    end_child()
+    copy = tmp_path / "flat.xml"
+    shutil.copy(packaged_scenes()["flat"], copy)
+    (tmp_path / "charts").symlink_to(packaged_scenes()["flat"].parent / "charts")
+    small = {"resolution": 4, "spp": 4}
+    own = pixsim.render(load("flat", **small))
+    assert np.array_equal(pixsim.render(load(copy, **small)).data, own.data)
+    assert child._child is None
+    copy.write_text(copy.read_text().replace("<integrator", "<!-- changed --><integrator"))
+    assert np.array_equal(pixsim.render(load(copy, **small)).data, own.data)
+    assert child._child.usable
+
+
+def test_error_within_the_child_is_an_error_here(tmp_path):
+    numbers = '<string name="wavelengths" value="500"/><string name="values" value="1"/>'
+    table = f'<spectrum type="irregular" name="reflectance">{numbers}</spectrum>'
+    with pytest.raises(PixsimError, match="Mitsuba cannot load or render the scene"):
+        pixsim.render(load(scene_of(tmp_path, SPHERE.format(f'<bsdf type="diffuse">{table}</bsdf>'))))
+    assert child_tracer(job_of(tmp_path), None).trace(0, film_of(), "multijitter", 4, 0).shape == (SIDE, SIDE, 1)
+
+
+def stopped(folder: Path) -> int:
+    """Return the process of a child that has loaded a job and then answers no more."""
+    child_tracer(job_of(folder), None).sample_count("multijitter", 4)
+    process = child._child.process.pid
+    os.kill(process, signal.SIGSTOP)
+    return process
+
+
+def is_running(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def test_crash_of_the_child_is_an_error(tmp_path):
+    tracer = child_tracer(job_of(tmp_path), None)
+    tracer.sample_count("multijitter", 4)
+    process = stopped(tmp_path)
+    threading.Timer(0.3, os.kill, (process, signal.SIGSEGV)).start()
+    threading.Timer(0.4, os.kill, (process, signal.SIGCONT)).start()
+    with pytest.raises(PixsimError, match=r"scene: got one that ends Mitsuba's process \(SIGSEGV\)"):
+        tracer.sample_count("multijitter", 4)
+    assert tracer.sample_count("multijitter", 4) == 4  # by a new child
+
+
+def test_child_that_takes_too_long_is_killed(tmp_path):
+    process = stopped(tmp_path)
+    with pytest.raises(PixsimError, match=r"still in work 10 s after the time limit.*--max-seconds"):
+        child_tracer(job_of(tmp_path), time.monotonic() + 0.2).sample_count("multijitter", 4)
+    assert not is_running(process)
+
+
+@pytest.mark.parametrize(("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+def test_signal_ends_the_child(number, kind, tmp_path):
+    process = stopped(tmp_path)
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    threading.Timer(0.3, os.kill, (os.getpid(), number)).start()
+    try:
+        with pytest.raises(kind):
+            child_tracer(job_of(tmp_path), None).sample_count("multijitter", 4)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert not is_running(process)
+
+
+# Traces with far more samples than end in the time of a test, after it has printed the process of its child.
+BUSY = """
+import sys
+from pathlib import Path
+sys.path[:0] = sys.argv[1:3]
+from test_hostile_scenes import child, child_tracer, film_of, job_of
+tracer = child_tracer(job_of(Path(sys.argv[3])), None)
+tracer.sample_count("multijitter", 4)
+print(child._child.process.pid, flush=True)
+tracer.trace(0, film_of(4096), "independent", 1 << 16, 0)
+"""
+
+
+def test_killed_parent_leaves_no_child(tmp_path):
+    here = Path(__file__).parent
+    arguments = [sys.executable, "-c", BUSY, str(here), str(here / "helpers"), str(tmp_path)]
+    parent = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, cwd=here)
+    process = int(parent.stdout.readline())
+    time.sleep(0.5)  # it is at work now
+    assert is_running(process)
+    parent.kill()
+    parent.wait()
+    end = time.monotonic() + 5
+    while is_running(process) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not is_running(process)
+    parent.stdout.close()
+
+
+# --- The terminal ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("line", ["plan {}", "run {}", "plan csf -D chart={}", "run csf --config {}"])
+def test_control_characters_do_not_reach_the_terminal(line, tmp_path):
+    path = tmp_path / "\x1b]0;x\x07\x9b31m\u202e.xml"
+    path.write_text(f'{HEAD}<bsdf type="&#x9b;"/></scene>')
+    code, out, err = command(line.format("{}"), path) if line.endswith(" {}") else command("plan csf -D", f"chart={path}")
+    assert code == 2
+    assert err.replace("\n", "").isprintable(), err
+    assert out == ""
+
+
+def test_control_characters_of_a_header_are_escaped(tmp_path):
+    """In text and in JSON, which stays JSON of the same content."""
+    image = pixsim.render(load("flat", resolution=4, spp=4))
+    image.header["scene"] = name = "a\x9b31m\u202e.xml"
+    pixsim.write_exr(tmp_path / "a.exr", image)
+    for flags in ((), ("--json",)):
+        code, out, err = command("run", tmp_path / "a.exr", "--display.dots", "8", "--out", tmp_path / "out", *flags)
+        assert code == 0, err
+        assert (out + err).replace("\n", "").isprintable()
+    assert name in json.dumps(json.loads(out), ensure_ascii=False) or name not in json.dumps(image.header)
