@@ -180,11 +180,11 @@ def _judge_obj(path: Path, file: IO[bytes]) -> None:
     if re.search(rb"[^\n]{%d}" % MAX_LINE, text):
         raise invalid(f"mesh '{path}'", f"a line of {MAX_LINE} bytes or more", "shorter lines, as Mitsuba needs")
     have = []
-    for kind, count in ((b"v", 3), (b"vt", 2), (b"vn", 3)):
-        begin = rb"^[ \t]*%b[ \t]" % kind
+    for word, count in (("v", 3), ("vt", 2), ("vn", 3)):
+        begin = rb"^[ \t]*%b[ \t]" % word.encode()
         have.append(sum(1 for _ in re.finditer(begin, text, re.MULTILINE)))
         if sum(1 for _ in re.finditer(begin + OBJ_NUMBER * count, text, re.MULTILINE)) < have[-1]:
-            raise invalid(f"mesh '{path}'", f"a line of {kind.decode()} without {count} numbers", "numbers")
+            raise invalid(f"mesh '{path}'", f"a line of {word} without {count} numbers", "numbers")
     names = "vertices", "texture coordinates", "normals"
     largest = [0, 0, 0]
     faces = 0
