@@ -48,6 +48,7 @@ class _Child:
 
     def __init__(self) -> None:
         self.owner = os.getpid()
+        self.process: subprocess.Popen[bytes] | None = None
         self.lock = threading.Lock()
         self.loaded: Job | None = None
         self.pictures = _memory_file()
@@ -65,6 +66,7 @@ class _Child:
                 command, stdin=null, stdout=null, stderr=null, pass_fds=given, env=os.environ | {"PYTHONPATH": path}
             )
         except OSError as error:
+            self.kill()
             hint = "Close other programs, or ask for fewer --jobs."
             raise PixsimError(f"a process for the scene cannot be started ({error.strerror}). {hint}") from None
         finally:
@@ -74,11 +76,11 @@ class _Child:
 
     @property
     def usable(self) -> bool:
-        return self.owner == os.getpid() and self.process.poll() is None
+        return self.owner == os.getpid() and self.process is not None and self.process.poll() is None
 
     def kill(self) -> None:
         """End the process and close everything; a process that was forked from the owner closes only its copies."""
-        if self.owner == os.getpid():
+        if self.process and self.owner == os.getpid():
             with suppress(OSError):
                 self.process.kill()
             with suppress(OSError, subprocess.SubprocessError):
@@ -108,7 +110,7 @@ class _Child:
 
     def _code(self) -> int | None:
         try:
-            return self.process.wait(timeout=LOOK_S)
+            return self.process.wait(timeout=LOOK_S) if self.process else None
         except subprocess.TimeoutExpired:
             return None
 

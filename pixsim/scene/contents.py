@@ -190,6 +190,7 @@ METAL_COSINES = (1.0, 0.7, 0.3)
 MAX_POWER = 3  # of a reflectance, for interreflections of similar surfaces; higher orders are weak
 TO_AND_FRO = (0.5, 0.8, 0.95)
 MAX_PRODUCTS = 160
+MAX_SPECTRA = 256  # of surfaces; more take longer to plan than a pass for every band takes to render
 NEUTRAL_SPREAD = 1e-6
 
 
@@ -229,6 +230,8 @@ def find_surfaces(state: Any, variant: str) -> Surfaces:
         return Surfaces(None, "a medium of unknown spectra")
     for _, node in nodes_of(state, "BSDF"):
         plugin = node.props.plugin_name()
+        if len(spectra) > MAX_SPECTRA:
+            return Surfaces(None, f"more than {MAX_SPECTRA} spectra of surfaces")
         if plugin not in SPECTRA:
             return Surfaces(None, f"a BSDF '{plugin}' of unknown spectra")
         metal = _metal(state, node, variant) if plugin in METALS else []
