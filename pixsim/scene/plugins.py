@@ -107,6 +107,7 @@ OF_LENSES = more(
         "principal_point_offset_x": number(), "principal_point_offset_y": number(),
     },
 )  # fmt: skip
+OF_THIN_LENSES = more(OF_LENSES, {"aperture_radius": number(), "focus_distance": number()})
 OF_SAMPLERS = {"sample_count": whole(1, MAX_SAMPLES), "seed": whole(0, 2**32 - 1)}
 OF_FILMS = {
     "width": whole(1, MAX_SIDE), "height": whole(1, MAX_SIDE), "sample_border": FLAG, "compensate": FLAG, "banner": FLAG,
@@ -147,10 +148,8 @@ ANY_KIND = (
 PLUGINS: dict[str, dict[str, Plugin]] = {
     "scene": {"scene": Plugin({"embree_use_robust_intersections": FLAG}, holds=ANY_KIND)},
     "sensor": {
-        "thinlens": Plugin(
-            more(OF_LENSES, {"aperture_radius": number(), "focus_distance": number()}), holds=("film", "sampler", "medium")
-        ),
-        "perspective": Plugin(OF_LENSES, holds=("film", "sampler", "medium")),
+        "thinlens": Plugin(OF_THIN_LENSES, holds=("film", "sampler", "medium")),
+        "perspective": Plugin(OF_THIN_LENSES, holds=("film", "sampler", "medium")),
         "orthographic": Plugin(OF_SENSORS, holds=("film", "sampler", "medium")),
     },
     "film": {

@@ -31,7 +31,6 @@ LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 LUMINANCE = "luminance_cd_per_m2"
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 EMITTER_SCALE = "emitter_scale"
-INTEGRATORS = ("path", "direct", "volpath", "volpathmis", "prb", "prbvolpath")
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
@@ -71,7 +70,7 @@ class Scene:
 
     @checks_arguments
     def parse(self, **more: object) -> Any:
-        """Return Mitsuba's parser state of `text`."""
+        """Return Mitsuba's parser state of the judged text, with `more` parameters unless the user set them."""
         return parse(self.text(**more).text, self.choice.variant)
 
     @checks_arguments
@@ -97,7 +96,7 @@ class Scene:
 
     @checks_arguments
     def for_camera(self, camera: Camera) -> Any:
-        """Return the parser state of `text_for_camera`."""
+        """Return the parser state with the scene's lens and chart parameters set for a camera."""
         return parse(self.text_for_camera(camera).text, self.choice.variant)
 
     def text_for_camera(self, camera: Camera) -> SceneText:
@@ -317,12 +316,8 @@ def _positive(name: str, value: object) -> float:
 
 
 def check_supported(state: Any) -> None:
-    """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, polarisation."""
+    """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a cropped film."""
     integrators = [node.props.plugin_name() for _, node in nodes_of(state, "Integrator")]
-    for name in integrators:
-        if name not in INTEGRATORS:
-            hint = 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.'
-            raise invalid("integrator", f"'{name}'", ", ".join(INTEGRATORS), hint)
     for _, node in nodes_of(state, "Sensor"):
         if any(state.nodes[index].type.name == "Medium" for index in children(node, state).values()):
             raise invalid("sensor", "a camera in a medium", "a camera in air", "Let the medium begin in front of the lens.")

@@ -107,7 +107,7 @@ INVALID = {
     "run flat --variant fast": ["fast", "scalar_spectral"],
     "run flat -D resolution": ["-D", "resolution", "name=value"],
     "run flat -D resolutoin=64": ["resolutoin", "Did you mean 'resolution'?"],
-    "run flat -D resolution=wide": ["wide", "integer"],
+    "run flat -D resolution=wide": ["wide", "whole number"],
     "run flat -D resolution=0": ["resolution", "0", "1 to"],
     "run flat -D fov=0": ["fov", "0"],
     f"run flat {SMALL} -D luminance_cd_per_m2=-100": ["luminance_cd_per_m2", "-100", "positive"],

@@ -56,7 +56,7 @@ def run(out: Path, options: str = "", scene: str | Path = "csf") -> dict[str, by
 def test_render_cache_empty_warm_or_off_gives_equal_bytes(tmp_path, rendered, monkeypatch):
     cold = run(tmp_path / "out")
     assert len(rendered) == len(cache.entries("render")) == 2
-    monkeypatch.setattr(Renderer, "_loaded", property(lambda _: pytest.fail("a Mitsuba scene was built")))
+    monkeypatch.setattr(Renderer, "tracer", property(lambda _: pytest.fail("a Mitsuba scene was built")))
     assert run(tmp_path / "out") == cold
     assert len(rendered) == 2
     monkeypatch.undo()
