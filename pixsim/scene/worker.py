@@ -54,7 +54,8 @@ def end_with_parent(life: int) -> None:
 
 def main(pictures: int, requests: int, replies: int, life: int) -> None:
     """Answer requests until there are no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which kills this process
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they reach the parent too, which kills this process
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGIO, signal.SIG_DFL)
     end_with_parent(life)
     warnings.simplefilter("ignore")  # the parent has given them
