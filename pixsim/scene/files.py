@@ -218,6 +218,8 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
         parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
         raise invalid("scene", f"'{path}' ({error})", ALLOWED) from None
+    finally:  # they refer to the parser: the tree would stay in memory until Python looks for circles
+        parser.StartElementHandler = parser.EndElementHandler = parser.StartDoctypeDeclHandler = parser.XmlDeclHandler = None
     root = next(iter(open_elements[0][-1]), None)
     if root is None:
         raise invalid(f"scene '{path}'", "no element", ALLOWED)
@@ -263,19 +265,19 @@ def _included(name: str, written: str, path: Path, scene: SceneFiles, includes_d
 def written(root: Node) -> str:
     """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction, include or parameter."""
     pieces: list[str] = []
-
-    def write(node: Node) -> None:
-        attributes = "".join(f' {name}="{_escaped(value)}"' for name, value in node.attributes.items())
-        if not node.children:
-            pieces.append(f"<{node.tag}{attributes}/>")
-            return
-        pieces.append(f"<{node.tag}{attributes}>\n")
-        for child in node.children:
-            write(child)
-        pieces.append(f"</{node.tag}>\n")
-
-    write(root)
+    _write(root, pieces)
     return "".join(pieces)
+
+
+def _write(node: Node, pieces: list[str]) -> None:
+    attributes = "".join(f' {name}="{_escaped(value)}"' for name, value in node.attributes.items())
+    if not node.children:
+        pieces.append(f"<{node.tag}{attributes}/>")
+        return
+    pieces.append(f"<{node.tag}{attributes}>\n")
+    for child in node.children:
+        _write(child, pieces)
+    pieces.append(f"</{node.tag}>\n")
 
 
 def _escaped(value: str) -> str:
