@@ -56,7 +56,7 @@ def test_page_with_numbers_names_machine(path: Path) -> None:
         assert f"]({'docs/' if path == README else ''}{MADE_ON.name})" in text_of(path)
 
 
-LIMITS = re.compile(r"(?:at most|estimate of|limit of|up to|more than) \d+ (?:GiB|MB)")  # not measured
+LIMITS = re.compile(r"(?:at most|estimate of|limit of|up to|more than) \d+ (?:GiB|MiB|MB)")  # not measured
 TIMES = re.compile(r"\d (?:GiB|MiB|MB|GB|minutes?|seconds)\b|\d s[,;:.]|\d s on|(?:two|2) cores|\b(?:a|half a) minute\b")
 
 
