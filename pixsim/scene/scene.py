@@ -60,6 +60,7 @@ class Scene:
     resolution: int | None = None
     shows_csf: bool = False
 
+    @checks_arguments
     def text(self, **more: object) -> SceneText:
         """Return the judged text of the scene, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
@@ -99,6 +100,7 @@ class Scene:
         """Return the parser state with the scene's lens and chart parameters set for a camera."""
         return parse(self.text_for_camera(camera).text, self.choice.variant)
 
+    @checks_arguments
     def text_for_camera(self, camera: Camera) -> SceneText:
         """Return the judged text with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
