@@ -26,7 +26,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.scene import child
+from pixsim.scene import child, judge
 from pixsim.scene.assets import metals
 from pixsim.scene.child import child_tracer, end_child
 from pixsim.scene.judge import judge_scene
@@ -64,7 +64,7 @@ ATTACKED = """
 import json, sys
 from pathlib import Path
 import pixsim
-from pixsim.scene import child
+from pixsim.scene import child, judge
 
 def mapped(process):
     return [line.split()[-1] for line in open(f"/proc/{process}/maps") if sys.argv[1] in line]
@@ -379,6 +379,16 @@ def test_spectrum_of_a_file_equals_mitsubas(assets):
         (stock,) = nodes_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path)), "BSDF")
     for name in ("wavelengths", "values"):
         assert list(getattr(ours[1].props["reflectance"], name)) == list(getattr(stock[1].props["reflectance"], name))
+
+
+def test_files_of_spectra_are_bounded_in_total(tmp_path, monkeypatch):
+    """They become part of the text: the same large file many times would fill the memory."""
+    monkeypatch.setattr(judge, "MAX_TABLES", 10_000)
+    (tmp_path / "a.spd").write_text("".join(f"{nm} 0.5\n" for nm in range(360, 831)))  # 471 values of 9 characters: 4237
+    body = '<bsdf type="diffuse"><spectrum name="reflectance" filename="a.spd"/></bsdf>'
+    assert len(judge_scene(scene_of(tmp_path, body * 2), {}).text) > 2 * 4237
+    with pytest.raises(PixsimError, match="files of spectra of more than 10000 characters"):
+        judge_scene(scene_of(tmp_path, body * 3), {})
 
 
 # --- Meshes ---------------------------------------------------------------------------------------------------------------------

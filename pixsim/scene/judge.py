@@ -34,6 +34,7 @@ ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 OF_OBJECTS = ("type",), ("id", "name")
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 MAX_NAME = 256
+MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
 WHOLE = re.compile(r"\s*-?\d{1,18}\s*")
 FLAGS = ("true", "false")
 
@@ -74,6 +75,7 @@ class _Judge:
 
     def __init__(self, files: SceneFiles, unread: Path | None) -> None:
         self.files, self.unread = files, unread
+        self.left_of_tables = MAX_TABLES
         self.counts: Counter[str] = Counter()
         self.kinds: list[str] = []  # of each object, in the order of the text
         self.ids: dict[str, int] = {}
@@ -204,6 +206,10 @@ class _Judge:
                 if not value:
                     folders = (node.file.parent, self.files.folder, Path())
                     value = spectrum_value(found(attributes["filename"], folders, "spectrum"))
+                    self.left_of_tables -= len(value)
+                    if self.left_of_tables < 0:
+                        got = f"files of spectra of more than {MAX_TABLES} characters"
+                        raise invalid("scene", got, f"up to {MAX_TABLES} in total", "Leave out wavelengths that change little.")
                 _check_table(value, rule, what, node)
                 return replace(node, attributes={"name": attributes["name"], "value": value})
             case "string":
