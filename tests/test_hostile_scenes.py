@@ -465,7 +465,7 @@ def test_random_mesh_is_read_or_refused(name, tmp_path):
     def packed(content: bytes) -> bytes:  # change what is within the compressed stream too
         return content if kind != "serialized" else content[:4] + zlib.compress(content[4:]) + whole[-12:]
 
-    @settings(derandomize=True, max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(derandomize=True, max_examples=40, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(st.lists(place, max_size=4), st.integers(0, len(whole)))
     def check(changes: list[tuple[int, bytes]], end: int) -> None:
         work = bytearray(whole if kind != "serialized" else whole[:4] + zlib.decompressobj().decompress(whole[4:]))
@@ -492,7 +492,7 @@ def test_random_scene_is_loaded_or_refused(assets):
     """A grammar of elements, right and wrong: PixsimError or a scene that Mitsuba parses, and most of both."""
     ends: list[bool] = []
 
-    @settings(derandomize=True, max_examples=250, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(derandomize=True, max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(random_scene())
     def check(body: str) -> None:
         path = scene_of(assets, body)
@@ -503,7 +503,7 @@ def test_random_scene_is_loaded_or_refused(assets):
             ends.append(False)
 
     check()
-    assert 20 < sum(ends) < len(ends) - 20
+    assert 15 < sum(ends) < len(ends) - 15
 
 
 # --- The child process -------------------------------------------------------------------------------------------------------
