@@ -1,6 +1,11 @@
 """Shared fixtures: a temporary cache, a small study, and a record of captured frames."""
 
+import os
 from collections.abc import Iterator
+from pathlib import Path
+
+# Before NumPy: threads of BLAS make the small matrices of a fit several times slower, and the workers share the cores.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from helpers.tiny import tiny
@@ -13,10 +18,21 @@ from pixsim.studies.result import StudyResult
 from pixsim.viewer.score import ImagingChain
 
 
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of pytest, which its workers share."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
 @pytest.fixture(scope="session", autouse=True)
 def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(tmp_path_factory.mktemp("cache")))
+        # Compiled kernels and the list of fonts do not change a result: all processes of a run share them.
+        for variable, name in (("DRJIT_CACHE_DIR", "kernels"), ("MPLCONFIGDIR", "matplotlib")):
+            folder = shared_folder(tmp_path_factory) / name
+            folder.mkdir(exist_ok=True)
+            patch.setenv(variable, str(folder))
         # Otherwise each of more than a hundred processes would compile all of pixsim.
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         yield

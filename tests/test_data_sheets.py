@@ -102,6 +102,7 @@ def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path, m
         assert json.loads(out) == expected, name
 
 
+@pytest.mark.slow
 def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
     table = {"technologies": ["0.35um"], "repeats": 2, "pitch": {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}}
     plan = tmp_path / "own.toml"

@@ -59,11 +59,19 @@ class _Child:
         # Python would look for modules in the current folder first, which may be a stranger's.
         command = [sys.executable, "-P", "-m", "pixsim.scene.worker", *map(str, given)]
         folder = str(Path(pixsim.__file__).parents[1])
-        path = os.pathsep.join(part for part in (os.environ.get("PYTHONPATH"), folder) if part)
+        given_path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        path = os.pathsep.join(os.path.abspath(part) for part in (*given_path, folder) if part)
         null = subprocess.DEVNULL
         try:
             self.process = subprocess.Popen(
-                command, stdin=null, stdout=null, stderr=null, pass_fds=given, env=os.environ | {"PYTHONPATH": path}
+                # All names of files are absolute; the current folder may go away while the child lives.
+                command,
+                cwd="/",
+                stdin=null,
+                stdout=null,
+                stderr=null,
+                pass_fds=given,
+                env=os.environ | {"PYTHONPATH": path},
             )
         except OSError as error:
             self.kill()

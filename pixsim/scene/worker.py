@@ -68,6 +68,8 @@ def main(pictures: int, requests: int, replies: int, life: int) -> None:
                 reply = {"error": str(error)}
             except MemoryError:
                 reply = {"error": "the scene needs more memory than there is; take smaller meshes and pictures, or a coarser film"}
+            except Exception as error:  # as in `pixsim.cli.main`; without its words the parent could only report an exit code
+                reply = {"error": f"unexpected {type(error).__name__} in the process that renders: {error}"}
             out.write(json.dumps(reply) + "\n")
 
 

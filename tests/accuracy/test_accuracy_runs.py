@@ -126,6 +126,7 @@ def check(accuracy: Accuracy, folder: Path) -> dict:
     return summary
 
 
+@pytest.mark.slow
 def test_survey_csf_has_all_ladders(tmp_path):
     accuracy = surveyed("csf")
     summary = check(accuracy, tmp_path / "out")
@@ -148,6 +149,7 @@ def test_survey_csf_has_all_ladders(tmp_path):
     assert films[-1].error_e < films[0].error_e
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "analytic"), [("flat", True), ("slanted_edge", True), ("macbeth", False)])
 @pytest.mark.usefixtures("no_figure_layout")
 def test_survey_scene_selects_reference(name, analytic, tmp_path):
@@ -178,6 +180,7 @@ SETTINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SETTINGS)
 @pytest.mark.usefixtures("no_figure_layout")
 def test_survey_other_settings_complete(case, tmp_path):
@@ -278,6 +281,7 @@ def truth_of(sensors: int = 16) -> float:
     return probe(image, replace(Setup.of(options, camera), sensors=sensors, seed=99)).mean_delta_e
 
 
+@pytest.mark.slow
 def test_run_meets_tolerance_and_looser_is_cheaper(chart, tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     tolerances = 0.01, 1.0

@@ -302,6 +302,7 @@ def test_run_command_low_black_level_gives_note(options: str, message: str, tmp_
     assert (dark["too_bright_e"] > 0.01 * dark["spread_e"]) == bool(message)
 
 
+@pytest.mark.slow
 def test_study_command_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
     """The smallest pixel has the smallest full well, and so the largest error."""
     pitch = {"values_um": [6, 8, 10, 14, 20]}

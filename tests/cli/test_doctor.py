@@ -138,6 +138,7 @@ def test_doctor_old_llvm_in_variable_is_problem(path: str, tmp_path: Path):
     assert visited.about("scalar_spectral")["mark"] == OK
 
 
+@pytest.mark.slow
 def test_doctor_old_libraries_no_home_no_cache_gives_notes(tmp_path: Path):
     """With the libraries of this system only; the wheel is hidden."""
     hidden = written(tmp_path / "hidden", {"sitecustomize.py": HIDES_THE_WHEEL})

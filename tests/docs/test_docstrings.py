@@ -204,6 +204,7 @@ def examples() -> Iterator[doctest.DocTest]:
         yield from (test for test in finder.find(plain, name, globs=dict(scope)) if test.examples)
 
 
+@pytest.mark.slow
 def test_docstring_examples_pass() -> None:
     """Their numbers are published values or closed forms."""
     runner = doctest.DocTestRunner()

@@ -23,6 +23,7 @@ from pixsim.cli.commands import app
 for needed in ("sphinx", "myst_parser", "furo"):
     pytest.importorskip(needed, reason=f"{needed} is not installed: pip install '.[docs]'")
 
+pytestmark = pytest.mark.slow  # the site takes long to build; part of `.ci/run`
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 if not (DOCS / "conf.py").is_file():

@@ -271,6 +271,7 @@ def test_variance_peak_e_gain_spread_lowers_peak() -> None:
     assert 1 - 4 * uneven.prnu < peaks[1] < 1 - uneven.prnu
 
 
+@pytest.mark.slow
 def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = partial(datasheet.make_datasheet, shape=(100, 100), stack_frames=16)  # a quarter of the pixels and frames, for speed
     monkeypatch.setattr(datasheet, "make_datasheet", few)
@@ -302,6 +303,7 @@ def test_datasheet_command_bad_folder_fails_before_measurement(tmp_path: Path, m
     assert "Choose another with --out" in err
 
 
+@pytest.mark.slow
 @needs_browser
 def test_datasheet_report_fits_browser_and_print(sheet: DataSheet, tmp_path: Path) -> None:
     page = write_datasheet(sheet, tmp_path / "out")

@@ -390,6 +390,7 @@ def test_picture_axes_ticks_are_round(die_mm, texts):
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_svg_text_is_reproducible(evidence: Evidence, saved: dict[str, str]) -> None:
     assert {name: svg_text(plate.figure) for name, plate in every_plate(evidence).items()} == saved
 

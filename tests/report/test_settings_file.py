@@ -167,6 +167,7 @@ def test_study_settings_make_same_numbers(options: str, desk: Path, tmp_path: Pa
     assert read_toml(tmp_path / "again/settings.toml") == read_toml(desk / "out/settings.toml")
 
 
+@pytest.mark.slow
 def test_study_settings_of_data_sheets_make_same_numbers(desk: Path, tmp_path: Path) -> None:
     """Options replace values of the sheets, and settings.toml has them; the sheets are not read again."""
     (desk / "part.toml").write_text("[pixel]\ntechnology = 'mine.toml'\npitch_um = 9.0\nread_noise_e = 4.0\n", encoding="utf-8")
@@ -185,6 +186,7 @@ def test_study_settings_of_data_sheets_make_same_numbers(desk: Path, tmp_path: P
     assert {(sensor.bits, sensor.full_well_e) for sensor in other.sensors.values()} == {(8, 12000), (8, None)}, "an option wins"
 
 
+@pytest.mark.slow
 def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     """Rows of another chart or other dots are never put side by side."""
     (desk / "own.toml").write_text(

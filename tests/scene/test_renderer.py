@@ -184,6 +184,7 @@ def test_capture_contrast_is_diffraction_times_photodiode(f_number, distance_m, 
 # --- Fewer passes ---
 
 
+@pytest.mark.slow
 @VARIANTS
 def test_render_one_pass_gives_all_bands(variant):
     scene = pixsim.load_scene("flat", variant=variant, resolution=16)
@@ -360,6 +361,7 @@ def test_render_plane_under_uniform_sky(variant, tmp_path):
     assert luminance == pytest.approx(spectral.LUMINOUS_EFFICACY_LM_PER_W * light.sum(), rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("full", [False, True])
 @VARIANTS
 def test_render_lamp_without_texture(variant, full, tmp_path):

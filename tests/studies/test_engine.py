@@ -80,6 +80,7 @@ def test_results_of_dead_worker_is_retried(tmp_path: Path) -> None:
     assert actual == list(range(12))
 
 
+@pytest.mark.slow
 def test_results_of_deadly_task_is_named() -> None:
     actual: list[int] = []
     results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
@@ -338,6 +339,7 @@ def test_workers_for_other_version_raises(kind: str, pattern: str, tmp_path: Pat
 
 
 # Either Dask itself tries the lost task again, without a word, or pixsim does: who notices first.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a worker process died")
 def test_study_killed_cluster_worker_is_replaced(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The last test of the cluster: one of its two workers is gone afterwards."""

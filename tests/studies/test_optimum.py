@@ -288,7 +288,11 @@ def test_fit_curve_is_independent_of_blas_threads() -> None:
 STUDIES = 200
 
 
-@pytest.mark.parametrize(("curve", "repeats"), [("chen2000_0.35um", 2), ("evening", 3), ("near_an_end", 3)])
+COVERED = [pytest.param("chen2000_0.35um", 2, marks=pytest.mark.slow), ("evening", 3)]
+COVERED += [pytest.param("near_an_end", 3, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize(("curve", "repeats"), COVERED)
 def test_fit_curve_interval_coverage(curve: str, repeats: int) -> None:
     """In 90 to 99 % of the studies, whose numbers are drawn from fixed seeds.
 

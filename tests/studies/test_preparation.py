@@ -162,6 +162,7 @@ def test_prepare_technology_with_too_many_pixels_is_clipped() -> None:
 # --- One set of options in TOML, by options and in Python ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_study_same_rows_from_toml_options_and_python(tmp_path: Path) -> None:
     tables = {"camera": {"f_number": 2.0, "die_mm": 1.0}, "exposure": {"max_integration_s": 0.02}, "display": {"gamma": 2.0}}
     pitch = {"min_um": 2.0, "max_um": 12.0, "count": 5}

@@ -122,6 +122,7 @@ def test_run_sensitivity_resumes_lost_case(done: tuple[SensitivityResult, Path],
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sensitivity_command_two_workers_same_result(done: tuple[SensitivityResult, Path]) -> None:
     result, folder = done
     code, message, _ = command("study sensitivity.toml --out command --jobs 2")

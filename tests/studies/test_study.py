@@ -99,6 +99,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_study_two_workers_one_core_same_bytes(by_command: Path, tmp_path: Path) -> None:
     line = f"study {by_command / 'tiny.toml'} --out {tmp_path} --jobs 2"
     subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line)], check=True, timeout=HANG_S, capture_output=True)
@@ -156,6 +157,7 @@ def test_study_truncated_file_is_completed(
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.slow
 def test_study_other_content_has_other_keys(tmp_path: Path) -> None:
     """Seed, display, exposure, sensor and scene are all in a row's key; the title and the iso level are not."""
     few = {"repeats": 2, "pitch": {"values_um": FIVE_UM}, "camera": {"die_mm": 0.7}, "resolution": 96}
@@ -184,6 +186,7 @@ NUMBERS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     """Bit for bit, from the pitches to the pictures of the report: a technology of the same name has the same random streams."""
     table = read_toml(packaged("data/technologies")["0.35um"])
@@ -248,6 +251,7 @@ def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
 # --- Fields of the pixel as options ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_study_pixel_options_equal_file(tmp_path: Path) -> None:
     (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
     (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
@@ -446,6 +450,7 @@ def interrupted(results: Iterator[Any]) -> Iterator[Any]:
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_study_chen2000_matches_paper(tmp_path: Path) -> None:
     """Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and display: ± 0.6 µm."""
     curves = {curve.technology: curve for curve in pixsim.study("chen2000", tmp_path, quick=True).curves}

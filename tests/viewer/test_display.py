@@ -345,7 +345,7 @@ def csf() -> tuple[SpectralImage, Camera]:
     return irradiance, scene.camera()
 
 
-@pytest.mark.parametrize(("bits", "most"), [(16, 1.5e-3), (8, 2e-3)])
+@pytest.mark.parametrize(("bits", "most"), [pytest.param(16, 1.5e-3, marks=pytest.mark.slow), (8, 2e-3)])
 def test_score_frame_ideal_pixels_converge_to_ideal_image(csf, bits, most):
     """No noise, no diffraction, no gaps: what is left is the mean over pixels and the lines between them, which goes with pitch².
 
