@@ -146,6 +146,7 @@ def make_render_plan(
     tolerance_e: float = TOLERANCE_E,
     full: bool = False,
     band_count: int | None = None,
+    exact: bool = False,
 ) -> Plan:
     """Return the plan of a render, from the parsed tree of a scene.
 
@@ -155,6 +156,7 @@ def make_render_plan(
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out: every band of every lamp, the scene's integrator, a sampled lens
     band_count : number of bands of equal width, in place of the bands that the tolerance requires
+    exact : whether to compute the film cells of a chart that is alone and in focus, without samples
 
     Raises PixsimError if an emitter is negative or not finite, or if the tolerance is not between 0 and 1.
     """
@@ -191,7 +193,7 @@ def make_render_plan(
         warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
     emitters = nodes_of(state, "Emitter")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].props.plugin_name() == "area" and bool(lamps)
-    return Plan(
+    plan = Plan(
         lights=tuple(lights),
         bands=bands,
         white_cd_per_m2=lamps[0].luminance_cd_per_m2 if alone and lamps[0].spectrum else None,
@@ -209,6 +211,17 @@ def make_render_plan(
         tolerance_e=tolerance_e,
         warnings=tuple(warnings),
     )
+    return _without_samples(plan) if exact and not full else plan
+
+
+def _without_samples(plan: Plan) -> Plan:
+    """Return the plan with film cells that are computed, if it is of a chart in focus that is seen straight; else the plan."""
+    straight = plan.integrator is not None and plan.integrator.get("max_depth") == 1
+    if plan.chart is None or plan.chart.beyond is None or not straight or plan.given_spp:
+        return plan
+    reason = "none: each film cell is the exact mean of the chart, which is linear between its texels"
+    exact = Decision("texture samples", False, reason, f"all {plan.full_spp} samples, and their noise")
+    return replace(plan, spp=0, exact=True, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
 
 
 def _witnesses(pixel: Pixel | None) -> list[Witness]:
@@ -314,31 +327,15 @@ def make_plan(
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
     physics = derive(pixel)
-    options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full}
+    options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full, "exact": display is not None}
     plan = make_render_plan(scene, camera, pixel, **options)
-    if exact := display is not None and not full and can_be_exact(plan):
-        plan = exactly(plan)
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
     if resolution:
         plan = make_render_plan(scene.with_resolution(resolution), camera, pixel, **options)
-        plan = exactly(plan) if exact else plan
     exposure = exposure or Exposure()
     longest_s = exposure.integration_s or exposure.max_integration_s
     more = sampling, decide_saturation(physics, longest_s), decide_noise(physics, full), decide_transforms(full)
     return replace(plan, resolution=resolution, decisions=(*plan.decisions, *more))
-
-
-def can_be_exact(plan: Plan) -> bool:
-    """Return whether film cells can be computed from the texels of a chart in focus, seen straight, without samples."""
-    straight = plan.integrator is not None and plan.integrator.get("max_depth") == 1
-    return plan.chart is not None and plan.chart.beyond is not None and straight and not plan.given_spp
-
-
-def exactly(plan: Plan) -> Plan:
-    """Return the plan with film cells that are computed, not sampled. Raises nothing; `can_be_exact` must hold."""
-    reason = "none: each film cell is the exact mean of the chart, which is linear between its texels"
-    exact = Decision("texture samples", False, reason, f"all {plan.full_spp} samples, and their noise")
-    return replace(plan, spp=0, exact=True, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
 
 
 def decide_oversampling(

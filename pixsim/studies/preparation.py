@@ -91,14 +91,14 @@ def choose_view(pitch_um: float, camera: Camera, display: Display, scene: Scene 
 
 MIN_ACROSS = 16  # pixels across the die, of the largest pitch by default
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
-MAX_FRAME_BYTES = 2.0 * (1 << 30)
+MAX_FRAME_BYTES = 1.0 * (1 << 30)
 PITCH_DIGITS = 4
 
 
 def most_pixels(camera: Camera, own_um: float | None) -> float:
     """Return the number of pixels that a study chooses by itself at most.
 
-    That of a data sheet takes 2 GiB while a frame is simulated, or as many pixels as its sensor has; of a technology, any number
+    That of a data sheet takes 1 GiB while a frame is simulated, or as many pixels as its sensor has; of a technology, any number
     that pixsim simulates.
     """
     if own_um is None:
@@ -172,16 +172,21 @@ def rounded_up(pitch_um: float) -> float:
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
 
 
+def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
+    """Return the plan of a study's render. With a tolerance of ΔE, samples are a part of the calibrated error."""
+    return make_render_plan(scene, camera, tolerance_e=study.tolerance_e, exact=study.tolerance_delta_e is None)
+
+
 def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
     """Return the scene on the film of its first render, which is fine enough for the study's smallest photodiode, and its plan."""
-    plan = make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
+    plan = study_plan(scene, camera, study)
     smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
     finest = min(smallest, key=lambda physics: physics.photodiode_side_um)
     resolution, _ = decide_oversampling(scene, plan, camera, finest, study.display, full=False)
     if resolution is None:
         return scene, plan
     scene = scene.with_resolution(resolution)
-    return scene, make_render_plan(scene, camera, tolerance_e=study.tolerance_e)
+    return scene, study_plan(scene, camera, study)
 
 
 # Costs on one core of an ordinary machine, for an estimate before a render.

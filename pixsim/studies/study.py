@@ -25,7 +25,7 @@ from pixsim.studies.allocation import next_sensors
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, study_pitches_um, warn_of_clipped_white
 from pixsim.studies.oversampling import FilmError, render_and_measure
-from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs
+from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import SceneCache
@@ -234,15 +234,13 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     Its noise is adequate for the largest pixel that the study allows, the least noisy one, and its film for the smallest
     photodiode. Neither depends on the pitches that are added, so a row does not depend on the others.
     """
-    from pixsim.scene.plan import make_render_plan
-
     scene, camera = scene_for(study, variant)
     first = study.technologies[0]
     largest = [physics_of(study, first, study.pitch.max_um)]
     pitches_um = study_pitches_um(study, first)
     tried = [physics_of(study, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
     scene, plan = first_film(study, scene, camera)
-    plan_of = partial(make_render_plan, camera=camera, tolerance_e=study.tolerance_e)
+    plan_of = partial(study_plan, camera=camera, study=study)
     options: dict[str, Any] = {"plan_of": plan_of, "settled": settled, "progress": progress}
     made = render_and_measure(scene, camera, plan, study, largest, tried, **options)
     made.image.header.update(white_header(made.image, camera, study.display))
