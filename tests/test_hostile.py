@@ -262,7 +262,7 @@ TWINS = '<bsdf type="diffuse" id="t0"/>' + "".join(
         ("<shape", '<default name="f" value="../outside.xml"/><include filename="$f"/>', "and its subfolders"),
         ("<shape", '<include filename="ghost.xml"/>', "does not exist"),
         ("<shape", '<include filename="pipe.xml"/>', "a named pipe"),
-        ("<shape", '<path value="/"/>', "<path"),
+        ("<shape", '<path value="nowhere"/>', "a folder that exists"),
         ("<shape", '<shape type="nosuch"/>', ""),
         ("<shape", '<texture type="bitmap"><string name="filename" value="pipe.xml"/></texture>', "a named pipe"),
         ("<shape", '<bsdf type="diffuse"><spectrum name="reflectance" filename="/dev/zero"/></bsdf>', "a device"),

@@ -97,7 +97,8 @@ WAYS = {
     "a shape in the current folder": ("plugins/rectangle.so", "pixsim", '<shape type="rectangle"/>', ""),
     "an emitter under a packaged scene": ("plugins/area.so", "pixsim", "csf", ""),
     "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got '../trav'"),
-    "a <path>": ("q/plugins/evil.so", "pixsim", '<path value="q"/>' + SPHERE.format('<bsdf type="evil"/>'), "<path"),
+    "a <path>": ("q/plugins/evil.so", "pixsim", '<path value="q"/>' + SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
+    "a known plugin in a <path>": ("q/plugins/thinlens.so", "pixsim", '<path value="q"/>' + SPHERE.format(""), ""),
     "a spectrum by load_dict": ("plugins/d65.so", "resolver", "csf", ""),
     "a film by load_dict": ("plugins/specfilm.so", "resolver", "flat", ""),
 }
@@ -128,6 +129,26 @@ def test_foreign_plugin_would_be_seen(tmp_path):
 
 
 # --- The text that Mitsuba gets ----------------------------------------------------------------------------------------------
+
+
+def test_path_is_resolved_and_removed(tmp_path):
+    """Files are found in the folder of a <path> first, the last one before others; Mitsuba never sees the element."""
+    for folder, nm in (("first", 500), ("second", 600)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "lamp.spd").write_text(f"{nm} 1\n{nm + 100} 1\n")
+    path = tmp_path / "scene.xml"
+    lamp = '<emitter type="constant"><spectrum name="radiance" filename="lamp.spd"/></emitter>'
+    for folders, nm in (('<path value="first"/>', 500), ('<path value="first"/><path value="second"/>', 600)):
+        path.write_text(f'<scene version="3.0.0">{folders}{lamp}</scene>', encoding="utf-8")
+        text = judge_scene(path, {}).text
+        assert "<path" not in text
+        assert f"{nm}" in text
+    outside = tmp_path / "second/part.xml"
+    outside.write_text('<scene version="3.0.0"/>', encoding="utf-8")
+    inner = tmp_path / "first/scene.xml"
+    inner.write_text(f'<scene version="3.0.0"><path value="{tmp_path / "second"}"/><include filename="part.xml"/></scene>')
+    with pytest.raises(PixsimError, match="and its subfolders"):
+        judge_scene(inner, {})
 
 
 def test_judged_text_has_what_the_file_has(tmp_path):

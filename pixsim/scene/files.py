@@ -1,8 +1,8 @@
 """Read a Mitsuba XML into a tree that pixsim has judged, and write that tree anew for Mitsuba.
 
 Mitsuba's own parser recurses, blocks and allocates without bounds, and obeys encodings that pixsim would not. So Mitsuba never
-reads a file of XML: it gets the text that `written` makes of the tree. Includes and parameters are resolved here, in the order
-of Mitsuba, and are gone from the tree.
+reads a file of XML: it gets the text that `written` makes of the tree. Includes, parameters and folders (<path>) are resolved
+here, in the order of Mitsuba, and are gone from the tree.
 
 An XML may include files in the scene's folder or the working directory, and in their subfolders. Only a parameter that the
 user sets may include other files, so that a downloaded scene cannot read the user's other folders. Textures, spectra and
@@ -31,6 +31,7 @@ MAX_DEPTH = 24  # of nested elements; Mitsuba's two-sided materials double the w
 MAX_INCLUDES = 64
 MAX_INCLUDE_DEPTH = 8
 MAX_PARAMETERS = 512
+MAX_FOLDERS = 64
 MAX_VALUE = 1 << 20  # characters of an attribute
 MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
 MAX_SUBSTITUTED = 20_000  # parameters in all attributes
@@ -67,6 +68,7 @@ class SceneFiles:
 
     path : of the scene's XML
     given : parameters that the user sets, which come before the defaults
+    folders : of <path>, the last one first
     root : the tree, complete when `read_scene` returns
     content : of the scene's XML
     """
@@ -76,6 +78,7 @@ class SceneFiles:
     content: str = ""
     names: set[str] = field(default_factory=set)
     defaults: dict[str, str] = field(default_factory=dict)
+    folders: list[Path] = field(default_factory=list)
     root: Node | None = None
     _values: dict[str, str] = field(default_factory=dict)
     _left_bytes: int = MAX_XML
@@ -193,14 +196,13 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
                 root = Node(root.tag, named, root.children, root.file, root.line)
             open_elements[-1][-1].extend(root.children if root.tag == "scene" else (root,))
         elif tag == "path":
-            got = f'<path value="{attributes.get("value", "")}"/>'
-            raise invalid(f"scene '{path}'", got, "none", "Write folders into file names.")
+            _take_folder(attributes.get("value", ""), path, scene)
         used = dict.fromkeys(name for name in DOLLAR.findall("".join(written.values())) if name)
         open_elements.append((tag, attributes, line, ", ".join(used), []))
 
     def ends(_: str) -> None:
         tag, attributes, line, parameter, children = open_elements.pop()
-        if tag not in ("default", "include"):
+        if tag not in ("default", "include", "path"):
             open_elements[-1][-1].append(Node(tag, attributes, tuple(children), path, line, parameter))
         elif children:
             raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
@@ -247,13 +249,26 @@ def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> 
         raise invalid(f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}")
 
 
+def _take_folder(name: str, path: Path, scene: SceneFiles) -> None:
+    """Add a folder in which files are looked for first, relative to the including file, the scene or the working directory."""
+    got, allowed = f'<path value="{name}"/>', "a folder that exists"
+    if len(scene.folders) >= MAX_FOLDERS:
+        raise invalid(f"scene '{path}'", f"more than {MAX_FOLDERS} <path> elements", f"at most {MAX_FOLDERS}")
+    if not name or "\0" in name:
+        raise invalid(f"scene '{path}'", got, allowed)
+    folder = next((place for place in (path.parent / name, scene.folder / name, Path(name)) if place.is_dir()), None)
+    if folder is None:
+        raise invalid(f"scene '{path}'", got, allowed)
+    scene.folders.insert(0, Path(os.path.abspath(folder)))
+
+
 def _included(name: str, written: str, path: Path, scene: SceneFiles, includes_deep: int) -> Path:
     """Return the file that Mitsuba would include, from the folder of the including file, the scene, or the working directory."""
     scene._includes += 1
     if scene._includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
         got = "includes nested too deep" if includes_deep >= MAX_INCLUDE_DEPTH else f"more than {MAX_INCLUDES} includes"
         raise invalid(f"scene '{path}'", got, f"at most {MAX_INCLUDES}, nested {MAX_INCLUDE_DEPTH} deep")
-    candidates = [folder / name for folder in (path.parent, scene.folder, Path())]
+    candidates = [folder / name for folder in (*scene.folders, path.parent, scene.folder, Path())]
     file = next((place for place in candidates if os.path.lexists(place)), candidates[0])
     inside = any(Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder)) for folder in (scene.folder, Path()))
     if not (inside or any(f"${parameter}" in written for parameter in scene.given)):

@@ -204,7 +204,7 @@ class _Judge:
                 if bool(value) == ("filename" in attributes):
                     raise invalid(what, f"<spectrum> in {node.place}", 'either value="…" or filename="…"')
                 if not value:
-                    folders = (node.file.parent, self.files.folder, Path())
+                    folders = (*self.files.folders, node.file.parent, self.files.folder, Path())
                     value = spectrum_value(found(attributes["filename"], folders, "spectrum"))
                     self.left_of_tables -= len(value)
                     if self.left_of_tables < 0:
@@ -223,7 +223,7 @@ class _Judge:
                 raise invalid(what, f"'{value}' in {node.place}", ", ".join(metals()), did_you_mean(value, metals()))
         elif rule.file:
             what_file = "texture" if rule.file == "picture" else rule.file
-            path = found(value, (self.files.folder, Path(), node.file.parent), what_file)
+            path = found(value, (*self.files.folders, self.files.folder, Path(), node.file.parent), what_file)
             if path != self.unread:
                 indices = [
                     child.attributes.get("value", "") for child in of.children if child.attributes.get("name") == "shape_index"
