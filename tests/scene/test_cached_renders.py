@@ -142,7 +142,9 @@ def test_render_cache_is_shared_by_studies(tmp_path, rendered):
     from pixsim.studies.study import load_study, render_for
 
     plan = load_study("chen2000")
-    small = plan.model_copy(update={"render_noise": 10.0, "resolution": 32})
+    # Samples that are asked for: else the cells of the chart are computed.
+    scene = plan.scene.model_copy(update={"parameters": {**plan.scene.parameters, "spp": 16}})
+    small = plan.model_copy(update={"render_noise": 10.0, "resolution": 32, "scene": scene})
     first, *_ = render_for(small, "scalar_spectral")
     count = len(rendered)
     again, *_ = render_for(small.model_copy(update={"repeats": 3}), "scalar_spectral")
