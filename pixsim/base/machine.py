@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 NO_LIMIT_BYTES = 1 << 60  # control groups v1 report a number near 2⁶³ if there is no limit
@@ -55,6 +56,16 @@ def processors(root: Path = Path("/")) -> Processors:
         if quota.isdigit() and period.isdigit() and int(period) > 0:  # else "max" or -1
             granted.append(int(quota) / int(period))
     return Processors(os.cpu_count(), allowed, min(granted, default=None))
+
+
+MAX_THREADS = 16  # more wait for memory
+
+
+@cache
+def threads() -> int:
+    """Threads that a kernel may use: the usable processors, or the number that OMP_NUM_THREADS sets, as in workers of a study."""
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    return int(given) if given.isdigit() and int(given) > 0 else min(processors().usable, MAX_THREADS)
 
 
 def memory(root: Path = Path("/")) -> Memory:

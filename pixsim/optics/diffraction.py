@@ -84,12 +84,7 @@ def white_otf(frequency_cy_per_mm: Array, wavelength_nm: Array, weight: Array, f
 
 @checks_arguments
 def diffract_sum(
-    pictures: Iterable[tuple[ArrayLike, Array]],
-    shape: tuple[int, int],
-    pitch_um: float,
-    wavelength_nm: Array,
-    f_number: float,
-    workers: int = 1,
+    pictures: Iterable[tuple[ArrayLike, Array]], shape: tuple[int, int], pitch_um: float, wavelength_nm: Array, f_number: float
 ) -> Array:
     """Return the sum of pictures (H, W), each convolved with its white-light PSF Σ_λ weight · PSF_λ of `diffraction_otf`.
 
@@ -102,7 +97,6 @@ def diffract_sum(
     pitch_um : of the samples
     wavelength_nm : (B,)
     f_number : effective, N_e = 1/(2 sin α)
-    workers : threads of the transforms; the result does not depend on them
 
     Raises PixsimError as `cutoff_cy_per_mm` does.
     """
@@ -118,7 +112,7 @@ def diffract_sum(
         if np.any(weight):
             plane = empty_planes(*shape) if spare is None else spare
             plane[...] = picture
-            spectrum = dct(plane, workers)
+            spectrum = dct(plane)
             otf = np.zeros_like(table)
             for at in np.flatnonzero(weight):
                 otf += weight[at] * _otf_table(float(table[-1]), float(wavelength_nm[at]), f_number)
@@ -128,7 +122,7 @@ def diffract_sum(
             else:
                 total += spectrum
                 spare = spectrum
-    return np.zeros(shape) if total is None else inverse_dct(total, workers)
+    return np.zeros(shape) if total is None else inverse_dct(total)
 
 
 def _frequencies(highest_cy_per_mm: float) -> tuple[Array, float]:
@@ -157,13 +151,12 @@ def _filter(spectrum: Array, y_steps: Array, x_steps: Array, otf: Array) -> None
 
 
 @checks_arguments
-def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, workers: int = 1) -> Array:
+def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float) -> Array:
     """Return a picture convolved with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
 
     picture : (H, W)
     weight : (B,) relative weights of the wavelengths
     f_number : effective, N_e = 1/(2 sin α)
-    workers : threads of the transforms
 
     Raises PixsimError if the weights add up to 0, and as `cutoff_cy_per_mm` does.
     """
@@ -172,7 +165,7 @@ def diffract(picture: Array, pitch_um: float, wavelength_nm: Array, weight: Arra
     if total == 0:
         raise invalid("weight", "a sum of 0", "weights with another sum", "Use `diffract_sum` for weights that are not normalised.")
     share = weight / total
-    return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number, workers)
+    return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number)
 
 
 @checks_arguments

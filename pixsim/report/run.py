@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -357,15 +358,21 @@ def write_all(
     irradiance: Irradiance = "reduced",
 ) -> None:
     """Write all files of a run but its provenance to a folder; the last two arguments are those of `run_and_write`."""
-    if irradiance != "none":
-        written = reduced_to_fit(image) if irradiance == "reduced" else image
-        write_exr(folder / "irradiance.exr", written, factors_only=irradiance == "factors")
-    for suffix in dict.fromkeys((".exr", *raw_suffixes)):
-        write_frame(folder / f"raw{suffix}", score.frame)
-    write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
-    save_png(folder / "ideal.png", score.ideal)
-    save_png(folder / "image.png", score.image)
-    end = scale_end(summary["p99_delta_e"])
-    save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um), end)
+
+    def write_numbers() -> None:
+        if irradiance != "none":
+            written = reduced_to_fit(image) if irradiance == "reduced" else image
+            write_exr(folder / "irradiance.exr", written, factors_only=irradiance == "factors")
+        for suffix in dict.fromkeys((".exr", *raw_suffixes)):
+            write_frame(folder / f"raw{suffix}", score.frame)
+        write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
+
+    with ThreadPoolExecutor(1) as pool:
+        numbers = pool.submit(write_numbers)
+        save_png(folder / "ideal.png", score.ideal)
+        save_png(folder / "image.png", score.image)
+        end = scale_end(summary["p99_delta_e"])
+        save_delta_e_png(folder / "delta_e.png", score.delta_e, picture_axes(image, score.border_um), end)
+        numbers.result()
     write_json(folder / "score.json", summary)
     write_run_page(folder, score, image, summary)

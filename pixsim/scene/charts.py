@@ -110,7 +110,7 @@ def csf(
     With 8192 columns bilinear interpolation keeps the highest frequency to 0.06 %. With 256 rows the contrast is at most 0.9 %
     low, in the lowest half row. Values are rounded to 2⁻¹⁸, 0.04 % of the lowest contrast, which halves the file.
     """
-    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    x, y = (np.arange(width) + 0.5) / width, ((np.arange(height) + 0.5) / height)[:, None]
     return (np.rint(csf_value(x, y, die_mm, highest_lp_per_mm) * CSF_STEPS) / CSF_STEPS).astype(np.float32)
 
 

@@ -18,7 +18,7 @@ from scipy.linalg import lapack
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.sparse import csr_array
 
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera
 from pixsim.light.spectral import SpectralImage, photons_per_joule
@@ -47,9 +47,16 @@ def map_columns(picture: Array | Columns, axis: int, count: int, of_columns: Cal
     if axis == 1 and not isinstance(picture, Columns):
         return map_columns(picture.T, 0, count, of_columns).T
     result = np.empty((count, picture.shape[1]))
-    for which in strips(picture.shape[1], 1, STRIP_COLUMNS):
-        strip = picture.columns(which.start, which.stop) if isinstance(picture, Columns) else picture[:, which]
-        result[:, which] = of_columns(which, np.asarray(strip, float))
+    parts = strips(picture.shape[1], 1, STRIP_COLUMNS)
+    if isinstance(picture, Columns):
+        for which in parts:
+            result[:, which] = of_columns(which, np.asarray(picture.columns(which.start, which.stop), float))
+        return result
+
+    def compute(which: slice) -> None:
+        result[:, which] = of_columns(which, np.asarray(picture[:, which], float))
+
+    in_threads(compute, parts, max(result.size, picture.size))
     return result
 
 
@@ -154,7 +161,7 @@ def electrons_per_joule(physics: PixelPhysics, image: SpectralImage) -> Array:
     return image.band_mean(lambda nm: physics.band_quantum_efficiency(nm, part_nm) * photons_per_joule(nm)) * image.band_width_nm
 
 
-def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
+def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
     """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W).
 
     There is one convolution per spectrum of a factored image (exact, with the white-light OTF), else one per band, and none
@@ -169,7 +176,7 @@ def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhy
     else:
         one = np.eye(nm.size)
         pictures = ((irradiance.band(band), weight * one[band]) for band in np.flatnonzero(weight).tolist())
-    rate = diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, camera.effective_f_number, workers)
+    rate = diffract_sum(pictures, irradiance.shape, irradiance.pitch_um, nm, camera.effective_f_number)
     rate *= M2_PER_UM2
     return rate
 
@@ -282,10 +289,10 @@ def photodiode_edges_um(length_um: float, count: int, pitch_um: float, side_um: 
     return centre_um - side_um / 2, centre_um + side_um / 2
 
 
-def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, workers: int = 1) -> Array:
+def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
     """Return the mean photo-electrons per second of every pixel, (rows, columns), before any non-uniformity."""
     irradiance.validate()
-    rate = diffracted_rate(irradiance, camera, physics, workers)
+    rate = diffracted_rate(irradiance, camera, physics)
     grid_um = irradiance.pitch_um, physics.pitch_um, physics.photodiode_side_um
     signal = integrate_pixels(rate, *grid_um, size_um=array_size_um(irradiance, camera))
     return np.maximum(signal, 0.0, out=signal)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arguments import checks_arguments, checks_fields
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
@@ -22,6 +23,7 @@ from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 POISSON_LIMIT_E = 1e9
 BLACK_SIGMAS = 6.0  # of the dark signal, below the black level: clipping at 0 DN would bias dark statistics
 MAX_CODE_BITS = 31
+BLOCK_PIXELS = 1 << 22  # of larger frames, drawn with a generator of their own
 MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
 
@@ -75,16 +77,20 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[int, int], rng: np.random.
     PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents.
     """
     p = physics
-    gain = _gaussian_map(p.prnu, shape, rng)
-    if gain is not None:
-        gain += 1.0
-        np.maximum(gain, 0.0, out=gain)
     # A spread below the rounding of 1 leaves a map of ones; 1/dsnu² would overflow.
     uneven_dark = p.dsnu > np.finfo(float).eps and p.dark_current_e_per_s > 0
-    dark_gain = rng.gamma(p.dsnu**-2, p.dsnu**2, shape) if uneven_dark else None
-    offset_e = _gaussian_map(p.offset_fpn_e, shape, rng)
-    column_offset_e = _gaussian_map(p.column_fpn_e, (1, shape[1]), rng)
-    return Sensor(p, shape, gain, dark_gain, offset_e, column_offset_e)
+    gain, dark_gain, offset_e = (np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, p.offset_fpn_e))
+
+    def draw(rows: slice, rng: np.random.Generator) -> None:
+        if gain is not None:
+            np.maximum(1.0 + p.prnu * rng.standard_normal(gain[rows].shape), 0.0, out=gain[rows])
+        if dark_gain is not None:
+            dark_gain[rows] = rng.gamma(p.dsnu**-2, p.dsnu**2, dark_gain[rows].shape)
+        if offset_e is not None:
+            offset_e[rows] = p.offset_fpn_e * rng.standard_normal(offset_e[rows].shape)
+
+    by_block(draw, shape, rng)
+    return Sensor(p, shape, gain, dark_gain, offset_e, _gaussian_map(p.column_fpn_e, (1, shape[1]), rng))
 
 
 def _gaussian_map(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Array | None:
@@ -199,29 +205,46 @@ def read_out(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random
 def _expose(mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator) -> tuple[NDArray[np.int32], float]:
     """Return the frame of `read_out` and its saturated fraction, as `Frame` defines it.
 
-    A few rows at a time, which keeps the work arrays small; all shot noise is drawn before all read noise.
+    A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn before its read noise.
     """
     if mean_e.shape != sensor.shape:
         raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
-    p, generated = sensor.physics, np.empty(mean_e.shape)
-    mean_dark_e = p.dark_current_e_per_s * integration_s
-    for rows in strips(*mean_e.shape):
-        charge = mean_e[rows] if sensor.gain is None else mean_e[rows] * sensor.gain[rows]
-        if mean_dark_e:
-            charge = charge + (mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain[rows])
-        generated[rows] = shot_noise(charge, rng)
+    p, generated, dn = sensor.physics, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
+    mean_dark_e, noise_e = p.dark_current_e_per_s * integration_s, math.hypot(p.reset_noise_e, p.read_noise_e)
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the top code.
-    full_e, top_dn, saturated = saturation_level_e(integration_s, p), 2**p.pixel.bits - 1, 0
-    noise_e, dn = math.hypot(p.reset_noise_e, p.read_noise_e), np.empty(mean_e.shape, np.int32)
-    for rows in strips(*mean_e.shape):
-        level = stored_signal_e(generated[rows], integration_s, p)
-        offset_e = None if sensor.offset_e is None else sensor.offset_e[rows]
-        for added_e in (_gaussian_map(noise_e, level.shape, rng), offset_e, sensor.column_offset_e):
-            if added_e is not None:
-                level = level + added_e
-        dn[rows] = quantise(level * p.dn_per_e + p.pixel.black_level_dn, p.pixel.bits)
-        saturated += int(np.count_nonzero((generated[rows] >= full_e) | (dn[rows] >= top_dn)))
-    return dn, saturated / max(dn.size, 1)
+    full_e, top_dn = saturation_level_e(integration_s, p), 2**p.pixel.bits - 1
+    saturated: list[int] = []
+
+    def expose(block: slice, rng: np.random.Generator) -> None:
+        within = [
+            slice(block.start + rows.start, block.start + rows.stop) for rows in strips(block.stop - block.start, dn.shape[1])
+        ]
+        for rows in within:
+            charge = mean_e[rows] if sensor.gain is None else mean_e[rows] * sensor.gain[rows]
+            if mean_dark_e:
+                charge = charge + (mean_dark_e if sensor.dark_gain is None else mean_dark_e * sensor.dark_gain[rows])
+            generated[rows] = shot_noise(charge, rng)
+        for rows in within:
+            level = stored_signal_e(generated[rows], integration_s, p)
+            offset_e = None if sensor.offset_e is None else sensor.offset_e[rows]
+            for added_e in (_gaussian_map(noise_e, level.shape, rng), offset_e, sensor.column_offset_e):
+                if added_e is not None:
+                    level = level + added_e
+            dn[rows] = quantise(level * p.dn_per_e + p.pixel.black_level_dn, p.pixel.bits)
+            saturated.append(int(np.count_nonzero((generated[rows] >= full_e) | (dn[rows] >= top_dn))))
+
+    by_block(expose, mean_e.shape, rng)
+    return dn, sum(saturated) / max(dn.size, 1)
+
+
+def by_block(draw: Callable[[slice, np.random.Generator], None], shape: tuple[int, int], rng: np.random.Generator) -> None:
+    """Call a function for each block of rows, with a generator of its own: large frames take several threads.
+
+    A frame of one block draws from `rng` itself.
+    """
+    blocks = list(strips(*shape, BLOCK_PIXELS))
+    generators = [rng] if len(blocks) < 2 else rng.spawn(len(blocks))
+    in_threads(lambda pair: draw(*pair), zip(blocks, generators, strict=True), math.prod(shape))
 
 
 @checks_arguments

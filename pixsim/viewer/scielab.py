@@ -201,7 +201,6 @@ def delta_e_map(
     samples_per_deg: float,
     filters: Filters = "published",
     formula: Formula = "1976",
-    workers: int = 1,
 ) -> Floats:
     """Return the S-CIELAB difference between a test image and its reference, (H, W), in units of ΔE. [ZW]
 
@@ -211,7 +210,7 @@ def delta_e_map(
     reference_xyz, test_xyz : (H, W, 3) CIE XYZ in any unit, the same for both and for the white
     white_xyz : (3,) XYZ of the white that the viewer is adapted to
     samples_per_deg : image samples per degree of visual angle
-    filters, workers : as of `filtered_lab`
+    filters : as of `filtered_lab`
     formula : as of `delta_e`
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
@@ -223,14 +222,12 @@ def delta_e_map(
     (23.930739, 23.930739)
     """
     reference, test = checked_pair(dimensions=3, reference_xyz=reference_xyz, test_xyz=test_xyz)
-    lab = partial(filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters, workers=workers)
+    lab = partial(filtered_lab, white_xyz=white_xyz, samples_per_deg=samples_per_deg, filters=filters)
     return delta_e(lab(reference), lab(test), formula)
 
 
 @checks_arguments
-def filtered_lab(
-    xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
-) -> Floats:
+def filtered_lab(xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published") -> Floats:
     """Return the CIELAB of an image blurred by the eye's filters, (H, W, 3), for comparison with many others. [ZW]
 
     XYZ below zero (noise, the filters' negative lobe) continues CIELAB's linear branch, so L* may be negative: clipping
@@ -241,7 +238,6 @@ def filtered_lab(
     samples_per_deg : image samples per degree of visual angle
     filters : "published" is [ZW] in the frequency domain, with unit gain at zero, so that a uniform image keeps its CIELAB;
         "zhang1996" is [1996], with sampled kernels and rounded Lab constants, up to 2 % off at 20 samples/deg
-    workers : threads of the transforms; the result does not depend on it
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
@@ -251,26 +247,26 @@ def filtered_lab(
     for rows, strip in strips_of(planes.shape):
         np.ldexp(planes[:, rows], -view.exponent, out=strip)
         _apply_matrix(OPPONENT_FROM_XYZ, strip, opponent[:, rows])
-    spectrum = dct(opponent, workers)
+    spectrum = dct(opponent)
     spectrum *= filter_transfer(view, *spectrum.shape[1:])
-    return _assemble_strips(_iter_lab_strips(spectrum, view, workers), spectrum.shape)
+    return _assemble_strips(_iter_lab_strips(spectrum, view), spectrum.shape)
 
 
 @checks_arguments
 def filtered_grey_lab(
-    luminance: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published", workers: int = 1
+    luminance: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: float, filters: Filters = "published"
 ) -> Floats:
     """Return `filtered_lab` of a grey image, luminance (H, W) times `white_xyz`, 1 for white: (H, W, 3). [ZW]
 
     Its opponent channels are multiples of one picture, so one forward transform serves all three. Each is blurred
     differently, so grey gains chroma. The transfer functions include the conversion to X/Xn, Y/Yn and Z/Zn.
-    `filters` and `workers` are those of `filtered_lab`.
+    `filters` is that of `filtered_lab`.
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
-    spectrum = _grey_spectrum(luminance, view, workers)
-    return _assemble_strips(_iter_lab_strips(spectrum, view, workers, grey=True), spectrum.shape)
+    spectrum = _grey_spectrum(luminance, view)
+    return _assemble_strips(_iter_lab_strips(spectrum, view, grey=True), spectrum.shape)
 
 
 @checks_arguments
@@ -281,7 +277,6 @@ def grey_delta_e_map(
     white_xyz: npt.ArrayLike,
     samples_per_deg: float,
     filters: Filters = "published",
-    workers: int = 1,
 ) -> Floats:
     """Return `delta_e` (1976) between a filtered reference and `filtered_grey_lab` of a luminance, (H, W). [ZW]
 
@@ -289,40 +284,40 @@ def grey_delta_e_map(
 
     reference_lab : (H, W, 3)
     luminance : (H, W) relative, 1 for white
-    white_xyz, samples_per_deg, filters, workers : as of `filtered_lab`
+    white_xyz, samples_per_deg, filters : as of `filtered_lab`
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
     view = ViewingConditions.of(white_xyz, samples_per_deg, filters)
-    spectrum = _grey_spectrum(luminance, view, workers)
+    spectrum = _grey_spectrum(luminance, view)
     reference, shape = np.asarray(reference_lab, np.float64), (*spectrum.shape[1:], 3)
     if reference.shape != shape:
         raise invalid("reference_lab, shape", reference.shape, str(shape), "Resample one image to the raster of the other.")
     reference = np.moveaxis(reference, -1, 0)
     difference = np.empty(spectrum.shape[1:])
-    for rows, lab in _iter_lab_strips(spectrum, view, workers, grey=True):
+    for rows, lab in _iter_lab_strips(spectrum, view, grey=True):
         _distance(reference[:, rows], lab, difference[rows])
     if not is_finite(difference):
         checked_triples("reference_lab", reference_lab)
     return difference
 
 
-def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions, workers: int) -> Floats:
+def _grey_spectrum(luminance: npt.ArrayLike, view: ViewingConditions) -> Floats:
     """Return the DCT-II of the filtered X/Xn, Y/Yn and Z/Zn of a grey picture, (3, H, W)."""
     grey = np.asarray(luminance, np.float64)
     if grey.ndim != 2 or grey.size == 0 or not is_finite(grey):
         raise invalid("luminance", f"shape {grey.shape}", "(H, W), not empty, all values finite")
     picture, spectrum = empty_planes(*grey.shape), empty_planes(3, *grey.shape)
     picture[...] = grey
-    return np.multiply(filter_transfer(view, *grey.shape, grey=True), dct(picture, workers), out=spectrum)
+    return np.multiply(filter_transfer(view, *grey.shape, grey=True), dct(picture), out=spectrum)
 
 
-def _iter_lab_strips(spectrum: Floats, view: ViewingConditions, workers: int, grey: bool = False) -> Strips:
+def _iter_lab_strips(spectrum: Floats, view: ViewingConditions, grey: bool = False) -> Strips:
     """Yield strips of CIELAB planes, in a reused buffer, from the filtered DCT-II (3, H, W).
 
     grey : the spectrum is that of X/Xn, Y/Yn, Z/Zn instead of the opponent channels
     """
-    planes = inverse_dct(spectrum, workers)
+    planes = inverse_dct(spectrum)
     constants = CIE_LAB if view.filters == "published" else ZHANG1996_LAB
     for (rows, strip), (_, lab) in zip(strips_of(planes.shape), strips_of(planes.shape), strict=True):
         if grey:

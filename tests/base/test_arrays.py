@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pixsim.base import arrays
+from pixsim.base import arrays, machine
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (2, 5, 512), (4, 1024), (7, 1000)])
@@ -41,3 +41,24 @@ def test_dct_matches_cosine_sum_and_inverts(shape):
     np.testing.assert_allclose(spectrum, cosines[0] @ values @ cosines[1].T, rtol=0, atol=1e-12)
     assert np.shares_memory(spectrum, planes)
     np.testing.assert_allclose(arrays.inverse_dct(spectrum), values, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("size", [10, 2 * arrays.WORTH_THREADS])
+def test_in_threads_calls_each_once_and_raises_its_error(count, size, monkeypatch):
+    monkeypatch.setattr(arrays, "threads", lambda: count)
+    called: list[int] = []
+    arrays.in_threads(called.append, range(20), size)
+    assert sorted(called) == list(range(20))
+    with pytest.raises(ZeroDivisionError):
+        arrays.in_threads(lambda item: 1 / (item - 3), range(20), size)
+
+
+@pytest.mark.parametrize(("given", "expected"), [("3", 3), ("1", 1), ("", None), ("0", None), ("many", None)])
+def test_threads_are_the_users_or_the_processors(given, expected, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", given)
+    machine.threads.cache_clear()
+    try:
+        assert machine.threads() == (expected or min(machine.processors().usable, machine.MAX_THREADS))
+    finally:
+        machine.threads.cache_clear()

@@ -14,6 +14,7 @@ import pytest
 from scipy.constants import c as light_speed, h as planck
 from scipy.stats import poisson
 
+from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
@@ -144,6 +145,32 @@ def test_sample_sensor_maps_have_given_spread():
     assert sensor.column_offset_e.shape == (1, SHAPE[1])
     clean = sensors.sample_sensor(derive(Pixel(**CLEAN)), (4, 4), seeded(3))
     assert (clean.gain, clean.dark_gain, clean.offset_e, clean.column_offset_e) == (None, None, None, None)
+
+
+def test_frame_of_many_blocks_is_independent_of_threads(monkeypatch):
+    """Each block has a stream of its own; mean, variance and maps are those of the closed forms, within 5σ."""
+    monkeypatch.setattr(sensors, "BLOCK_PIXELS", 1 << 18)
+    monkeypatch.setattr(arrays, "WORTH_THREADS", 1)
+    flaws = {"prnu": 0.02, "dsnu": 0.5, "dark_current_e_per_s": 900.0, "offset_fpn": 1e-4, "column_fpn": 1e-4, "read_noise_e": 4.0}
+    physics = derive(Pixel(**CLEAN | flaws))
+    shape, frames = (2000, 900), []
+    for count in (1, 3):
+        monkeypatch.setattr(arrays, "threads", lambda count=count: count)
+        sensor = sensors.sample_sensor(physics, shape, seeded(3))
+        frames.append(sensors.read_out(np.full(shape, 5000.0), 1.0, sensor, seeded(4)))
+    assert np.array_equal(frames[0], frames[1])
+    assert sensor.gain is not None
+    assert sensor.offset_e is not None
+    for name, values, spread in (("gain", sensor.gain, 0.02), ("offset", sensor.offset_e, physics.offset_fpn_e)):
+        assert abs(values.std() / spread - 1) < SIGMAS / math.sqrt(2 * values.size), name
+    blocks = np.array_split(sensor.gain[: 291 * 6], 6)
+    assert all(abs(np.corrcoef(blocks[0].ravel(), other.ravel())[0, 1]) < SIGMAS / math.sqrt(other.size) for other in blocks[1:])
+    # Columns are few: their part of the mean is taken out, as measured.
+    assert sensor.column_offset_e is not None
+    mean_dn = sensors.frame_mean_dn(5000.0, 1.0, physics) + sensor.column_offset_e.mean() * physics.dn_per_e
+    variance_dn2 = float(sensors.frame_variance_dn2(5000.0, 1.0, physics))
+    assert abs(frames[0].mean() - mean_dn) < SIGMAS * math.sqrt(variance_dn2 / frames[0].size)
+    assert frames[0].var() == pytest.approx(variance_dn2, rel=SIGMAS * math.sqrt(2 / frames[0].size) + 0.01)
 
 
 def test_shot_noise_dim_and_bright_pixels():
