@@ -3,6 +3,7 @@
 import ast
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -76,6 +77,7 @@ def test_module_imports_nothing_heavy_at_top(module: str) -> None:
     assert not HEAVY & roots(TREES[module], at_top_only=True)
 
 
+@cache
 def arrows() -> dict[str, set[str]]:
     """Module -> modules of pixsim that it imports at run time, also inside functions."""
     graph: dict[str, set[str]] = {}

@@ -607,10 +607,10 @@ def test_command_any_file_name_works_or_is_rejected(tmp_path, monkeypatch, name)
     ("line", "max_bytes"),
     [
         (f"run flat {SMALL} --out out", 2000),
-        (f"run flat {SMALL} --out out", 30_000),
+        pytest.param(f"run flat {SMALL} --out out", 30_000, marks=pytest.mark.slow),
         ("sfr edge.npy --out out", 3000),
-        ("datasheet 0.35um --out out", 9000),
-        ("chart csf -o out/a.exr", 9000),
+        pytest.param("datasheet 0.35um --out out", 9000, marks=pytest.mark.slow),
+        pytest.param("chart csf -o out/a.exr", 9000, marks=pytest.mark.slow),
         ("template study -o out/a.toml", 100),
     ],
 )

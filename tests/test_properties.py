@@ -269,7 +269,7 @@ def assert_possible(frame: Frame) -> None:
 def test_evaluate_is_finite_and_in_range_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=500, **REPEATABLE)
+    @settings(max_examples=200, **REPEATABLE)
     @given(chains())
     def scored(chain: dict[str, Any]) -> None:
         with only_explained_errors(outcomes):
@@ -302,7 +302,7 @@ def any_technology() -> st.SearchStrategy[Technology]:
 def test_capture_any_technology_is_possible_or_raises() -> None:
     outcomes: Counter[str] = Counter()
 
-    @settings(max_examples=540, **REPEATABLE)
+    @settings(max_examples=220, **REPEATABLE)
     @given(any_technology(), pixels(), LEVELS, values(Exposure))
     def captured(process: dict[str, Any], fields: dict[str, Any], level: tuple[Any, ...], exposure: dict[str, Any]) -> None:
         fields.pop("capacitance", None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import tomllib
 from pathlib import Path
@@ -127,6 +128,7 @@ def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
     environment = {name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))}
     environment |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(cache)}
     (study := tmp_path / "s.toml").write_text(tiny_toml(), encoding="utf-8")
+    shutil.copytree(os.environ["MPLCONFIGDIR"], cache / "matplotlib")  # to list all fonts takes seconds
     for line in (f"run csf {SMALL} --out {out}/run", f"study {study} --jobs 2 --out {out}/study"):
         done = process(line, folder=here, **environment)
         assert done.returncode == 0, done.stderr

@@ -160,6 +160,7 @@ def test_render_until_pairs_grow_far_from_target(monkeypatch):
     assert 4 * LEVEL_FACTOR ** max(renders.levels) == MAX_SPP
 
 
+@pytest.mark.slow
 def test_render_until_memory_is_constant(monkeypatch):
     renders = Noisy(monkeypatch, 0.1)
     first = until(LOOSE)[1].fraction

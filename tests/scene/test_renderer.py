@@ -195,6 +195,7 @@ def test_render_one_pass_gives_all_bands(variant):
     assert np.abs(full.data / quick.data - 1).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_render_chart_one_pass_gives_all_bands():
     scene = pixsim.load_scene("csf", resolution=64, spp=64)
     quick, full, other = pixsim.render(scene), pixsim.render(scene, full=True), pixsim.render(scene, full=True, seed=1)

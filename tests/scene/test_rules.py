@@ -495,7 +495,7 @@ def measured_error(name: str, spp: int) -> float:
     return float(np.sqrt(np.mean((runs.std(axis=0, ddof=1) / np.maximum(mean, rules.DARKEST * mean.max())) ** 2)))
 
 
-@pytest.mark.parametrize("spp", [4, 16])
+@pytest.mark.parametrize("spp", [pytest.param(4, marks=pytest.mark.slow), 16])
 @pytest.mark.parametrize("name", ["csf", "slanted_edge"])
 def test_sampling_error_matches_render(name, spp):
     chart, result = render_plan(name, resolution=SIZE).chart, measured_error(name, spp)
