@@ -90,6 +90,7 @@ def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tm
         assert np.array_equal(dn, frames["file"]), name
 
 
+@pytest.mark.slow
 def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command's summary against that of `make_datasheet`: measured on the frames, it is equal only if they are."""
     few = partial(datasheet.make_datasheet, shape=(60, 60), stack_frames=8)

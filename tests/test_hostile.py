@@ -608,7 +608,7 @@ def test_command_any_file_name_works_or_is_rejected(tmp_path, monkeypatch, name)
     [
         (f"run flat {SMALL} --out out", 2000),
         pytest.param(f"run flat {SMALL} --out out", 30_000, marks=pytest.mark.slow),
-        ("sfr edge.npy --out out", 3000),
+        pytest.param("sfr edge.npy --out out", 3000, marks=pytest.mark.slow),
         pytest.param("datasheet 0.35um --out out", 9000, marks=pytest.mark.slow),
         pytest.param("chart csf -o out/a.exr", 9000, marks=pytest.mark.slow),
         ("template study -o out/a.toml", 100),
@@ -701,7 +701,7 @@ def test_literal_shows_name_unchanged(name):
     assert "<script" not in svg.replace("<!--", "").partition("<script")[0]
 
 
-@pytest.mark.parametrize("line", ["study study.toml --jobs 1", "datasheet 't$<b>$.toml'"])
+@pytest.mark.parametrize("line", ["study study.toml --jobs 1", pytest.param("datasheet 't$<b>$.toml'", marks=pytest.mark.slow)])
 def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
     """Title, technology and sources of a study, and the name of a data sheet, are markup and mathematics."""
     monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, **FEW))

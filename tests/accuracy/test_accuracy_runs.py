@@ -161,6 +161,7 @@ def test_survey_scene_selects_reference(name, analytic, tmp_path):
         assert accuracy.shipped.error_e < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_figure_layout")
 def test_survey_without_time_skips_ladders(tmp_path):
     accuracy = surveyed("csf", NO_TIME)

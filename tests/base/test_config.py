@@ -274,13 +274,13 @@ def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
     [
         # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) + Φ(-2.93) = 0.32 DN.
         ("", "clips dark noise: 72 % of dark pixels are at 0 DN, which raises the dark mean by 0.93 e-"),
-        ("black_level_dn = 7", ""),
+        pytest.param("black_level_dn = 7", "", marks=pytest.mark.slow),
         # With offsets: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) = 0.88 DN.
         ("black_level_dn = 7\noffset_fpn = 0.002", "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-"),
-        ("black_level_dn = 50\noffset_fpn = 0.002", ""),
+        pytest.param("black_level_dn = 50\noffset_fpn = 0.002", "", marks=pytest.mark.slow),
         # With reset noise and offsets of a technology.
         ('technology = "0.35um"', "set pixel.black_level_dn = 15 to avoid this"),
-        ('technology = "0.35um"\nblack_level_dn = 15', ""),
+        pytest.param('technology = "0.35um"\nblack_level_dn = 15', "", marks=pytest.mark.slow),
         ("offset_fpn = 0.2", "avoiding this takes more bits (pixel.bits)"),
     ],
 )

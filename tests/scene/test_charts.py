@@ -122,7 +122,10 @@ def test_sine_value_is_sinusoid():
 # --- Files and sizes ---
 
 
-@pytest.mark.parametrize("kind", list(charts.CHARTS))
+SLOW_CHARTS = {"siemens_star": pytest.mark.slow}  # 64 points for each of a million texels
+
+
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=SLOW_CHARTS.get(kind, ())) for kind in charts.CHARTS])
 def test_packaged_textures_equal_make_chart(kind):
     channels, _ = read_channels(SHIPPED / f"{kind}.exr")
     assert list(channels) == ["Y"]

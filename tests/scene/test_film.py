@@ -68,7 +68,7 @@ def test_csf_contrast_axis_is_stretched_over_die(camera):
     np.testing.assert_allclose(swing / swing[-1], expected / expected[-1], rtol=0.15)  # half a row is 2.4 %
 
 
-@pytest.mark.parametrize("camera", [LANDSCAPE, PORTRAIT])
+@pytest.mark.parametrize("camera", [pytest.param(LANDSCAPE, marks=pytest.mark.slow), PORTRAIT])
 def test_slanted_edge_keeps_angle(camera):
     picture = chart_on("slanted_edge", camera, 192)
     # Position of the edge in each row, from the share of light cells.
@@ -77,7 +77,7 @@ def test_slanted_edge_keeps_angle(camera):
     assert math.degrees(math.atan(abs(slope))) == pytest.approx(5, abs=0.1)
 
 
-@pytest.mark.parametrize("camera", [LANDSCAPE, PORTRAIT])
+@pytest.mark.parametrize("camera", [LANDSCAPE, pytest.param(PORTRAIT, marks=pytest.mark.slow)])
 def test_siemens_star_is_round_and_whole(camera):
     """Its disc has 90 % of the shorter side, and half of it is dark."""
     picture = chart_on("siemens_star", camera, 192)

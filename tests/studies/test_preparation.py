@@ -328,7 +328,10 @@ def test_study_line_says_that_sizes_look_alike(tiny_result: pixsim.study) -> Non
 # --- Dry run and cost ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("line", ["run csf", "study pixel-size --quick", "study chen2000", "run macbeth --window 1"])
+@pytest.mark.parametrize(
+    "line",
+    ["run csf", pytest.param("study pixel-size --quick", marks=pytest.mark.slow), "study chen2000", "run macbeth --window 1"],
+)
 def test_dry_run_renders_and_writes_nothing(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", lambda *_, **__: pytest.fail("rendered"))
     monkeypatch.chdir(tmp_path)

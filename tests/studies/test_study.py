@@ -121,7 +121,7 @@ def test_study_second_run_evaluates_nothing(done: tuple[StudyResult, Path], eval
     assert again.as_dict() == done[0].as_dict()
 
 
-@pytest.mark.parametrize("raster", ["fixed_size", "one_to_one"])
+@pytest.mark.parametrize("raster", ["fixed_size", pytest.param("one_to_one", marks=pytest.mark.slow)])
 def test_study_notes_reach_result_summary_page_and_json(raster: str, tmp_path: Path) -> None:
     """Once each, whatever the workers do, and from a resumed study too."""
     over: dict[str, Any] = {"display": {"white_cd_per_m2": 40.0, "raster": raster}, "pixel": {"bits": 8}}
