@@ -142,6 +142,12 @@ NOT_CALLED = {
     "pixsim.PixsimError": "takes any text",
 }  # fmt: skip
 ANY_VALUE = {"object", "Any"}
+SMALL_RECORDS: dict[str, dict[str, Any]] = {
+    "DarkCurrent": {"e_per_s": 1.0, "at_c": 20.0},
+    "Axis": {"name": "lens", "set": "camera.f_number", "values": (2.0, 4.0)},
+    "AxisValue": {"label": "f/2", "set": {"camera": {"f_number": 2.0}}},
+    "Condition": {"name": "night", "set": {"camera": {"f_number": 2.0}}},
+}
 
 
 def owner_of(name: str) -> str | None:
@@ -204,7 +210,7 @@ def records(name: str) -> dict[str, Any]:
         of = {"Study": STUDY, "Technology": TECHNOLOGY, "Junction": TECHNOLOGY.junction}
         if thing.__name__ in of:
             return {key: getattr(of[thing.__name__], key) for key in of[thing.__name__].model_fields_set}
-        return {"e_per_s": 1.0, "at_c": 20.0} if thing.__name__ == "DarkCurrent" else {}
+        return SMALL_RECORDS.get(thing.__name__, {})
     instance = INSTANCES[thing.__name__]()
     return {each.name: getattr(instance, each.name) for each in fields(thing) if each.init}
 

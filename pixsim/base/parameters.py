@@ -10,9 +10,10 @@ import hashlib
 import inspect
 import json
 import math
-from collections.abc import Iterable, Sequence
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
@@ -23,10 +24,12 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
     WithJsonSchema,
     field_validator,
+    model_serializer,
     model_validator,
 )
 from pydantic_core import ErrorDetails
@@ -42,8 +45,8 @@ else:
 
 # Documented in the reference; the other names are internal.
 __all__ = [
-    "Camera", "CameraOptions", "DarkCurrent", "Display", "Effort", "Exposure", "PitchRange", "Pixel", "PixelOptions", "Run",
-    "Study", "StudyScene", "pixel_of",
+    "Axis", "AxisValue", "Camera", "CameraOptions", "Condition", "DarkCurrent", "Display", "Effort", "Exposure", "PitchRange",
+    "Pixel", "PixelOptions", "Run", "Study", "StudyScene", "pixel_of",
 ]  # fmt: skip
 
 
@@ -124,7 +127,9 @@ def _names(title: str, path: list[str]) -> list[str]:
             if field
             else None
         )
-    return list(record.model_fields) if isinstance(record, type) and issubclass(record, BaseModel) else []
+    if not (isinstance(record, type) and issubclass(record, BaseModel)):
+        return []
+    return [field.alias or name for name, field in record.model_fields.items()]
 
 
 class RecordType(ModelMetaclass):
@@ -789,6 +794,193 @@ class PitchRange(Record):
         return self.max_um if self.values_um is None else max(self.values_um)
 
 
+AXIS_COUNT = 1000
+NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}  # columns of a study's rows
+PITCH_TABLE = "pitch"
+NOT_SETTINGS = ("name", "title", "axis", "condition", "quick", "sources", "sensors", "paper", "technologies", PITCH_TABLE)
+
+
+def setting_path(dotted: str) -> tuple[str, ...]:
+    """Parts of a dotted setting, as TOML writes keys: process."0.35um".prnu has three. ValueError if it is none."""
+    try:
+        node: Any = tomllib.loads(f"{dotted} = 0") if "\n" not in dotted and "=" not in dotted else None
+    except tomllib.TOMLDecodeError:
+        node = None
+    path: list[str] = []
+    while isinstance(node, dict):
+        ((part, node),) = node.items()
+        path.append(part)
+    if not path:
+        raise ValueError(f"got {dotted!r}; allowed: a dotted setting, as camera.f_number")
+    return tuple(path)
+
+
+def setting_table(path: Sequence[str], value: Any) -> dict[str, Any]:
+    """Nested tables that set one value. The technology of the pixel is a study's only technology."""
+    if tuple(path) == ("pixel", "technology"):
+        return {"technologies": [value]}
+    table: Any = value
+    for part in reversed(path):
+        table = {part: table}
+    return dict(table)
+
+
+def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Paths of the values of nested tables; `dark_current` of a pixel is one value."""
+    for name, value in table.items():
+        if isinstance(value, dict) and value and name != "dark_current":
+            yield from paths_of(value, (*above, name))
+        else:
+            yield (*above, name)
+
+
+def _settings(table: Any) -> Any:
+    """Check which settings of a study an axis or a condition may change. ValueError for others."""
+    if not isinstance(table, dict) or not table:
+        raise ValueError("got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8")
+    for path in paths_of(table):
+        if path[0] in NOT_SETTINGS:
+            hint = "; pixel sizes are an axis of every study, set by [pitch]" if path[0] == PITCH_TABLE else ""
+            hint = "; name technologies in the study, or set pixel.technology" if path[0] == "technologies" else hint
+            raise ValueError(f"{'.'.join(path)} cannot be changed by an axis or a condition{hint}")
+    return table
+
+
+def _as_paths(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+def _is_path(dotted: str) -> str:
+    _settings(dict.fromkeys([setting_path(dotted)[0]], 0))
+    return dotted
+
+
+Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
+DottedSetting = Annotated[str, AfterValidator(_is_path)]
+CaseName = Annotated[str, Field(pattern=r"^[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?$", max_length=60)]
+AxisNumber = float | int | str
+
+
+class AxisValue(Record):
+    """One value of an axis: its label, and the settings of the study that it changes."""
+
+    label: CaseName
+    set: Settings = Field(description="settings, as set.camera.f_number = 2.8")
+
+
+@dataclass(frozen=True)
+class AxisPoint:
+    """One value of an axis, ready to use.
+
+    value : the number, or its label
+    table : settings of the study
+    """
+
+    value: float | int | str
+    table: dict[str, Any]
+
+    @property
+    def label(self) -> str:
+        return self.value if isinstance(self.value, str) else f"{self.value:.4g}"
+
+
+class Axis(Record):
+    """Something that a study varies beside the pixel size: settings and their values.
+
+    Either `set` names settings that take each value together, with `values`, or `from`, `to` and `count`; or each of `values` has
+    a label and settings of its own.
+    """
+
+    name: CaseName = Field(description="name in columns and for --axis")
+    set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths)] = Field(
+        (), description="dotted settings that take each value together"
+    )
+    values: tuple[AxisValue | AxisNumber, ...] | None = Field(None, description="numbers or names, or tables of label and set")
+    first: float | None = Field(None, alias="from", description="first value")
+    to: float | None = Field(None, description="last value")
+    count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
+    spacing: Literal["linear", "log"] = Field("linear", description="'linear': equal steps; 'log': equal ratios")
+    alone: bool = Field(False, description="vary this axis alone, about the values of the study, not with each value of the others")
+    quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    @model_validator(mode="after")
+    def _has_values(self) -> Self:
+        if self.name in NOT_NAMES:
+            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name")
+        ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
+        given = [name for name, value in ends.items() if value is not None]
+        given += ["spacing"] * ("spacing" in self.model_fields_set and self.values is not None)
+        if self.values is not None and given:
+            raise ValueError(f"values and {', '.join(given)} both state the values; give one")
+        if self.values is None and len(given) < len(ends):
+            missing = ", ".join(name for name in ends if name not in given)
+            raise ValueError(f"missing: {missing}; allowed: values = [...], or from, to and count")
+        if self.values is not None and not self.values:
+            raise ValueError("values: got an empty list; allowed: one value or more")
+        if self.spacing == "log" and not (self.first is not None and self.to is not None and min(self.first, self.to) > 0):
+            raise ValueError(f"from = {self.first:g}, to = {self.to:g} with spacing = 'log'; allowed: numbers above 0")
+        tables = [value for value in self.values or () if isinstance(value, AxisValue)]
+        if tables and (self.set or len(tables) < len(self.values or ())):
+            raise ValueError("values with settings of their own do not go with set, or with plain values; give one of them")
+        if not tables and not self.set:
+            raise ValueError("set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values with label and set")
+        labels = [point.label for point in self.points]
+        if twice := [label for place, label in enumerate(labels) if label in labels[:place]]:
+            raise ValueError(f"values: {twice[0]} stands there twice; allowed: each value once")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        table = {("from" if name == "first" else name): value for name, value in handler(self).items()}
+        return {name: value for name, value in table.items() if value not in (None, {}, (), [], False, "linear")}
+
+    @cached_property
+    def points(self) -> tuple[AxisPoint, ...]:
+        """The values in order."""
+        values: Sequence[AxisValue | AxisNumber] = self.values or _spaced(
+            self.first or 0.0, self.to or 0.0, self.count or 2, self.spacing
+        )
+        paths = [setting_path(dotted) for dotted in self.set]
+        points = []
+        for value in values:
+            if isinstance(value, AxisValue):
+                points.append(AxisPoint(value.label, value.set))
+            else:
+                points.append(AxisPoint(value, reduce(merge, (setting_table(path, value) for path in paths), {})))
+        return tuple(points)
+
+    @property
+    def quickened(self) -> Axis:
+        """This axis with its `quick` table applied; `values` there replace from, to, count and spacing."""
+        table = self.model_dump(mode="json", exclude={"quick"})
+        if "values" in self.quick:
+            table = {name: value for name, value in table.items() if name not in ("from", "to", "count", "spacing")}
+        return Axis.model_validate(table | self.quick)
+
+
+AXIS_DIGITS = 6
+
+
+def _spaced(first: float, last: float, count: int, spacing: str) -> list[float]:
+    """Values at equal steps or ratios, rounded to 6 digits, with both ends as given."""
+    part = [place / (count - 1) for place in range(count)]
+    if spacing == "log":
+        values = [first * (last / first) ** share for share in part]
+    else:
+        values = [first + (last - first) * share for share in part]
+    return [first, *(float(f"{value:.{AXIS_DIGITS}g}") for value in values[1:-1]), last]
+
+
+class Condition(Record):
+    """One of the circumstances in which the pixel is used, such as day or night."""
+
+    name: CaseName = Field(description="name in columns and results")
+    weight: Annotated[float, Field(ge=0, le=1e9)] = Field(1.0, description="share of this condition; all are normalised to 1")
+    set: Settings = Field(description="settings, as set.exposure.max_integration_s = 0.033")
+
+
 class StudyScene(Record):
     """The scene of a study."""
 
@@ -837,6 +1029,8 @@ class Study(Effort):
     pixel: PixelOptions = Field(PixelOptions(), description="pixel, without technology and pitch")
     exposure: Exposure = Field(Exposure(), description="exposure of every frame")
     display: Display = Field(Display(), description="display, viewer and metric")
+    axis: tuple[Axis, ...] = Field((), description="what the study varies beside the pixel size")
+    condition: tuple[Condition, ...] = Field((), description="circumstances in which the pixel is used; each has its own optimum")
     sources: dict[str, str] = Field(default_factory=dict, description="sources of values: dotted name -> text")
     quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
 
@@ -853,6 +1047,39 @@ class Study(Effort):
     @model_validator(mode="after")
     def _pixels_make_the_die(self) -> Self:
         self.__dict__["camera"] = self.camera.with_die(self.pixel.data_sheet_pitch_um)
+        return self
+
+    @model_validator(mode="after")
+    def _each_setting_is_varied_once(self) -> Self:
+        for kind, records in (("axis", self.axis), ("condition", self.condition)):
+            names = [record.name for record in records]
+            if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+                raise ValueError(f"{kind}: '{twice[0]}' stands there twice; allowed: each name once")
+        if self.condition and not any(condition.weight for condition in self.condition):
+            raise ValueError("condition: all weights are 0; allowed: one of them above 0")
+        of_axes: dict[tuple[str, ...], str] = {}
+        for axis in self.axis:
+            for path in dict.fromkeys(path for point in axis.points for path in paths_of(point.table)):
+                if path in of_axes and not axis.alone:
+                    raise ValueError(
+                        f"axis: {'.'.join(path)} is varied by '{of_axes[path]}' and by '{axis.name}'; give it to one axis"
+                    )
+                if not axis.alone:
+                    of_axes[path] = axis.name
+        for condition in self.condition:
+            for path in paths_of(condition.set):
+                if path in of_axes:
+                    name = ".".join(path)
+                    raise ValueError(
+                        f"condition '{condition.name}': {name} is varied by the axis '{of_axes[path]}'; give it to one of them"
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _technologies_are_varied_once(self) -> Self:
+        by_axis = [axis.name for axis in self.axis for point in axis.points if "technologies" in point.table]
+        if by_axis and "technologies" in self.model_fields_set:
+            raise ValueError(f"axis '{by_axis[0]}' varies pixel.technology; leave technologies out, or the axis")
         return self
 
     @model_validator(mode="after")
@@ -910,6 +1137,8 @@ class Study(Effort):
     def quickened(self) -> Study:
         """This study with its `quick` table applied; `process` and `sensors` keep only technologies that remain."""
         table = merge(self.model_dump(exclude={"quick"}, exclude_unset=True, mode="json"), self.quick)
+        if self.axis and "axis" not in self.quick:
+            table["axis"] = [axis.quickened.model_dump(mode="json") for axis in self.axis]
         technologies = table.get("technologies", self.technologies)
         for part in ("process", "sensors"):
             table[part] = {name: values for name, values in table.get(part, {}).items() if name in technologies}

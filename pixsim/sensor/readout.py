@@ -23,7 +23,7 @@ from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 POISSON_LIMIT_E = 1e9
 BLACK_SIGMAS = 6.0  # of the dark signal, below the black level: clipping at 0 DN would bias dark statistics
 MAX_CODE_BITS = 31
-BLOCK_PIXELS = 1 << 22  # of larger frames, drawn with a generator of their own
+BLOCK_PIXELS = 1 << 23  # of larger frames, drawn with a generator of their own
 MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
 

@@ -13,7 +13,7 @@ import math
 import os
 import shutil
 import threading
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -28,11 +28,12 @@ from pixsim.base.files import opened, read_bytes, replacing
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.integration import pixels_on
-from pixsim.sensor.pixel import physics_of, pitch_for_fill_factor_um
+from pixsim.sensor.integration import electrons_per_joule, pixels_on
+from pixsim.sensor.pixel import PixelPhysics, physics_of, pitch_for_fill_factor_um
 from pixsim.sensor.readout import make_frame
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
 from pixsim.show.pages import csv_text
+from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of
 from pixsim.viewer.score import (
     ImagingChain,
@@ -50,16 +51,22 @@ DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delt
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
 COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
 TEXTS = COLUMNS[:2]
+FROM_CACHE = "frame from cache"  # in the rows of a worker only
 Row = dict[str, str]
 MAX_BYTES = 1 << 28  # a million rows
 MAX_LINE = 1 << 14
 
 
 class ResultsFile:
-    """results.csv: rows with `COLUMNS`, of which `TEXTS` hold text and the others numbers."""
+    """results.csv: rows with `COLUMNS`, of which `TEXTS` hold text and the others numbers.
 
-    def __init__(self, path: Path) -> None:
+    more : columns of axes and conditions, after the repeat; they hold text
+    """
+
+    def __init__(self, path: Path, more: Sequence[str] = ()) -> None:
         self.path = path
+        after = COLUMNS.index("repeat") + 1
+        self.columns = (*COLUMNS[:after], *more, *COLUMNS[after:])
 
     def read(self) -> dict[str, Row]:
         """Return complete rows by key; an incomplete last line is ignored."""
@@ -70,7 +77,7 @@ class ResultsFile:
         lines = (whole + newline).decode(errors="replace").replace("\0", "").split("\n")
         table = csv.DictReader(line for line in lines if len(line) <= MAX_LINE)
         try:
-            return {row["key"]: {name: row[name] for name in COLUMNS} for row in table if self._is_whole(row)}
+            return {row["key"]: {name: row.get(name) or "" for name in self.columns} for row in table if self._is_whole(row)}
         except csv.Error as error:
             hint = "Move the file away: its rows are then computed again."
             raise invalid("results", f"'{self.path}' ({error})", allowed, hint) from None
@@ -97,7 +104,7 @@ class ResultsFile:
         """Return the expected rows by key. If there are others, copy the file to FILE.old; leave only the expected rows."""
         known = self.read()
         done = {key: row for key, row in known.items() if is_expected(row)}
-        has_content = self.path.is_file() and self.path.stat().st_size > len(",".join(COLUMNS)) + 2
+        has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
         if has_content and (len(done) < len(known) or not known):
             self._back_up()
         self.write(done.values())
@@ -115,7 +122,7 @@ class ResultsFile:
     def write(self, rows: Collection[Row]) -> None:
         """Replace the file, completely or not at all."""
         with self._clear_write_errors(), replacing(self.path) as partial:
-            partial.write_bytes(self._text([dict(zip(COLUMNS, COLUMNS, strict=True)), *rows]))
+            partial.write_bytes(self._text([self._head, *rows]))
 
     def append(self, rows: Collection[Row]) -> None:
         """Append all of the rows, or none if writing fails."""
@@ -140,8 +147,12 @@ class ResultsFile:
                 "space, and run the same command again."
             ) from None
 
+    @property
+    def _head(self) -> Row:
+        return {name: name for name in self.columns}
+
     def _text(self, rows: Iterable[Row]) -> bytes:
-        return csv_text([row[name] for name in COLUMNS] for row in rows).encode()
+        return csv_text([row[name] for name in self.columns] for row in rows).encode()
 
 
 REPEATS_PER_TASK = 8  # evaluations after which a worker reports
@@ -169,9 +180,18 @@ def study_pitches_um(study: Study, technology: str) -> Array:
 
 
 def light_of(study: Study, scenes: SceneCache, technology: str) -> SharedLight:
-    """Return the light that all pitches of a technology share."""
-    any_um = float(study_pitches_um(study, technology).max())
-    return scenes.get(technology, physics_of(study, technology, any_um), study.pitch.largest_um)
+    """Return the light that all pitches of a technology share, and other technologies of the same response."""
+    physics = _any_physics(study, technology)
+    return scenes.get(_light_key(study, scenes, technology), physics, study.pitch.largest_um)
+
+
+def _any_physics(study: Study, technology: str) -> PixelPhysics:
+    return physics_of(study, technology, float(study_pitches_um(study, technology).max()))
+
+
+def _light_key(study: Study, scenes: SceneCache, technology: str) -> tuple[bytes, float]:
+    """Return what the light behind the lens depends on, beside the irradiance, the camera and the display of `scenes`."""
+    return electrons_per_joule(_any_physics(study, technology), scenes.irradiance).tobytes(), study.pitch.largest_um
 
 
 def chain_at(
@@ -209,6 +229,7 @@ class Task:
 
     light_key, frames_key : hashes of everything that their light and their frames depend on; empty: frames are not cached
     keys : repeat -> hash of everything that its row depends on
+    columns : of its rows, that tell a case from the others
     """
 
     study: Study
@@ -219,6 +240,7 @@ class Task:
     light_key: str
     frames_key: str
     keys: dict[int, str]
+    columns: dict[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return f"{self.technology} at {self.pitch_um:g} µm"
@@ -234,14 +256,15 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
         _recent.chain = chain_at(task.study, light, task.camera, task.technology, task.pitch_um, task.process)
         _recent.key = key
     rows = []
-    for repeat, score in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key):
+    for repeat, score, cached in scores_of(_recent.chain, task.study, list(task.keys), task.frames_key):
         numbers = {name: repr(value) for name, value in score.statistics().items()}
-        rows.append({"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat), **numbers})
+        own = {"key": task.keys[repeat], "technology": task.technology, "repeat": str(repeat)}
+        rows.append(own | numbers | task.columns | ({FROM_CACHE: "1"} if cached else {}))
     return rows
 
 
-def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score]]:
-    """Yield each repeat with its score; frames come from the cache, and new ones are stored there."""
+def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key: str) -> Iterator[tuple[int, Score, bool]]:
+    """Yield each repeat with its score, and whether its frame comes from the cache; new frames are stored there."""
     technology, pitch_um = chain.physics.technology.name, chain.physics.pitch_um
     cached = (cache.arrays("frames", frames_key) if frames_key else None) or {}
     # A frame's digital numbers stand under its repeat; its saturated fraction does not follow from them and is stored too.
@@ -251,13 +274,14 @@ def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key:
         name, saturated = str(repeat), f"{repeat}_saturated_fraction"
         if name in frames and saturated in frames:
             dn, fraction = frames[name].astype(np.int32), float(frames[saturated])
-            yield repeat, chain.score_frame(make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure))
+            frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure)
+            yield repeat, chain.score_frame(frame), True
         else:
             frame = chain.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
                 frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
                 frames[saturated] = np.array(frame.saturated_fraction)
-            yield repeat, chain.score_frame(frame)
+            yield repeat, chain.score_frame(frame), False
     if len(frames) > before:
         cache.store_arrays("frames", frames_key, frames)
 
@@ -345,10 +369,17 @@ def block_key(frames_key: str, block: int) -> str:
     return frames_key and f"{frames_key}-{block}"
 
 
-def tasks_of(hashes: Fingerprints, technology: str, sensors: Mapping[float, int], done: Container[str]) -> Iterator[Task]:
+def tasks_of(
+    hashes: Fingerprints,
+    technology: str,
+    sensors: Mapping[float, int],
+    done: Container[str],
+    columns: Mapping[str, str] | None = None,
+) -> Iterator[Task]:
     """Yield the tasks that are missing of a technology, small pixels first, since they take longest.
 
     sensors : of each pitch in µm
+    columns : of their rows, that tell a case from the others
     """
     study, light_key, process = hashes.study, hashes.scene(technology), technology_of(hashes.study, technology)
     for pitch_um, count in sensors.items():
@@ -357,51 +388,123 @@ def tasks_of(hashes: Fingerprints, technology: str, sensors: Mapping[float, int]
             repeats = range(block * REPEATS_PER_TASK, min(count, (block + 1) * REPEATS_PER_TASK))
             missing = {repeat: keys[repeat] for repeat in repeats if keys[repeat] not in done}
             if missing:
-                yield Task(study, hashes.camera, technology, process, pitch_um, light_key, block_key(frames, block), missing)
+                of_case = dict(columns or {})
+                yield Task(
+                    study, hashes.camera, technology, process, pitch_um, light_key, block_key(frames, block), missing, of_case
+                )
+
+
+@dataclass(frozen=True)
+class Part:
+    """A case of a study and its light, which other cases may share."""
+
+    case: Case
+    scenes: SceneCache
+
+    @property
+    def study(self) -> Study:
+        """The study of the case."""
+        return self.case.study
+
+    @cached_property
+    def fingerprints(self) -> Fingerprints:
+        """Keys of its frames and rows."""
+        return Fingerprints(self.study, self.scenes.camera, self.scenes.irradiance)
+
+
+@dataclass
+class Counts:
+    """What a study made, and what it took from an earlier run or from another of its cases.
+
+    prepared_scenes : lights behind the lens, for each render, display and spectral response
+    frames_reused : of the evaluations made, those whose frame was known, as where only the display differs
+    """
+
+    cases: int
+    renders: int
+    prepared_scenes: int
+    evaluations_made: int = 0
+    evaluations_reused: int = 0
+    frames_reused: int = 0
+
+    def __str__(self) -> str:
+        frames = self.evaluations_made - self.frames_reused
+        made = f"{self.renders} renders, {self.prepared_scenes} lights behind the lens, {frames} frames"
+        known = f"{self.evaluations_reused} evaluations known before, {self.frames_reused} frames reused"
+        return f"{self.cases} cases, {self.evaluations_made} evaluations made: {made}; {known}"
 
 
 class Evaluations:
-    """The rows of a study in results.csv: matching rows of an earlier run are reused, missing ones computed and appended."""
+    """The rows of a study's cases in results.csv: rows of an earlier run are reused, missing ones computed and appended.
 
-    def __init__(self, study: Study, scenes: SceneCache, results: Path, workers: Workers) -> None:
-        self.study, self._scenes, self._workers = study, scenes, workers
-        self.fingerprints = Fingerprints(study, scenes.camera, scenes.irradiance)
-        self._results = ResultsFile(results)
+    counts : what was made and what was reused so far
+    """
+
+    def __init__(self, parts: Sequence[Part], results: Path, workers: Workers) -> None:
+        self.parts, self._workers = parts, workers
+        self._results = ResultsFile(results, tuple(parts[0].case.columns))
         self._done: dict[str, Row] = {}
+        lights = {
+            (id(part.scenes), _light_key(part.study, part.scenes, technology))
+            for part in parts
+            for technology in part.study.technologies
+        }
+        renders = len({id(part.scenes.irradiance) for part in parts})
+        self.counts = Counts(cases=len(parts), renders=renders, prepared_scenes=len(lights))
 
     @contextmanager
     def resumed(self) -> Iterator[None]:
         """Read the file, whose folder the caller has locked."""
-        self._done = self._results.resume(self.fingerprints.is_expected_row)
+        self._done = self._results.resume(lambda row: any(part.fingerprints.is_expected_row(row) for part in self.parts))
+        self.counts.evaluations_reused = len(self._done)
         try:
             yield
         finally:
             _recent.__dict__.clear()  # in this process; a worker keeps its last chain until its next task
 
-    def rows(self, sampling: Sampling, progress: Progress | None = None) -> list[Row]:
-        """Return the rows of a sampling, in its order, computing those that are missing.
+    def rows(self, samplings: Sequence[Sampling], progress: Progress | None = None) -> list[list[Row]]:
+        """Return the rows of each part's sampling, in its order, computing those that are missing.
 
         Raises PixsimError if the file cannot be written; finished rows stay in it.
         """
-        tasks = {name: list(tasks_of(self.fingerprints, name, sensors, self._done)) for name, sensors in sampling.items()}
-        missing = total = sum(len(task.keys) for group in tasks.values() for task in group)
-        names, capacity = self.study.technologies, self._scenes.capacity
-        for first in range(0, len(names), capacity):  # technologies whose prepared scenes fit into memory together
-            makers = {name: partial(light_of, self.study, self._scenes, name) for name in names[first : first + capacity]}
-            calls = [(task, make) for name, make in makers.items() for task in tasks[name]]
-            for rows in results_of(evaluate_task, calls, self._workers):
+        groups = self._missing(samplings)
+        missing = total = sum(len(task.keys) for tasks in groups.values() for task, _ in tasks)
+        pending, capacity = list(groups.values()), min(part.scenes.capacity for part in self.parts)
+        for first in range(0, len(pending), capacity):  # prepared scenes that fit into memory together
+            for rows in results_of(
+                evaluate_task, [call for calls in pending[first : first + capacity] for call in calls], self._workers
+            ):
                 self._results.append(rows)
                 self._done |= {row["key"]: row for row in rows}
+                self.counts.evaluations_made += len(rows)
+                self.counts.frames_reused += sum(FROM_CACHE in row for row in rows)
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
         return [
-            self._done[key]
-            for technology, sensors in sampling.items()
-            for pitch_um, count in sensors.items()
-            for key in self.fingerprints.keys(technology, pitch_um, range(count)).values()
+            [
+                self._done[key] | part.case.columns
+                for technology, sensors in sampling.items()
+                for pitch_um, count in sensors.items()
+                for key in part.fingerprints.keys(technology, pitch_um, range(count)).values()
+            ]
+            for part, sampling in zip(self.parts, samplings, strict=True)
         ]
 
-    def finish(self, rows: list[Row]) -> None:
+    def _missing(self, samplings: Sequence[Sampling]) -> dict[object, list[tuple[Task, Callable[[], SharedLight]]]]:
+        """Return the tasks that are missing, each evaluation once, with the function that makes their light, by that light."""
+        groups: dict[object, list[tuple[Task, Callable[[], SharedLight]]]] = {}
+        makers: dict[object, Callable[[], SharedLight]] = {}
+        done = set(self._done)
+        for part, sampling in zip(self.parts, samplings, strict=True):
+            for technology, sensors in sampling.items():
+                light = id(part.scenes), _light_key(part.study, part.scenes, technology)
+                maker = makers.setdefault(light, partial(light_of, part.study, part.scenes, technology))
+                for task in tasks_of(part.fingerprints, technology, sensors, done, part.case.columns):
+                    done |= set(task.keys.values())
+                    groups.setdefault(light, []).append((task, maker))
+        return groups
+
+    def finish(self, rows: list[list[Row]]) -> None:
         """Leave only these rows in the file, in their order."""
-        self._results.finish(rows)
+        self._results.finish([row for part in rows for row in part])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
 from pixsim.base.notes import told_apart
 from pixsim.base.parameters import NO_TECHNOLOGY, Camera, Study
 from pixsim.light.spectral import SpectralImage
@@ -21,9 +22,11 @@ from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv
+from pixsim.studies.cases import Case
 from pixsim.studies.evaluations import (
     DELTA_E_STATISTICS,
     REPEATS_PER_TASK,
+    Counts,
     Fingerprints,
     Row,
     block_key,
@@ -59,6 +62,7 @@ class Curve:
     label : the technology's name for readers, unique in a study
     data_sheet : whether the sensor is described by its data sheet only, without a process
     alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
+    at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     """
 
     technology: str
@@ -70,6 +74,9 @@ class Curve:
     label: str = ""
     data_sheet: bool = False
     alike_um: tuple[float, float] | None = None
+    at: dict[str, float | int | str] = field(default_factory=dict)
+    condition: str = ""
+    alone: str = ""
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -132,8 +139,10 @@ class Curve:
     def as_dict(self) -> dict[str, Any]:
         """Return the curve as in summary.json."""
         mean, ci95 = mean_and_ci95(self.delta_e)
+        of_case = {name: value for name, value in (("at", self.at), ("condition", self.condition), ("alone", self.alone)) if value}
         return {
             "technology": self.technology,
+            **of_case,
             "optimum": self.optimum.as_dict(),
             "no_visible_difference_um": self.no_difference_um,
             "optimum_fill_factor": self.optimum_fill_factor,
@@ -161,6 +170,8 @@ class StudyResult:
     view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.View`)
     settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
     warned : warnings while it was computed
+    parts : of a study with axes or conditions, the result of each case; irradiance, camera and film are then those of the first
+    counts : what was made and what was reused, in a study with axes or conditions
     """
 
     study: Study
@@ -172,14 +183,49 @@ class StudyResult:
     view: dict[str, Any] = field(default_factory=dict)
     settings_toml: str = field(default="", repr=False)
     warned: tuple[str, ...] = ()
+    parts: tuple[StudyResult, ...] = field(default=(), repr=False)
+    counts: Counts | None = None
 
     def __post_init__(self) -> None:
-        labels = labels_of([curve.technology for curve in self.curves])
-        labelled = tuple(
-            replace(curve, label=label, alike_um=self.film.alike_um(curve.pitch_um, curve.mean()) if self.film else None)
-            for curve, label in zip(self.curves, labels, strict=True)
-        )
-        object.__setattr__(self, "curves", labelled)
+        technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
+        labels = dict(zip(technologies, labels_of(technologies), strict=True))
+        object.__setattr__(self, "curves", tuple(self._labelled(curve, labels[curve.technology]) for curve in self.curves))
+
+    def _labelled(self, curve: Curve, label: str) -> Curve:
+        """Return a curve with its label, and the pitches that its film cannot tell apart."""
+        film = self.part_of(curve).film
+        words = Case(self.study, curve.at, curve.condition, curve.alone).words
+        alike_um = film.alike_um(curve.pitch_um, curve.mean()) if film else None
+        return replace(curve, label=", ".join(filter(None, (label, words))), alike_um=alike_um)
+
+    @checks_arguments
+    def part_of(self, curve: Curve) -> StudyResult:
+        """Return the result of the case of a curve: of a study without axes and conditions, this result."""
+        case = curve.at, curve.condition, curve.alone
+        same = (part for part in self.parts if (part.curves[0].at, part.curves[0].condition, part.curves[0].alone) == case)
+        return next(same, self)
+
+    @checks_arguments
+    def case(self, condition: str | None = None, **at: float | int | str) -> StudyResult:
+        """Return the result of one case of a study with axes or conditions, with its curves, pictures and files.
+
+        condition : its name; None if the study has at most one
+        at : axis -> its value, or the label of it; an axis with one value need not be given
+
+        Raises PixsimError if no case, or more than one, is named.
+        """
+        of_study = ([part.curves[0].at for part in self.parts], [part.curves[0].condition for part in self.parts])
+        found = [
+            part
+            for part, values, name in zip(self.parts, *of_study, strict=True)
+            if condition in (None, name) and all(axis in values and _is_value(values[axis], value) for axis, value in at.items())
+        ]
+        if len(found) == 1:
+            return found[0]
+        got = ", ".join([f"{name} = {value}" for name, value in at.items()] + ([f"condition {condition}"] if condition else []))
+        allowed = "; ".join(Case(self.study, values, name).words or "base" for values, name in zip(*of_study, strict=True))
+        allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
+        raise invalid("case", f"{got or 'nothing'}, which names {len(found)} cases", allowed)
 
     @cached_property
     def scenes(self) -> SceneCache:
@@ -194,10 +240,13 @@ class StudyResult:
     @cached_property
     def notes(self) -> list[str]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
-        return [*sorted(self.warned), *target_notes(self), *study_dark_notes(self)]
+        parts = self.parts or (self,)
+        return [*sorted(self.warned), *few([*map(target_notes, parts)]), *few([*map(study_dark_notes, parts)])]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
+        if self.parts:
+            return self._cases_as_dict()
         more: dict[str, Any] = {"error_budget": self.budget, "film": self.film and self.film.as_dict(), "chosen": self.view}
         more["window_mm"] = self.study.window_mm
         return {name: value for name, value in more.items() if value} | {
@@ -205,6 +254,22 @@ class StudyResult:
             "irradiance": self.irradiance.header,
             "notes": self.notes,
             "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
+        }
+
+    def _cases_as_dict(self) -> dict[str, Any]:
+        """Return the result of a study with axes or conditions as in summary.json."""
+        cases = []
+        for part in self.parts:
+            first = part.curves[0]
+            own = {"at": first.at, "condition": first.condition, "alone": first.alone, "film": part.film and part.film.as_dict()}
+            cases.append({name: value for name, value in own.items() if value} | {"irradiance": part.irradiance.header})
+        return {
+            "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "chosen": self.view,
+            "notes": self.notes,
+            "counts": asdict(self.counts) if self.counts else {},
+            "cases": cases,
+            "curves": [curve.as_dict() | {"dark": self.part_of(curve).dark(curve)} for curve in self.curves],
         }
 
     @checks_arguments
@@ -230,7 +295,7 @@ class StudyResult:
         frames = self.fingerprints.frames_of_pitch(technology, pitch_um)
         blocks = [list(range(first, min(count, first + REPEATS_PER_TASK))) for first in range(0, count, REPEATS_PER_TASK)]
         parts = (scores_of(chain, self.study, repeats, block_key(frames, block)) for block, repeats in enumerate(blocks))
-        return [score for part in parts for _, score in part]
+        return [score for part in parts for _, score, _ in part]
 
     @checks_arguments
     def sensors_at(self, technology: str, pitch_um: float) -> int:
@@ -251,12 +316,10 @@ class StudyResult:
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return a row for each technology, pitch and sensor as CSV, and write it to `path` if given."""
         rows = [
-            {
-                "technology": curve.technology,
-                "pitch_um": float(pitch_um),
-                "repeat": repeat,
-                "fill_factor": float(curve.fill_factor[place]),
-            }
+            {"technology": curve.technology, "pitch_um": float(pitch_um), "repeat": repeat}
+            | curve.at
+            | ({"condition": curve.condition} if curve.condition else {})
+            | {"fill_factor": float(curve.fill_factor[place])}
             | {name: float(values[place, repeat]) for name, values in curve.statistics.items()}
             for curve in self.curves
             for place, pitch_um in enumerate(curve.pitch_um)
@@ -290,6 +353,22 @@ class StudyResult:
             text = alike_words(curve) if curve.alike_um else text
             words.append(f"{curve.label}: {text}")
         return f"<StudyResult {self.study.name}: {'; '.join(words)}>"
+
+
+def _is_value(value: float | int | str, asked: float | int | str) -> bool:
+    """Return whether a value of an axis is the one that is asked for, by itself or by its label."""
+    return value == asked or (not isinstance(value, str) and f"{value:.4g}" == str(asked))
+
+
+SHOWN_NOTES = 8
+
+
+def few(notes: Sequence[Sequence[str]]) -> list[str]:
+    """Return the notes of all cases, each once, and of very many the first ones and the number of the others."""
+    each = list(dict.fromkeys(note for part in notes for note in part))
+    if len(each) <= SHOWN_NOTES:
+        return each
+    return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
 
 
 def curve_of(study: Study, technology: str, rows: list[Row]) -> Curve:

@@ -21,19 +21,21 @@ from pixsim.base.progress import Progress, Stage
 from pixsim.sensor.technology import load_technology
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Column, Plate, write_figures, write_page
+from pixsim.studies.cases import Case as StudyCase
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import ResultsFile
+from pixsim.studies.preparation import View
 from pixsim.studies.result import Curve, StudyResult, interval_columns, interval_words
 from pixsim.studies.study import (
     Light,
     check_pitches,
     check_technologies,
+    evaluate_cases,
     load_study,
     prepare,
     render_for,
     repeating_command,
-    sweep_pitches,
 )
 
 
@@ -255,7 +257,8 @@ def run_sensitivity(
         return renders[key]
 
     def run(study: Study, name: str, light: Light) -> StudyResult:
-        result = sweep_pitches(study, *light[:2], folder / "cases" / f"{name}.csv", workers, lambda: stage(name))
+        rows = folder / "cases" / f"{name}.csv"
+        (result,), _ = evaluate_cases([StudyCase(study)], [light], View(), rows, workers, lambda: stage(name))
         return StudyResult(study, result.curves, *light)  # without prepared scenes, since many results stay in memory
 
     with collected_notes() as notes, workers_for(jobs, scheduler) as workers, output_folder(out) as folder:

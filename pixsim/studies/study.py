@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
-from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.parameters import Camera, Layer, Study, content_hash, pixel_of
@@ -22,8 +22,18 @@ from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
+from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Evaluations, ResultsFile, Sampling, first_sampling, study_pitches_um, warn_of_clipped_white
+from pixsim.studies.evaluations import (
+    Counts,
+    Evaluations,
+    Part,
+    ResultsFile,
+    Sampling,
+    first_sampling,
+    study_pitches_um,
+    warn_of_clipped_white,
+)
 from pixsim.studies.oversampling import FilmError, render_and_measure
 from pixsim.studies.preparation import View, choose_view, first_film, fitted_range, fitting_jobs, study_plan
 from pixsim.studies.result import Curve, StudyResult, curve_of
@@ -164,7 +174,10 @@ def check_technologies(study: Study) -> None:
 
 
 def check_pitches(study: Study) -> None:
-    """Raise PixsimError for an impossible pitch or limit, before anything is computed."""
+    """Raise PixsimError for an impossible pitch or limit, before anything is computed.
+
+    Of a study without axes.
+    """
     for technology in study.technologies:
         pitches_um = study_pitches_um(study, technology).tolist()
         for pitch_um in pitches_um:
@@ -194,6 +207,7 @@ class Prepared:
     scene, camera : of the study; the camera is that of the window
     view : display and chart that pixsim chose for the sensor of a data sheet
     variant : of Mitsuba; None means the fastest that works
+    cases : the cases of a study with axes or conditions, and what each of them leaves open; empty for another study
     """
 
     study: Study
@@ -201,6 +215,17 @@ class Prepared:
     camera: Camera
     view: View
     variant: str | None = None
+    cases: tuple[tuple[Case, Prepared], ...] = ()
+
+    @property
+    def parts(self) -> tuple[tuple[Case, Prepared], ...]:
+        """The cases of any study; one without axes is its own only case."""
+        return self.cases or ((Case(self.study), self),)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations that the study starts with."""
+        return sum(sum(sum(sensors.values()) for sensors in first_sampling(case.study).values()) for case, _ in self.parts)
 
 
 def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Prepared:
@@ -210,17 +235,66 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
 
     Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
-    if quick and not study.quick:
+    has_quick = study.quick or any(axis.quick for axis in study.axis)
+    if quick and not has_quick:
         warn(f"the study {study.name} has no [quick] table: running it in full")
     study = study.quickened if quick else study
+    if not (study.axis or study.condition):
+        return _prepare(study, variant)
+    # Display and chart are those of the study itself, so that all of its cases are comparable.
+    if study.tolerance_delta_e:
+        hint = "Leave it out, or run the study for one case."
+        raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
+    own = _without_axes(study)
+    scene, camera = scene_for(own, variant)
+    view = _chosen_view(own, scene, camera)
+    prepared: list[tuple[Case, Prepared]] = []
+    for case in cases_of(study):
+        with _named(case):
+            part = _prepare(_with_view(case.study, view), variant, view)
+        prepared.append((replace(case, study=part.study), part))
+    return Prepared(study, view.scene(scene), camera, view, variant, tuple(prepared))
+
+
+def _without_axes(study: Study) -> Study:
+    """Return the study with its own settings alone; an axis over technologies leaves the first of them."""
+    table = study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    for axis in study.axis:
+        if "technologies" in axis.points[0].table:
+            table |= axis.points[0].table
+    return Study.model_validate(table)
+
+
+@contextmanager
+def _named(case: Case) -> Iterator[None]:
+    """Name the case in an error."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{case.words or 'base'}: {error}") from None
+
+
+def _chosen_view(study: Study, scene: Scene, camera: Camera) -> View:
+    return View() if study.own_um is None else choose_view(study.own_um, camera, study.display, scene)
+
+
+def _with_view(study: Study, view: View) -> Study:
+    """Return the study with the display and the chart of a view."""
+    of_scene = study.scene.model_copy(update={"parameters": view.parameters(study.scene.parameters)})
+    return study.model_copy(update={"display": view.display(study.display), "scene": of_scene})
+
+
+def _prepare(study: Study, variant: str | None, view: View | None = None) -> Prepared:
+    """Return `prepare` of a study without axes.
+
+    view : of the study whose case it is, which its settings have already; None means to choose it
+    """
     check_technologies(study)
     scene, camera = scene_for(study, variant)
-    study, view = fitted_range(study, camera), View()
-    if study.own_um is not None:
-        view = choose_view(study.own_um, camera, study.display, scene)
-        of_scene = study.scene.model_copy(update={"parameters": view.parameters(study.scene.parameters)})
-        study = study.model_copy(update={"display": view.display(study.display), "scene": of_scene})
-        scene = view.scene(scene)
+    study = fitted_range(study, camera)
+    if view is None:
+        view = _chosen_view(study, scene, camera)
+        study, scene = _with_view(study, view), view.scene(scene)
     check_pitches(study)
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
@@ -247,31 +321,68 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     return made.image, camera, made.film
 
 
-def sweep_pitches(
-    study: Study,
-    irradiance: SpectralImage,
-    camera: Camera,
+def render_all(cases: Sequence[Case], variant: str | None, stage: Stage, settled: Settled | None = None) -> list[Light]:
+    """Return the light of each case; cases that differ in nothing that it depends on share one."""
+    lights: dict[str, Light] = {}
+    keys = [_light_hash(case.study) for case in cases]
+    for case, key in zip(cases, keys, strict=True):
+        if key not in lights:
+            progress = stage("render") if len(set(keys)) == 1 else stage(f"render {len(lights) + 1} of {len(set(keys))}")
+            lights[key] = render_for(case.study, variant, progress, settled)
+    return [lights[key] for key in keys]
+
+
+# The sensors decide on the noise and the film of a render, and so does a part of the display.
+OF_LIGHT = {
+    *("scene", "camera", "seed", "tolerance_e", "render_noise", "resolution", "max_seconds", "window_mm", "pitch"),
+    *("exposure", "pixel", "sensors", "process", "technologies", "display"),
+}
+
+
+def _light_hash(study: Study) -> str:
+    """Return the hash of everything that a render depends on."""
+    return content_hash(study.model_dump(mode="json", include=OF_LIGHT))
+
+
+def evaluate_cases(
+    cases: Sequence[Case],
+    lights: Sequence[Light],
+    view: View,
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
-    view: View | None = None,
-) -> StudyResult:
-    """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima."""
-    scenes, sampling = SceneCache(irradiance, camera, study.display), first_sampling(study)
-    evaluations = Evaluations(study, scenes, results, workers)
+) -> tuple[list[StudyResult], Counts]:
+    """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima.
+
+    Returns the result of each case, and how much was computed.
+    """
+    caches: dict[tuple[int, str], SceneCache] = {}
+    made: list[Part] = []
+    for case, (irradiance, camera, _) in zip(cases, lights, strict=True):
+        key = id(irradiance), case.study.display.content_hash
+        made.append(Part(case, caches.setdefault(key, SceneCache(irradiance, camera, case.study.display))))
+    evaluations = Evaluations(made, results, workers)
+    samplings = [first_sampling(part.study) for part in made]
     with evaluations.resumed():
         while True:
-            rows = evaluations.rows(sampling, progress())
-            curves = tuple(curve_of(study, technology, rows) for technology in study.technologies)
-            more = next_round(study, curves, sampling)
-            if more == sampling:
+            rows = evaluations.rows(samplings, progress())
+            curves = [
+                tuple(curve_of(part.study, technology, own) for technology in part.study.technologies)
+                for part, own in zip(made, rows, strict=True)
+            ]
+            more = [next_round(part.study, own, sampling) for part, own, sampling in zip(made, curves, samplings, strict=True)]
+            if more == samplings:
                 break
-            sampling = more
+            samplings = more
         evaluations.finish(rows)
-    warn_of_clipped_white(study, irradiance, camera)
-    result = StudyResult(study, curves, irradiance, camera, view=(view or View()).as_dict())
-    result.__dict__["scenes"] = scenes  # expensive to prepare again
-    return result
+    found = []
+    for part, own, (irradiance, camera, film) in zip(made, curves, lights, strict=True):
+        warn_of_clipped_white(part.study, irradiance, camera)
+        own = tuple(replace(curve, at=part.case.at, condition=part.case.condition, alone=part.case.alone) for curve in own)
+        result = StudyResult(part.study, own, irradiance, camera, film=film, view=view.as_dict())
+        result.__dict__["scenes"] = part.scenes  # expensive to prepare again
+        found.append(result)
+    return found, evaluations.counts
 
 
 @checks_arguments
@@ -342,25 +453,32 @@ def run_prepared(
     stage = progress or (lambda _: lambda *_: None)
     settled: Settled | None = None
     if jobs is None and scheduler is None:
-        jobs = fitting_jobs(chosen, prepared.camera)
+        jobs = min(fitting_jobs(case.study, part.camera) for case, part in prepared.parts)
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
-        if chosen.tolerance_delta_e:
+        if chosen.tolerance_delta_e and not prepared.cases:
             stage("calibrate")
             from pixsim.studies.budget import settled_study
 
             chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
-        irradiance, camera, film = render_for(chosen, variant, stage("render"), settled)
-        chosen = chosen.model_copy(update={"resolution": irradiance.shape[1]})
+            prepared = replace(prepared, study=chosen)
+        lights = render_all([case for case, _ in prepared.parts], variant, stage, settled)
+        cases = [
+            replace(case, study=case.study.model_copy(update={"resolution": irradiance.shape[1]}))
+            for (case, _), (irradiance, _, _) in zip(prepared.parts, lights, strict=True)
+        ]
         results = folder / "results.csv"
-        result = sweep_pitches(chosen, irradiance, camera, results, workers, lambda: stage("evaluate"), prepared.view)
+        found, counts = evaluate_cases(cases, lights, prepared.view, results, workers, lambda: stage("evaluate"))
+    result, (irradiance, _, film) = found[0], lights[0]
     noise = irradiance.header["render_noise"]
-    changes: dict[str, Any] = {
-        "warned": tuple(notes),
-        "settings_toml": repeated_settings(prepared, chosen, irradiance),
-        "film": film,
-    }
+    changes: dict[str, Any] = {"warned": tuple(notes), "film": film}
+    if prepared.cases:
+        names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
+        curves = tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name)
+        changes |= {"study": chosen, "curves": curves, "parts": tuple(found), "counts": counts}
+    kept = _with_view(chosen, prepared.view) if prepared.cases else result.study
+    changes["settings_toml"] = repeated_settings(prepared, kept, irradiance)
     if settled is not None:
         sensors = int(result.curves[0].sensors.min())
         changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)

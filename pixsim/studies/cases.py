@@ -1,0 +1,104 @@
+"""What a study's axes and conditions make of it: cases, each a study of pixel sizes without axes.
+
+A study without axes and conditions is its own only case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+from pydantic import ValidationError
+
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.parameters import Axis, AxisPoint, Study, explain, merge
+
+BASE = "base"  # the value of an axis where the study's own settings hold
+
+
+@dataclass(frozen=True)
+class Case:
+    """A value of each axis, and a condition.
+
+    study : without axes and conditions, which has these values
+    at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
+    condition : its name; empty without conditions
+    alone : the axis that is moved alone, or empty
+    """
+
+    study: Study = field(repr=False)
+    at: dict[str, float | int | str] = field(default_factory=dict)
+    condition: str = ""
+    alone: str = ""
+
+    @property
+    def words(self) -> str:
+        """Values and condition as text; empty for a study without them."""
+        moved = {self.alone: self.at[self.alone]} if self.alone else self.at
+        values = [f"{name} {value:.4g}" if not isinstance(value, str) else value for name, value in moved.items()]
+        return ", ".join([*(value for value in values if value != BASE), *([self.condition] if self.condition else [])])
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Columns of a table that tell this case from the others, with its values."""
+        values = {name: value if isinstance(value, str) else repr(value) for name, value in self.at.items()}
+        return values | ({"condition": self.condition} if self.condition else {})
+
+
+def cases_of(study: Study) -> tuple[Case, ...]:
+    """Return the cases of a study, each under every condition: values of axes with each other, then axes that are moved alone.
+
+    Raises PixsimError for a setting that does not exist or is out of bounds, naming the value of the axis.
+    """
+    if not (study.axis or study.condition):
+        return (Case(study),)
+    base = study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+    cases = []
+    for chosen, alone in combinations(study.axis):
+        table = base
+        for point in chosen.values():
+            table = merge(table, point.table)
+        at = {axis.name: chosen[axis.name].value if axis.name in chosen else BASE for axis in study.axis}
+        where = [f"axis {name}, value {point.label}" for name, point in chosen.items()]
+        if not study.condition:
+            cases.append(Case(_study(table, where), at, "", alone))
+        for condition in study.condition:
+            own = _study(merge(table, condition.set), [*where, f"condition {condition.name}"])
+            cases.append(Case(own, at, condition.name, alone))
+    return tuple(cases)
+
+
+def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], str]]:
+    """Yield the values of a combination by axis, and the axis that is moved alone, if any.
+
+    If an axis is moved alone, the study's own settings come first, unless other axes are moved together.
+    """
+    together = [axis for axis in axes if not axis.alone]
+    alone = [axis for axis in axes if axis.alone]
+    for points in product(*(axis.points for axis in together)):
+        yield {axis.name: point for axis, point in zip(together, points, strict=True)}, ""
+    if together and alone:
+        yield {}, ""
+    for axis in alone:
+        for point in axis.points:
+            yield {axis.name: point}, axis.name
+
+
+def _study(table: dict[str, Any], where: list[str]) -> Study:
+    """Return the study of a table. Raises PixsimError that names the value or the condition behind it."""
+    try:
+        return Study.model_validate(table)
+    except ValidationError as error:
+        raise PixsimError("\n".join(f"{', '.join(where)}: {line}" for line in explain(error).splitlines())) from None
+
+
+MAX_UNASKED = 100_000  # evaluations of a study with axes
+
+
+def check_number(cases: Sequence[Case], evaluations: int, agreed: bool) -> None:
+    """Raise PixsimError for a study with axes of very many evaluations, unless the user has agreed."""
+    if len(cases) > 1 and evaluations > MAX_UNASKED and not agreed:
+        hint = "Give --yes (in Python agreed=True) to run it, or fewer values, pixel sizes or repeats; --dry-run states the time."
+        raise invalid("study", f"{evaluations} evaluations in {len(cases)} cases", f"up to {MAX_UNASKED} without asking", hint)
