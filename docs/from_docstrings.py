@@ -19,7 +19,8 @@ from sphinx.util.docutils import SphinxRole
 
 import pixsim
 from pixsim.base.parameters import Record
-from pixsim.cli.templates import allowed, toml_value, unit_of
+from pixsim.base.units import unit_of
+from pixsim.cli.templates import allowed, toml_value
 
 ENTRY = re.compile(r"(\w+(?:, \w+)*) : (.*)")
 ENUMERATOR = re.compile(r"(\(?\w{1,3}[.)] |[-+•] )")  # what would begin a list
@@ -132,7 +133,8 @@ def attribute(name: str, owner: type, told: str) -> list[str]:
             head.append(f"   :type: {kind.__name__}")
         elif "default" in schema:
             head.append(f"   :value: {'None' if schema['default'] is None else toml_value(schema['default'])}")
-        body = "; ".join(part for part in (owner.model_fields[name].description, unit_of(name), allowed(schema)) if part)
+        unit = unit_of(name) and f"in {unit_of(name)}"
+        body = "; ".join(part for part in (owner.model_fields[name].description, unit, allowed(schema)) if part)
     else:
         field = next(each for each in dataclasses.fields(owner) if each.name == name)
         head.append(f"   :type: {short(str(field.type))}")

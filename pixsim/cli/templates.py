@@ -10,17 +10,10 @@ from typing import Any
 from pixsim.base.config import packaged
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.parameters import DATA_SHEET, Camera, Record, Run, Study
+from pixsim.base.units import unit_of
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
-# Unit of a field by the end of its name; longer ends come first.
-UNITS = {
-    "_e_per_dn": "electrons per DN", "_percent": "%", "_db": "dB", "_c": "°C",
-    "_cd_per_m2": "cd/m²", "_e_per_s": "electrons per second", "samples_per_deg": "display dots per degree", "_delta_e": "ΔE",
-    "_seconds": "s", "_ci_um": "µm", "_dn": "DN", "_mm": "mm", "_um": "µm", "_nm": "nm", "_m": "m", "_s": "s", "_k": "kelvin",
-    "_e": "electrons",
-}  # fmt: skip
-NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
 # Plausible values for fields without a default.
 EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "name": "my-study", "title": "How small should my pixel be?",
@@ -96,16 +89,12 @@ def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> I
         value = field.get("default", {} if field.get("type") == "object" else ...)
         optional = value in (None, "", {})
         default = "required" if value is ... else "optional" if optional else f"default {toml_value(value)}"
-        comment = "; ".join(filter(None, [field.get("description", ""), unit_of(name), allowed(field), default]))
+        unit = unit_of(name) and f"in {unit_of(name)}"
+        comment = "; ".join(filter(None, [field.get("description", ""), unit, allowed(field), default]))
         yield from textwrap.wrap(comment, WIDTH, initial_indent="## ", subsequent_indent="##   ")
         if name in EXAMPLES and (is_set or optional or value is ...):
             value = EXAMPLES[name]
         yield ("" if is_set else "# ") + f"{name} = {toml_value(value)}"
-
-
-def unit_of(name: str) -> str:
-    """Unit of a field, from the end of its name."""
-    return "" if name in NO_UNIT else next((f"in {unit}" for end, unit in UNITS.items() if name.endswith(end)), "")
 
 
 def allowed(field: dict[str, Any]) -> str:

@@ -16,8 +16,9 @@ from pydantic import BaseModel
 import pixsim
 from pixsim.base.config import packaged, read_toml
 from pixsim.base.parameters import DATA_SHEET, STANDS_FOR, Run, Study
+from pixsim.base.units import UNITS, unit_of
 from pixsim.cli import options
-from pixsim.cli.templates import UNITS, allowed, json_schema, template, unit_of
+from pixsim.cli.templates import allowed, json_schema, template
 
 RECORDS = {"sensor": Run, "study": Study}
 
@@ -117,10 +118,10 @@ def test_json_schema_accepts_packaged_studies() -> None:
 
 
 def test_unit_of_follows_name() -> None:
-    assert unit_of("dark_current_e_per_s") == "in electrons per second"
-    assert unit_of("full_well_e") == "in electrons"
-    assert unit_of("white_cd_per_m2") == "in cd/m²"
-    assert unit_of("max_seconds") == "in s"
+    assert unit_of("dark_current_e_per_s") == "electrons per second"
+    assert unit_of("full_well_e") == "electrons"
+    assert unit_of("white_cd_per_m2") == "cd/m²"
+    assert unit_of("max_seconds") == "s"
     assert unit_of("tolerance_e") == unit_of("delta_e") == unit_of("bits") == ""
     names = {path.rpartition(".")[2] for record in RECORDS.values() for path in dotted(record.model_fields, record)}
     with_unit = {name for name in names if re.search(r"_(um|mm|nm|m|s|e|k|dn|cd_per_m2|e_per_s|per_deg|seconds)$", name)}

@@ -1,0 +1,19 @@
+"""Units of settings, which the ends of their names state."""
+
+# Unit of a field by the end of its name; longer ends come first.
+UNITS = {
+    "_e_per_dn": "electrons per DN", "_percent": "%", "_db": "dB", "_c": "°C",
+    "_cd_per_m2": "cd/m²", "_e_per_s": "electrons per second", "samples_per_deg": "display dots per degree", "_delta_e": "ΔE",
+    "_seconds": "s", "_ci_um": "µm", "_dn": "DN", "_mm": "mm", "_um": "µm", "_nm": "nm", "_m": "m", "_s": "s", "_k": "kelvin",
+    "_e": "electrons",
+}  # fmt: skip
+NO_UNIT = ("tolerance_e", "delta_e")  # a relative error, and the name of a formula
+
+
+def unit_of(name: str) -> str:
+    """Unit of a field, from the end of its name; empty for a number without unit.
+
+    >>> unit_of("white_cd_per_m2"), unit_of("f_number")
+    ('cd/m²', '')
+    """
+    return "" if name in NO_UNIT else next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
