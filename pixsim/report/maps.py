@@ -1,0 +1,923 @@
+"""Figures of a study's axes: the optimum along each, mean ΔE over pixel size and axis, pairs of axes, and axes moved alone.
+
+The captions say what is seen, from the numbers drawn, since they are the figures' alternative text.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, count, pairwise, product
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Axis, Camera, Study, setting_path
+from pixsim.base.units import unit_of
+from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.scene.film import GREEN_NM
+from pixsim.sensor.technology import labels_of
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, literal, new_figure
+from pixsim.show.pages import Column, Plate
+from pixsim.studies.cases import BASE
+from pixsim.studies.result import Curve, StudyResult, interval_columns, with_ends
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import XAxis, YAxis
+    from matplotlib.figure import Figure
+
+Item = TypeVar("Item")
+MAX_LINES = 6  # of a figure: as many looks that a reader tells apart
+MAX_PANELS = 6
+MAX_ROWS = 3  # of two maps each
+MAX_VALUES = 50  # of an axis in a figure
+LOG_SPAN = 10.0  # of values whose ratios are more even than their steps, above which their scale is logarithmic
+MAP_STEP = 20  # of the fitted curve's 801 places: its table has a row for each 41st part
+WIDTH_IN = 6.4
+PT_PER_IN = 72.0
+SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
+SHORT, SHORT_TICK, SHORT_SIDE = 36, 18, 10  # characters of a label in a figure, of one at a tick, and of one beside a map
+LEAST_SPAN = 0.02  # of the value of the base, along the axis of a bar
+MARGIN = 0.08  # of an axis, around what is drawn
+CELLS_PT = (175.0, 105.0)  # room for the cells of a map without colour bar, across and down
+WIDE, NARROW = 0.66, 0.33  # width of a digit and of a point over the font's size
+ARROW_PT = 7.0  # from the end of the sizes tried to an arrow
+DODGE_PT = 3.0  # between lines, whose bars would hide each other
+MOST_LEVELS = 11
+NICE = (
+    (1, 1.1, 1.25, 1.5, 1.75, 2, 2.5, 3, 4, 5, 6, 8),
+    (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
+    (1, 1.5, 2, 3, 5, 7),
+    (1, 2, 5),
+    (1,),
+)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The values of an axis, and where a figure has them.
+
+    values : increasing if they are numbers
+    unit : of its settings; empty if their names state none, or several
+    log : whether the figure's scale is logarithmic
+    left_out : number of values that a figure has no place for
+    """
+
+    name: str
+    values: tuple[float | int | str, ...]
+    unit: str = ""
+    log: bool = False
+    left_out: int = 0
+
+    @classmethod
+    def of(cls, axis: Axis) -> Scale:
+        """Return the scale of an axis: logarithmic if its values are spaced so, categories if they are not numbers."""
+        values: list[Any] = [point.value for point in axis.points]
+        units = {unit_of(setting_path(dotted)[-1]) for dotted in axis.set}
+        numeric = not any(isinstance(value, str) for value in values)
+        values = sorted(values) if numeric else values
+        kept = evenly(values, min(len(values), MAX_VALUES))
+        log = numeric and (axis.spacing == "log" or _even_in_ratios(values))
+        return cls(axis.name, tuple(kept), units.pop() if numeric and len(units) == 1 else "", log, len(values) - len(kept))
+
+    @property
+    def numeric(self) -> bool:
+        """Whether the values are numbers, not categories."""
+        return not any(isinstance(value, str) for value in self.values)
+
+    @cached_property
+    def places(self) -> Array:
+        """The values, or the numbers of the categories, (n,)."""
+        return np.array(self.values if self.numeric else range(len(self.values)), float)
+
+    @cached_property
+    def edges(self) -> Array:
+        """Borders of the values' columns in a map, half-way between them, (n + 1,)."""
+        at = np.log(self.places) if self.log else self.places
+        if at.size == 1:
+            half = (math.log(2.0) if self.log else abs(float(at[0])) / 2 or 0.5) if self.numeric else 0.5
+            between, ends = at[:0], (at[0] - half, at[0] + half)
+        else:
+            between = (at[1:] + at[:-1]) / 2
+            ends = (1.5 * at[0] - 0.5 * at[1], 1.5 * at[-1] - 0.5 * at[-2])
+        edges = np.array([ends[0], *between, ends[1]])
+        return np.exp(edges) if self.log else edges
+
+    @property
+    def label(self) -> str:
+        """Name and unit, for a figure."""
+        return literal(f"{short(self.name)} ({self.unit})" if self.unit else short(self.name))
+
+    def words(self, value: float | int | str) -> str:
+        """Return a value with its unit."""
+        return value if isinstance(value, str) else f"{value:.4g} {self.unit}".strip()
+
+    def named(self, value: float | int | str) -> str:
+        """Return a value with its unit and the axis' name; a label stands for itself."""
+        return value if isinstance(value, str) else f"{self.name} {self.words(value)}"
+
+    @property
+    def ticks(self) -> list[str]:
+        """Labels of the values in a figure."""
+        return [short(value, SHORT_TICK) if isinstance(value, str) else f"{value:.4g}" for value in self.values]
+
+    def draw_on(self, axes: Axes, characters: int) -> None:
+        """Set the horizontal axis of a figure, which has room for about that many characters."""
+        axes.set_xlabel(self.label)
+        if self.log:
+            from matplotlib.ticker import NullLocator
+
+            axes.set_xscale("log")
+            axes.xaxis.set_minor_locator(NullLocator())
+            apart = np.log(self.places) / max(float(np.ptp(np.log(self.edges))), 1e-9) * characters
+            shown = [0]
+            for place in range(1, len(self.values)):
+                if apart[place] - apart[shown[-1]] > (len(self.ticks[place]) + len(self.ticks[shown[-1]])) / 2 + 1:
+                    shown.append(place)
+            axes.set_xticks(self.places[shown], [self.ticks[place] for place in shown])
+        elif not self.numeric:
+            draw_labels(axes.xaxis, self.ticks, characters)
+        axes.set_xlim(float(self.edges[0]), float(self.edges[-1]))
+
+
+def _even_in_ratios(values: Sequence[float]) -> bool:
+    """Return whether increasing numbers span more than a factor of `LOG_SPAN`, and their ratios differ less than their steps."""
+    if len(values) < 2 or values[0] <= 0 or values[-1] <= LOG_SPAN * values[0]:
+        return False
+    steps, ratios = np.diff(values), np.diff(np.log(values))
+    return bool(ratios.max() / ratios.min() <= steps.max() / steps.min())
+
+
+def short(text: str, most: int = SHORT) -> str:
+    """Return text that fits in a figure."""
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def draw_labels(axis: XAxis | YAxis, labels: Sequence[str], characters: int) -> None:
+    """Label places 0, 1, … of an axis that has room for about that many characters; of very many, some evenly chosen ones."""
+    across = axis.axis_name == "x"
+    tilted = across and sum(map(len, labels)) + 2 * len(labels) > characters
+    room = characters // 3 if tilted or not across else len(labels)
+    places = evenly(range(len(labels)), min(len(labels), room))
+    axis.set_ticks(list(places), [literal(short(labels[place], SHORT_TICK if across else SHORT_SIDE)) for place in places])
+    if tilted:
+        for label in axis.get_ticklabels():
+            label.set(rotation=30, ha="right", rotation_mode="anchor")
+
+
+def evenly(items: Sequence[Item], number: int) -> list[Item]:
+    """Return that many items at equal steps, the first and the last among them; a single one is the middle one."""
+    if number == 1:
+        return [items[(len(items) - 1) // 2]]
+    return [items[round(place * (len(items) - 1) / (number - 1))] for place in range(number)]
+
+
+def fewer(counts: Sequence[int], most: int) -> list[int]:
+    """Return counts whose product is at most `most`, the largest ones reduced first, of equal ones the first."""
+    kept = list(counts)
+    while math.prod(kept) > most:
+        kept[kept.index(max(kept))] -= 1
+    return kept
+
+
+@dataclass(frozen=True)
+class Line:
+    """The curves along an axis, of one technology, condition and value of the other axes, with the cameras of their cases."""
+
+    label: str
+    curves: tuple[Curve, ...]
+    cameras: tuple[Camera, ...]
+
+    @property
+    def cutoff_um(self) -> Array:
+        """The pitch whose Nyquist frequency is the lens's cut-off, λ/(4 sin α), for each curve."""
+        cutoffs = [float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)) for camera in self.cameras]
+        return 1e3 / (2 * np.array(cutoffs))
+
+
+class Grid:
+    """The curves of a study by their technology, condition and values of the axes that are not moved alone.
+
+    scales : of those axes
+    technologies : labels; one that is empty if an axis or a condition changes the technology
+    conditions : names; one that is empty in a study without conditions
+    """
+
+    def __init__(self, result: StudyResult) -> None:
+        self.result = result
+        self.scales = [Scale.of(axis) for axis in result.study.axis if not axis.alone]
+        self.conditions = [condition.name for condition in result.study.condition] or [""]
+        names = {tuple(curve.technology for curve in part.curves) for part in result.parts}
+        self.technologies = list(labels_of(names.pop())) if len(names) == 1 else [""]
+        self._cases: dict[tuple[Any, ...], StudyResult] = {}
+        for part in result.parts:
+            first = part.curves[0]
+            if not first.alone:
+                self._cases.setdefault((first.condition, *(first.at[scale.name] for scale in self.scales)), part)
+
+    def line(self, along: Scale, technology: int, condition: str, at: Mapping[str, Any], label: str = "") -> Line:
+        """Return the curves along an axis."""
+        parts = []
+        for value in along.values:
+            values = {**at, along.name: value}
+            parts.append(self._cases[(condition, *(values[scale.name] for scale in self.scales))])
+        return Line(label, tuple(part.curves[technology] for part in parts), tuple(part.camera for part in parts))
+
+    def lines(self, along: Scale, swept: Sequence[Scale], held: Mapping[str, Any], most: int, kind: str) -> tuple[list[Line], str]:
+        """Return lines along an axis for the values of other axes, the technologies and the conditions, and what is left out.
+
+        swept : axes of which all values are shown, if there are at most `most` lines
+        held : value of each of the other axes
+        kind : of what is drawn for a line, in the plural
+        """
+        sizes = [*(len(scale.values) for scale in swept), len(self.technologies), len(self.conditions)]
+        counts = fewer(sizes, most)
+        each = [evenly(scale.values, number) for scale, number in zip(swept, counts, strict=False)]
+        technologies = evenly(range(len(self.technologies)), counts[-2])
+        lines = []
+        chosen = product(technologies, evenly(self.conditions, counts[-1]), product(*each))
+        for place, condition, values in chosen:
+            words = [self.technologies[place]] if len(self.technologies) > 1 else []
+            words += [condition] if len(self.conditions) > 1 else []
+            words += [scale.named(value) for scale, value in zip(swept, values, strict=True) if len(scale.values) > 1]
+            at = {**held, **{scale.name: value for scale, value in zip(swept, values, strict=True)}}
+            lines.append(self.line(along, place, condition, at, ", ".join(words)))
+        total = math.prod(sizes)
+        return lines, f"{len(lines)} of {total} {kind} are shown, evenly chosen." if len(lines) < total else ""
+
+    def middle(self, but: Sequence[Scale]) -> tuple[dict[str, Any], str]:
+        """Return the middle value of every other axis, and its words."""
+        others = [scale for scale in self.scales if scale not in but]
+        held = {scale.name: evenly(scale.values, 1)[0] for scale in others}
+        words = [scale.named(held[scale.name]) for scale in others if len(scale.values) > 1]
+        return held, f"Held at its middle value: {', '.join(words)}." if words else ""
+
+    def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
+        """Return the columns that tell curves apart: technology, condition, and a column named by each axis."""
+        return case_columns(self.result, curves, [scale.name for scale in self.scales])
+
+
+def case_columns(result: StudyResult, curves: Sequence[Curve], axes: Sequence[str]) -> dict[str, Column]:
+    """Return a table's first columns: technology, condition if there are some, and the value of each axis."""
+    names = list(dict.fromkeys(curve.technology for curve in result.curves))
+    labels = dict(zip(names, labels_of(names), strict=True))
+    table: dict[str, Column] = {"technology": [labels[curve.technology] for curve in curves]}
+    if result.study.condition:
+        table["condition"] = [curve.condition for curve in curves]
+    for name, column in zip(axes, unique_names(axes, OWN_COLUMNS), strict=True):
+        table[column] = [curve.at[name] for curve in curves]
+    return table
+
+
+OWN_COLUMNS = (
+    *("technology", "condition", "axis", "value", "optimum_um", "interval_low_um", "interval_high_um", "inside", "alike"),
+    *("mean_delta_e", "mean_delta_e_low", "mean_delta_e_high", "pitch_um", "within_1_percent_low_um", "within_1_percent_high_um"),
+    "cutoff_pitch_um",
+)
+
+
+def unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
+    """Return names that differ by more than case from each other and from those taken, numbered where they would not."""
+    used, unique = {name.casefold() for name in taken}, []
+    for name in names:
+        free = next(text for number in count(1) if (text := name if number == 1 else f"{name}_{number}").casefold() not in used)
+        used.add(free.casefold())
+        unique.append(free)
+    return unique
+
+
+def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
+    """Return the optima with their intervals, empty for an open end, and the least mean ΔE with its interval.
+
+    inside : whether the optimum lies between the ends of the sizes tried
+    alike : whether the film cannot tell apart the sizes around it, so that it is not known
+    """
+    best = [curve.optimum for curve in curves]
+    return {
+        "optimum_um": [each.pitch_um for each in best],
+        **interval_columns(curves),
+        "inside": [str(each.inside) for each in best],
+        "alike": [str(curve.alike_um is not None) for curve in curves],
+        "mean_delta_e": [each.mean_delta_e for each in best],
+        "mean_delta_e_low": [each.mean_delta_e_interval[0] for each in best],
+        "mean_delta_e_high": [each.mean_delta_e_interval[1] for each in best],
+    }
+
+
+# --- what is seen ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A number with its 95 % interval, infinite where that is open, and its words."""
+
+    value: float
+    low: float
+    high: float
+    words: str
+
+    def differs(self, other: Seen) -> bool:
+        """Whether the intervals do not overlap."""
+        return self.low > other.high or self.high < other.low
+
+
+def is_found(curve: Curve) -> bool:
+    """Return whether a curve has an optimum: inside the sizes tried, with a film that tells them apart."""
+    return curve.optimum.inside and curve.alike_um is None
+
+
+def seen_optimum(curve: Curve) -> Seen:
+    best = curve.optimum
+    low, high = best.interval_um
+    words = f"{best.pitch_um:.2f} µm"
+    if curve.alike_um or (not best.inside and low is None and high is None):
+        return Seen(best.pitch_um, -math.inf, math.inf, "an unknown size")
+    if not best.inside:
+        words += " or less" if best.pitch_um <= float(curve.pitch_um[0]) else " or more"
+    return Seen(best.pitch_um, -math.inf if low is None else low, math.inf if high is None else high, words)
+
+
+def seen_delta_e(curve: Curve) -> Seen:
+    best = curve.optimum
+    return Seen(best.mean_delta_e, *best.mean_delta_e_interval, three_digits(best.mean_delta_e))
+
+
+def three_digits(value: float) -> str:
+    return f"{value:#.3g}".rstrip(".")
+
+
+def verb(one: Seen, other: Seen) -> str:
+    return "falls" if other.value < one.value else "rises"
+
+
+def turn_of(points: Sequence[Seen]) -> int | None:
+    """Return the place where a number that first rises falls, or the reverse; None if its intervals show no such place."""
+    first, last = points[0], points[-1]
+    low, high = min(first.value, last.value), max(first.value, last.value)
+    turn = max(range(len(points)), key=lambda place: max(points[place].value - high, low - points[place].value))
+    beyond = not low <= points[turn].value <= high
+    return turn if beyond and points[turn].differs(first) and points[turn].differs(last) else None
+
+
+def trend(noun: str, points: Sequence[Seen], scale: Scale) -> str:
+    """Return how a number changes along an axis, as a sentence without its full stop."""
+    if len(points) == 1:
+        return f"{noun} is {points[0].words} with {scale.named(scale.values[0])}"
+    if not scale.numeric:
+        values = [point.value for point in points]
+        least, most = values.index(min(values)), values.index(max(values))
+        ends = [(points[place].words, scale.words(scale.values[place])) for place in (least, most)]
+        if points[least].differs(points[most]):
+            return f"{noun} is smallest with {ends[0][1]} ({ends[0][0]}) and largest with {ends[1][1]} ({ends[1][0]})"
+        within = f"from {ends[0][0]} to {ends[1][0]}" if ends[0][0] != ends[1][0] else ends[0][0]
+        return f"{noun} does not differ beyond its 95 % intervals: {within}"
+    first, last = points[0], points[-1]
+    start = f"{first.words} at {scale.named(scale.values[0])}"
+    end = f"{last.words} at {scale.words(scale.values[-1])}"
+    turn = turn_of(points)
+    if turn is not None:
+        middle = f"{points[turn].words} at {scale.words(scale.values[turn])}"
+        return f"{noun} {verb(first, points[turn])} from {start} to {middle} and {verb(points[turn], last)} to {end}"
+    if first.differs(last):
+        return f"{noun} {verb(first, last)} from {start} to {end}"
+    return f"{noun} does not change beyond its 95 % intervals: {start} and {end}"
+
+
+def trends(noun: str, lines: Sequence[Line], seen: Callable[[Curve], Seen], scale: Scale) -> str:
+    """Return how a number of each line changes along an axis, as a sentence; lines that all rise or all fall together."""
+    points = [[seen(curve) for curve in line.curves] for line in lines]
+    if len(lines) > 1 and scale.numeric and len(scale.values) > 1:
+        straight = all(own[0].differs(own[-1]) and turn_of(own) is None for own in points)
+        verbs = {verb(own[0], own[-1]) for own in points}
+        if straight and len(verbs) == 1:
+            ends = f"From {scale.named(scale.values[0])} to {scale.words(scale.values[-1])}, {noun} {verbs.pop()}"
+            moves = (f"{own[0].words} to {own[-1].words} ({line.label})" for own, line in zip(points, lines, strict=True))
+            return f"{ends}: {', '.join(moves)}."
+    return sentence(lines, [trend(noun, own, scale) for own in points])
+
+
+def sentence(lines: Sequence[Line], words: Sequence[str]) -> str:
+    """Return what is seen of each line as a sentence; lines of which the same is seen stand together."""
+    of_words: dict[str, list[str]] = {}
+    for line, text in zip(lines, words, strict=True):
+        of_words.setdefault(text, []).append(line.label)
+    if len(of_words) == 1:
+        return capital(words[0]) + "."
+    return "; ".join(f"{' / '.join(labels)}: {text}" for text, labels in of_words.items()) + "."
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def joined(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))
+
+
+def without(scales: Sequence[Scale]) -> str:
+    """Return what is left out of axes of very many values."""
+    long = [scale for scale in scales if scale.left_out]
+    words = [f"{len(scale.values)} of {len(scale.values) + scale.left_out} values of {scale.name}" for scale in long]
+    return f"Shown are {' and '.join(words)}, evenly chosen." if words else ""
+
+
+# --- plates ------------------------------------------------------------------------------------------------------------
+
+
+def plate_names(study: Study) -> list[str]:
+    """Return the names of the plates of `axis_plates`, in its order, and that of `alone_plate`."""
+    together = [re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII) for axis in study.axis if not axis.alone]
+    names = [f"{kind}_{name}" for name in together for kind in ("optimum_by", "delta_e_by_pitch_and")]
+    names += [f"optimum_by_{one}_and_{other}" for one, other in combinations(together, 2)]
+    return unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
+
+
+def axis_plates(result: StudyResult) -> list[Plate]:
+    """Return the figures of every axis that is not moved alone, then those of every two of them; none without such axes.
+
+    Of an axis: the optimum along it, and mean ΔE over pixel size and axis. Of two: the optimum and the least mean ΔE.
+    """
+    grid = Grid(result)
+    names = iter(plate_names(result.study))
+    plates = [draw(grid, scale, next(names)) for scale in grid.scales for draw in (optimum_along, map_along)]
+    return plates + [map_of_two(grid, one, other, next(names)) for one, other in combinations(grid.scales, 2)]
+
+
+def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
+    """Plot the optimum with its interval along an axis, a line for each technology, condition and value of the other axes."""
+    from matplotlib.lines import Line2D
+    from matplotlib.transforms import ScaledTranslation
+
+    lines, left_out = grid.lines(scale, [other for other in grid.scales if other is not scale], {}, MAX_LINES, "lines")
+    figure = new_figure(WIDTH_IN, 3.8)
+    axes = figure.subplots()
+    scale.draw_on(axes, 70)
+    for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
+        aside = ScaledTranslation(DODGE_PT * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
+        where: dict[str, Any] = {"transform": axes.transData + aside, "color": look.colour}
+        sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
+        if scale.numeric:
+            axes.plot(scale.places, sizes_um, lw=1.2, ls=look.dashes, **where)
+        for at, curve in zip(scale.places.tolist(), line.curves, strict=True):
+            interval_um = with_ends(curve.optimum.interval_um, curve)
+            axes.plot([at, at], interval_um, lw=1.2, **where)
+            for end_um, end, arrow, way in zip(interval_um, curve.optimum.interval_um, ("v", "^"), (-1, 1), strict=True):
+                if end is None:  # beyond the end, since the point of the optimum may be there
+                    outside = ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, figure.dpi_scale_trans)
+                    axes.plot(at, end_um, marker=arrow, ms=5, color=look.colour, transform=axes.transData + aside + outside)
+                else:
+                    axes.plot(at, end_um, marker="_", ms=6, mew=1.2, **where)
+            face = look.colour if is_found(curve) else "white"
+            axes.plot(at, curve.optimum.pitch_um, marker=look.marker, ms=6, mec=look.colour, mfc=face, **where)
+    curves = [curve for line in lines for curve in line.curves]
+    shown_um = [size for curve in curves for size in (*with_ends(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
+    margin_um = MARGIN * max(max(shown_um) - min(shown_um), MARGIN * max(shown_um))
+    axes.set(ylabel="optimal pixel size (µm)", ylim=(min(shown_um) - margin_um, max(shown_um) + margin_um))
+    axes.grid(alpha=0.25)
+    if len(lines) > 1:
+        handles = [
+            Line2D([], [], label=literal(short(line.label)), ms=6, **look.line) for line, look in zip(lines, LOOKS, strict=False)
+        ]
+        columns = 2 if len(lines) > 2 else len(lines)
+        figure.legend(
+            handles=handles, frameon=False, fontsize=SMALL_PT, loc="outside lower center", ncols=columns, handlelength=LEGEND_LINE
+        )
+    caption = joined(
+        trends("the optimum", lines, seen_optimum, scale),
+        f"Optimal pixel size against {scale.name}; bars: its 95 % interval.",
+        open_words(curves),
+        hollow_words(curves, "Hollow"),
+        left_out,
+        without(grid.scales),
+    )
+    return Plate(name, caption, figure, grid.columns(curves) | optimum_columns(curves))
+
+
+def open_words(curves: Sequence[Curve]) -> str:
+    open_ended = any(None in curve.optimum.interval_um for curve in curves)
+    return "Arrow: no limit, to the end of the sizes tried." if open_ended else ""
+
+
+def hollow_words(curves: Sequence[Curve], mark: str) -> str:
+    """Return what a mark of optima that are not found means, if there are some."""
+    why = ["the least error is at an end of the sizes tried"] if not all(curve.optimum.inside for curve in curves) else []
+    why += ["the film cannot tell sizes apart"] if any(curve.alike_um for curve in curves) else []
+    return f"{mark}: {', or '.join(why)}." if why else ""
+
+
+def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
+    """Plot the fitted mean ΔE over pixel size and axis, with the optimum, its 1 % valley and the lens's limit."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import BoundaryNorm
+    from matplotlib.lines import Line2D
+
+    held, held_words = grid.middle([scale])
+    lines, left_out = grid.lines(scale, [], held, MAX_PANELS, "panels")
+    curves = [curve for line in lines for curve in line.curves]
+    low_um, high_um = min(curve.fit.pitch_um[0] for curve in curves), max(curve.fit.pitch_um[-1] for curve in curves)
+    levels = nice_levels(min(curve.fit.delta_e.min() for curve in curves), max(curve.fit.delta_e.max() for curve in curves))
+    norm = BoundaryNorm(levels, 256)
+    figure, panels = panel_grid(len(lines), 2.5)
+    for line, axes in zip(lines, panels, strict=True):
+        boxes, values = [], []
+        for left, right, curve in zip(scale.edges, scale.edges[1:], line.curves, strict=False):
+            for bottom_um, top_um, band in bands(curve, levels):
+                boxes.append([(left, bottom_um), (right, bottom_um), (right, top_um), (left, top_um)])
+                values.append((levels[band] + levels[band + 1]) / 2)
+        cells = PolyCollection(boxes, array=np.array(values), cmap="viridis", norm=norm, edgecolors="face", linewidths=0.3)
+        axes.add_collection(cells)
+        axes.set(yscale="log", ylim=(low_um, high_um), title=literal(short(line.label)))
+        axes.title.set_fontsize(SMALL_PT + 1)
+        draw_sizes(axes.yaxis, low_um, high_um)
+        scale.draw_on(axes, 60 // min(len(lines), 2))
+        draw_ridge(axes, scale, line)
+    columns = min(len(lines), 2)
+    for place, axes in enumerate(panels):
+        if place % columns == 0:
+            axes.set_ylabel("pixel size (µm)")
+        else:
+            axes.tick_params(labelleft=False)
+        if place + columns < len(panels):  # there is a panel below
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+    bar = figure.colorbar(ScalarMappable(norm, "viridis"), ax=panels, label="mean ΔE", ticks=levels, format="%.3g")
+    bar.ax.minorticks_off()
+    cutoff_um = np.concatenate([line.cutoff_um for line in lines])
+    in_view = bool(((cutoff_um >= low_um) & (cutoff_um <= high_um)).any())
+    shown = RIDGE if in_view else RIDGE[:-1]
+    handles = [Line2D([], [], label=label, **style, **haloed(halo)) for label, style, halo in shown]
+    figure.legend(
+        handles=handles, fontsize=SMALL_PT, loc="outside lower center", ncols=3, facecolor="0.75", handlelength=LEGEND_LINE
+    )
+    caption = joined(
+        sentence(lines, [valley_words(line, scale) for line in lines]),
+        trends("the least mean ΔE", lines, seen_delta_e, scale),
+        f"Fitted mean ΔE over pixel size and {scale.name}, with the optimum and the sizes within 1 % of its error.",
+        cutoff_words(cutoff_um, low_um, high_um),
+        hollow_words(curves, "Hollow points"),
+        held_words,
+        left_out,
+        without([scale]),
+    )
+    return Plate(name, caption, figure, map_table(grid, lines))
+
+
+# The optimum, the 1 % valley and the lens's limit: label, style, and colour of the halo that makes it visible on any colour.
+RIDGE: tuple[tuple[str, dict[str, Any], str], ...] = (
+    ("optimum", {"color": "white", "ls": "-", "lw": 1.4, "marker": "o", "ms": 4.5, "mec": "white", "mfc": "black"}, "black"),
+    ("within 1 % of its error", {"color": "white", "ls": (0, (4, 2)), "lw": 1.2}, "black"),
+    ("Nyquist frequency = lens's cut-off", {"color": "black", "ls": (0, (1, 1.2)), "lw": 1.8}, "white"),
+)
+
+
+def haloed(colour: str) -> dict[str, Any]:
+    """Return Matplotlib's keyword for a line with a halo."""
+    from matplotlib.patheffects import withStroke
+
+    return {"path_effects": [withStroke(linewidth=2.6, foreground=colour)]}
+
+
+def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
+    """Draw the optimum, the 1 % valley and the lens's limit over a map: lines along numbers, a step for each category."""
+    within_um = np.array([with_ends(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
+    sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
+    (_, ridge, halo), (_, valley, valley_halo), (_, limit, limit_halo) = RIDGE
+    line_only = {key: value for key, value in ridge.items() if not key.startswith("m")}
+    for sizes, style, around in (
+        (sizes_um, line_only, halo),
+        *((edge_um, valley, valley_halo) for edge_um in within_um.T),
+        (line.cutoff_um, limit, limit_halo),
+    ):
+        if scale.numeric:
+            across = scale.edges if len(sizes) == 1 else scale.places
+            up = np.repeat(sizes, 2) if len(sizes) == 1 else sizes
+        else:  # NaN between categories breaks the line
+            across = np.stack([scale.edges[:-1], scale.edges[1:], scale.edges[1:]], axis=1).ravel()
+            up = np.stack([sizes, sizes, np.full(len(sizes), np.nan)], axis=1).ravel()
+        axes.plot(across, up, **style, **haloed(around))
+    for at, curve in zip(scale.places.tolist(), line.curves, strict=True):
+        face, edge = ("black", "white") if is_found(curve) else ("white", "black")
+        axes.plot(at, curve.optimum.pitch_um, "o", ms=5, mec=edge, mfc=face, clip_on=False, zorder=5)
+
+
+def bands(curve: Curve, levels: Array) -> list[tuple[float, float, int]]:
+    """Return the ranges of pitch (low, high) in which the fitted curve lies between two levels, with the lower level's place."""
+    pitch_um = curve.fit.pitch_um
+    band = np.clip(np.searchsorted(levels, curve.fit.delta_e, side="right") - 1, 0, len(levels) - 2)
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(band)) + 1, [band.size - 1]])
+    return [(float(pitch_um[low]), float(pitch_um[high]), int(band[low])) for low, high in pairwise(starts) if high > low]
+
+
+def nice_levels(low: float, high: float) -> Array:
+    """Return at most `MOST_LEVELS` + 1 round levels that hold all values, at about equal ratios if they span a factor of 2."""
+    from matplotlib.ticker import MaxNLocator
+
+    if low <= 0 or high < 2 * low:
+        return np.asarray(MaxNLocator(MOST_LEVELS - 2, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), float)
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    levels = np.array([])
+    for mantissas in NICE:
+        levels = np.array([mantissa * 10.0**decade for decade in decades for mantissa in mantissas])
+        first, last = int(np.searchsorted(levels, low, side="right")) - 1, int(np.searchsorted(levels, high))
+        levels = levels[max(first, 0) : last + 1]
+        if levels.size <= MOST_LEVELS:
+            break
+    step = -(-levels.size // MOST_LEVELS)
+    return np.unique([*levels[::step], levels[-1]])
+
+
+def draw_sizes(axis: YAxis, low_um: float, high_um: float) -> None:
+    """Label a logarithmic axis of pixel sizes with plain numbers, at least three of them."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+
+    ticks = np.array([])
+    for mantissas in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 7), (1, 1.25, 1.5, 1.75, 2, 2.5, 3, 3.5, 4, 5, 6, 7, 8, 9)):
+        ticks = np.array([mantissa * 10.0**decade for decade in range(-4, 7) for mantissa in mantissas])
+        ticks = ticks[(ticks >= low_um) & (ticks <= high_um)]
+        if ticks.size > 2:
+            break
+    if ticks.size < 3:
+        ticks = np.asarray(MaxNLocator(4).tick_values(low_um, high_um), float)
+    axis.set_major_locator(FixedLocator(ticks.tolist()))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def panel_grid(number: int, height_in: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with that many panels in up to two columns; a single one is taller."""
+    columns = min(number, 2)
+    rows = -(-number // columns)
+    figure = new_figure(WIDTH_IN, 1.0 + (height_in * rows if number > 1 else 3.2))
+    grid = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for unused in grid[number:]:
+        figure.delaxes(unused)
+    return figure, grid[:number]
+
+
+def valley_words(line: Line, scale: Scale) -> str:
+    """Return the sizes that are nearly as good as the best for every value of an axis."""
+    ends_um = np.array([with_ends(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
+    low_um, high_um = ends_um[:, 0].max(), ends_um[:, 1].min()
+    where = f"at every value of {scale.name}" if len(line.curves) > 1 else f"with {scale.named(scale.values[0])}"
+    if low_um > high_um:
+        return f"no size is within 1 % of the least mean ΔE {where}"
+    return f"sizes from {low_um:.2f} to {high_um:.2f} µm are within 1 % of the least mean ΔE {where}"
+
+
+def cutoff_words(cutoff_um: Array, low_um: float, high_um: float) -> str:
+    ends = list(dict.fromkeys(f"{value:.3g}" for value in (cutoff_um.min(), cutoff_um.max())))
+    where = (
+        ", below all sizes tried" if cutoff_um.max() < low_um else ", above all sizes tried" if cutoff_um.min() > high_um else ""
+    )
+    return (
+        f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {GREEN_NM:g} nm, is {' to '.join(ends)} µm{where}."
+    )
+
+
+def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
+    """Return a row for each curve and 41 of its pitches, with the optimum, its 1 % valley and the lens's limit."""
+    curves: list[Curve] = []
+    pitch_um: list[float] = []
+    delta_e: list[float] = []
+    cutoffs_um: list[float] = []
+    for line in lines:
+        for curve, cutoff_um in zip(line.curves, line.cutoff_um.tolist(), strict=True):
+            own_um = curve.fit.pitch_um[::MAP_STEP].tolist()
+            curves += [curve] * len(own_um)
+            pitch_um += own_um
+            delta_e += curve.fit.delta_e[::MAP_STEP].tolist()
+            cutoffs_um += [cutoff_um] * len(own_um)
+    ends = ([curve.optimum.within_1_percent_um[end] for curve in curves] for end in (0, 1))
+    low_um, high_um = (["" if end is None else end for end in column] for column in ends)
+    more: dict[str, Column] = {
+        "pitch_um": pitch_um,
+        "mean_delta_e": delta_e,
+        "optimum_um": [curve.optimum.pitch_um for curve in curves],
+        "inside": [str(curve.optimum.inside) for curve in curves],
+        "alike": [str(curve.alike_um is not None) for curve in curves],
+        "within_1_percent_low_um": low_um,
+        "within_1_percent_high_um": high_um,
+        "cutoff_pitch_um": cutoffs_um,
+    }
+    return grid.columns(curves) | more
+
+
+def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
+    """Plot the optimum and the least mean ΔE over two axes, a pair of maps for each technology and condition."""
+    held, held_words = grid.middle([across, up])
+    rows: list[tuple[str, list[Line]]] = []
+    left_out = ""
+    for value in up.values:
+        lines, left_out = grid.lines(across, [], {**held, up.name: value}, MAX_ROWS, "pairs of maps")
+        rows = rows or [(line.label, []) for line in lines]
+        for (_, stacked), line in zip(rows, lines, strict=True):
+            stacked.append(line)
+    blocks = [(label, [curve for line in stacked for curve in line.curves]) for label, stacked in rows]
+    figure = new_figure(WIDTH_IN, 0.5 + 2.4 * len(blocks))
+    panels = figure.subplots(len(blocks), 2, squeeze=False)
+    numbers: tuple[tuple[str, str, Callable[[Curve], float], Callable[[Curve], str]], ...] = (
+        ("optimal pixel size (µm)", "cividis", lambda curve: curve.optimum.pitch_um, cell_words),
+        (
+            "least mean ΔE",
+            "viridis",
+            lambda curve: curve.optimum.mean_delta_e,
+            lambda curve: three_digits(curve.optimum.mean_delta_e),
+        ),
+    )
+    for row, (label, own) in zip(panels, blocks, strict=True):
+        for axes, (title, colours, number, words) in zip(row, numbers, strict=True):
+            draw_cells(axes, own, (len(up.values), len(across.values)), number, words, colours)
+            axes.set_title("\n".join(filter(None, (literal(short(label)), title))), fontsize=SMALL_PT + 1)
+            draw_labels(axes.xaxis, across.ticks, 36)
+            draw_labels(axes.yaxis, up.ticks, 36)
+            axes.set(xlabel=across.label, ylabel=up.label)
+    curves = [curve for _, own in blocks for curve in own]
+    caption = joined(
+        *(extremes(label, own, (across, up)) for label, own in blocks),
+        f"Optimal pixel size and least mean ΔE over {across.name} and {up.name}.",
+        hollow_words(curves, "Hatched"),
+        held_words,
+        left_out,
+        without([across, up]),
+    )
+    return Plate(name, caption, figure, grid.columns(curves) | optimum_columns(curves))
+
+
+def cell_words(curve: Curve) -> str:
+    """Return the optimum as in a cell of a map."""
+    best = curve.optimum
+    sign = "" if best.inside else "≤ " if best.pitch_um <= float(curve.pitch_um[0]) else "≥ "
+    return "?" if curve.alike_um else sign + three_digits(best.pitch_um)
+
+
+def draw_cells(
+    axes: Axes,
+    curves: Sequence[Curve],
+    shape: tuple[int, int],
+    number: Callable[[Curve], float],
+    words: Callable[[Curve], str],
+    colours: str,
+) -> None:
+    """Draw a number of each curve as a map, with the numbers in the cells or, if they do not fit, a colour bar; hatched if unknown."""
+    from matplotlib.patches import Rectangle
+
+    values = np.array([number(curve) for curve in curves]).reshape(shape)
+    image = axes.imshow(values, cmap=colours, aspect="auto", origin="lower")
+    texts = [words(curve) for curve in curves]
+    longest_pt = CELL_PT * max(sum(NARROW if character in ". " else WIDE for character in text) for text in texts)
+    fit = 1.1 * longest_pt < CELLS_PT[0] / shape[1] and CELLS_PT[1] / shape[0] > 1.6 * CELL_PT
+    if not fit:
+        axes.figure.colorbar(image, ax=axes, format="%.3g")
+    for place, (curve, text) in enumerate(zip(curves, texts, strict=True)):
+        down, right = divmod(place, shape[1])
+        red, green, blue, _ = image.cmap(image.norm(values[down, right]))
+        ink, paper = ("black", "white") if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.45 else ("white", "black")
+        if not is_found(curve):
+            axes.add_patch(Rectangle((right - 0.5, down - 0.5), 1, 1, fill=False, hatch="////", ec=ink, lw=0, alpha=0.6))
+        if fit:
+            box = {"facecolor": paper, "alpha": 0.0 if is_found(curve) else 0.6, "edgecolor": "none", "pad": 1}
+            axes.text(right, down, text, ha="center", va="center", fontsize=CELL_PT, color=ink, bbox=box)
+
+
+def extremes(label: str, curves: Sequence[Curve], scales: tuple[Scale, Scale]) -> str:
+    """Return where the optimum and the least mean ΔE are smallest and largest, of curves whose first axis changes fastest."""
+    across, up = scales
+
+    def where(points: Sequence[Seen], place: int) -> str:
+        """Name the value of each axis that makes a difference there."""
+        down, right = divmod(place, len(across.values))
+        row = [points[down * len(across.values) + column] for column in range(len(across.values))]
+        column = points[right :: len(across.values)]
+        values = (across.named(across.values[right]), row), (up.named(up.values[down]), column)
+        return " and ".join(words for words, others in values if any(points[place].differs(other) for other in others))
+
+    parts = []
+    for noun, seen in (("the optimum", seen_optimum), ("the least mean ΔE", seen_delta_e)):
+        points = [seen(curve) for curve in curves]
+        values = [point.value for point in points]
+        least, most = values.index(min(values)), values.index(max(values))
+        if points[least].differs(points[most]):
+            low, high = (f"{points[place].words}, with {where(points, place)}" for place in (least, most))
+            parts.append(f"{noun} is smallest, {low}, and largest, {high}")
+        else:
+            parts.append(f"{noun} does not differ beyond its 95 % intervals, from {points[least].words} to {points[most].words}")
+    text = "; ".join(parts)
+    return (f"{label}: {text}" if label else capital(text)) + "."
+
+
+@dataclass(frozen=True)
+class Group:
+    """The curves of one technology and condition about the base: the base's own, and those of each axis that is moved alone."""
+
+    label: str
+    base: Curve
+    moved: dict[str, list[Curve]]
+
+
+def alone_plate(result: StudyResult) -> Plate | None:
+    """Plot the optimum and the least mean ΔE of each axis that is moved alone about the base, the widest first; None without such.
+
+    Panels for technologies and conditions.
+    """
+    axes_alone = [axis.name for axis in result.study.axis if axis.alone]
+    if not axes_alone:
+        return None
+    groups, left_out = alone_groups(result, axes_alone)
+
+    def width(name: str) -> float:
+        sizes = [[curve.optimum.pitch_um for curve in (group.base, *group.moved[name])] for group in groups]
+        return max(max(own) - min(own) for own in sizes)
+
+    names = sorted(axes_alone, key=lambda name: -width(name))
+    figure = new_figure(WIDTH_IN, (0.46 * len(names) + 1.1) * len(groups))
+    panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
+    for (left, right), group in zip(panels, groups, strict=True):
+        for row, name in enumerate(names):
+            for axes, seen in ((left, seen_optimum), (right, seen_delta_e)):
+                draw_moves(axes, row, group, name, seen)
+        for axes, seen in ((left, seen_optimum), (right, seen_delta_e)):
+            base = seen(group.base)
+            low, high = with_ends(group.base.optimum.interval_um, group.base) if axes is left else (base.low, base.high)
+            axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
+            axes.axvline(base.value, color="0.2", lw=1)
+            axes.grid(axis="x", alpha=0.25)
+            axes.use_sticky_edges = False
+            axes.margins(x=0.15)
+            low, high = axes.get_xlim()
+            missing = max(0.0, LEAST_SPAN * abs(base.value) - (high - low)) / 2  # else rounding errors would look like moves
+            axes.set_xlim(low - missing, high + missing)
+            axes.set_title(literal(short(group.label)), fontsize=SMALL_PT + 1)
+        left.set_yticks(range(len(names)), [literal(short(name, SHORT_TICK)) for name in names])
+        left.set_ylim(len(names) - 0.4, -0.6)
+    for axes, label in zip(panels[-1], ("optimal pixel size (µm)", "least mean ΔE"), strict=True):
+        axes.set_xlabel(label)
+    curves = [curve for group in groups for curve in (group.base, *(each for name in names for each in group.moved[name]))]
+    caption = joined(
+        *(strongest(group, names) for group in groups),
+        "Each axis moved alone about the base (vertical line, grey: its 95 % interval); a wider bar means a stronger influence.",
+        hollow_words(curves, "Hollow points"),
+        left_out,
+    )
+    table: dict[str, Column] = case_columns(result, curves, [])
+    table["axis"] = [curve.alone or BASE for curve in curves]
+    table["value"] = [curve.at[curve.alone] if curve.alone else BASE for curve in curves]
+    return Plate("tornado", caption, figure, table | optimum_columns(curves))
+
+
+def alone_groups(result: StudyResult, names: Sequence[str]) -> tuple[list[Group], str]:
+    """Return the curves about the base, a group for each technology and condition, and what is left out."""
+    bases = {part.curves[0].condition: part for part in result.parts if set(part.curves[0].at.values()) == {BASE}}
+    moved: dict[tuple[str, str], list[StudyResult]] = {}
+    for part in result.parts:
+        moved.setdefault((part.curves[0].condition, part.curves[0].alone), []).append(part)
+    first = next(iter(bases.values()))
+    labels = labels_of([curve.technology for curve in first.curves])
+    sizes = [len(labels), len(bases)]
+    counts = fewer(sizes, MAX_ROWS)
+    groups = []
+    for place, condition in product(evenly(range(len(labels)), counts[0]), evenly(list(bases), counts[1])):
+        words = [labels[place]] if len(labels) > 1 else []
+        words += [condition] if len(bases) > 1 else []
+        own = {name: [part.curves[min(place, len(part.curves) - 1)] for part in moved[condition, name]] for name in names}
+        groups.append(Group(", ".join(words), bases[condition].curves[place], own))
+    total = math.prod(sizes)
+    return groups, f"{len(groups)} of {total} panels are shown, evenly chosen." if len(groups) < total else ""
+
+
+def draw_moves(axes: Axes, row: int, group: Group, name: str, seen: Callable[[Curve], Seen]) -> None:
+    """Draw a bar from the lowest to the highest value of an axis, including the base, with labels at its ends."""
+    points = [(curve, seen(curve).value) for curve in group.moved[name]]
+    values = [seen(group.base).value, *(value for _, value in points)]
+    axes.barh(row, max(values) - min(values), left=min(values), height=0.5, color=COLOURS[0], alpha=0.25)
+    for curve, value in points:
+        face = "white" if seen is seen_optimum and not is_found(curve) else COLOURS[0]
+        axes.plot(value, row, "o", ms=4.5, color=COLOURS[0], mfc=face)
+    points.sort(key=lambda point: point[1])
+    ends = points if len(points) < 3 else [points[0], points[-1]]
+    for place, (curve, value) in enumerate(ends):
+        at = curve.at[name]
+        text = literal(short(at, SHORT_TICK)) if isinstance(at, str) else f"{at:.4g}"
+        offset = (0, 7) if place else (0, -13)
+        axes.annotate(text, (value, row), offset, textcoords="offset points", fontsize=CELL_PT, ha="center")
+
+
+def strongest(group: Group, names: Sequence[str]) -> str:
+    """Return which axis moves the optimum most, and whether that is more than its interval."""
+    base = seen_optimum(group.base)
+    label = f"{group.label}: " if group.label else ""
+
+    def move(name: str) -> tuple[float, Curve]:
+        return max(((abs(curve.optimum.pitch_um - base.value), curve) for curve in group.moved[name]), key=lambda each: each[0])
+
+    name = max(names, key=lambda each: move(each)[0])
+    far = move(name)[1]
+    seen, value = seen_optimum(far), far.at[name]
+    text = value if isinstance(value, str) else f"{value:.4g}"
+    words = f"{label}{name} moves the optimum most, from {base.words} of the base to {seen.words} with {text}"
+    return words + ("." if seen.differs(base) else ", which is not beyond the 95 % intervals.")

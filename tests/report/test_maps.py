@@ -1,0 +1,266 @@
+"""Figures of a study's axes: numbers of closed-form optima, words that say what is seen, and what a figure leaves out."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.tiny import tiny
+
+import pixsim
+from pixsim.report.maps import axis_plates
+from pixsim.show.pages import Plate
+from pixsim.studies.cases import Case, cases_of
+from pixsim.studies.optimum import fit_curve
+from pixsim.studies.result import Curve, StudyResult
+
+PITCH_UM = np.geomspace(2.0, 16.0, 7)
+LIGHT = pixsim.SpectralImage([550.0], 10.0, 21.2, data=np.ones((8, 8, 1)), header={})
+BEND = 0.5  # of ΔE in the square of the logarithm of the pitch, around a least ΔE of 1
+Optima = Callable[[dict[str, Any], str, str], float]
+
+
+def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Curve:
+    """Mean ΔE = least (1 + BEND ln² (p/optimum)), with a scatter far below the gates."""
+    mean = least * (1 + BEND * np.log(PITCH_UM / optimum_um) ** 2)
+    delta_e = mean[:, None] * np.array([1 - 1e-4, 1 + 1e-4])
+    fit = fit_curve(PITCH_UM, delta_e)
+    of_case = {"at": case.at, "condition": case.condition, "alone": case.alone}
+    return Curve(technology, 0.35, PITCH_UM, np.ones(PITCH_UM.size), {"mean_delta_e": delta_e}, fit, **of_case)
+
+
+def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -> StudyResult:
+    """The result of a study whose optima and least mean ΔE are functions of axis values, condition and technology."""
+    plan = tiny(**study)
+    parts = []
+    for case in cases_of(plan):
+        of = case.at, case.condition
+        curves = tuple(curve_of(name, optima_um(*of, name), least(*of, name), case) for name in case.study.technologies)
+        parts.append(StudyResult(case.study, curves, LIGHT, pixsim.Camera(f_number=case.study.camera.f_number or 4.0)))
+    curves = tuple(curve for part in parts for curve in part.curves)
+    return StudyResult(plan, curves, LIGHT, parts[0].camera, parts=tuple(parts))
+
+
+LUMINANCE = {
+    "name": "luminance",
+    "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"],
+    **{"from": 1.0, "to": 1000.0, "count": 4, "spacing": "log"},
+}
+LENS = {"name": "lens", "set": "camera.f_number", "values": [8.0, 2.8, 4.0]}  # not in order
+DAY_AND_NIGHT = [
+    {"name": name, "set": {"exposure": {"max_integration_s": time_s}}} for name, time_s in (("day", 0.01), ("night", 0.03))
+]
+FIT = 2e-3  # of a pitch: the curve is fitted through 7 sizes and sampled at 801
+
+
+def optimum_um(at: dict[str, Any], condition: str, technology: str) -> float:
+    """Falls with the light, rises with the f-number, and is larger at night and in 0.5 µm."""
+    larger = (1.3 if condition == "night" else 1.0) * (1.2 if technology == "0.5um" else 1.0)
+    return larger * 7.0 * at.get("luminance", 1.0) ** -0.1 * (at.get("lens", 4.0) / 4.0) ** 0.4
+
+
+def least(at: dict[str, Any], condition: str, technology: str) -> float:
+    return 2.0 * at.get("luminance", 1.0) ** -0.2
+
+
+@pytest.fixture(scope="module")
+def two_axes() -> StudyResult:
+    return result_of(optimum_um, least, axis=[LUMINANCE, LENS], condition=DAY_AND_NIGHT)
+
+
+@pytest.fixture(scope="module")
+def plates(two_axes: StudyResult) -> dict[str, Plate]:
+    return {plate.name: plate for plate in axis_plates(two_axes)}
+
+
+def rows_of(plate: Plate) -> list[dict[str, Any]]:
+    return [dict(zip(plate.table, values, strict=True)) for values in zip(*plate.table.values(), strict=True)]
+
+
+def expected_um(row: dict[str, Any]) -> float:
+    at = {name: row[name] for name in ("luminance", "lens") if name in row}
+    return optimum_um(at, row.get("condition", ""), row["technology"])
+
+
+def drawn(plate: Plate, panel: int = 0) -> list[tuple[list[float], list[float]]]:
+    return [(list(line.get_xdata()), list(line.get_ydata())) for line in plate.figure.axes[panel].lines]
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def test_axis_plates_are_named_by_axes(plates: dict[str, Plate]) -> None:
+    along = ["optimum_by_luminance", "delta_e_by_pitch_and_luminance", "optimum_by_lens", "delta_e_by_pitch_and_lens"]
+    assert list(plates) == [*along, "optimum_by_luminance_and_lens"]
+
+
+def test_tables_hold_closed_form_optima(plates: dict[str, Plate]) -> None:
+    for name, plate in plates.items():
+        for row in rows_of(plate):
+            assert row["optimum_um"] == pytest.approx(expected_um(row), rel=FIT), name
+            assert (row["inside"], row["alike"]) == ("True", "False")
+            if name.startswith("optimum"):
+                assert row["interval_low_um"] < row["optimum_um"] < row["interval_high_um"]
+                assert row["mean_delta_e"] == pytest.approx(least(row, "", ""), rel=1e-3)
+                assert row["mean_delta_e_low"] < row["mean_delta_e"] < row["mean_delta_e_high"]
+
+
+def test_optimum_along_draws_optima_and_intervals(plates: dict[str, Plate]) -> None:
+    plate = plates["optimum_by_lens"]
+    lines = drawn(plate)
+    for row in rows_of(plate):
+        assert ([row["lens"]], [row["optimum_um"]]) in lines
+        assert ([row["lens"]] * 2, [row["interval_low_um"], row["interval_high_um"]]) in lines
+    low, high = plate.figure.axes[0].get_ylim()
+    assert low < min(row["interval_low_um"] for row in rows_of(plate))
+    assert high > max(row["interval_high_um"] for row in rows_of(plate))
+
+
+def test_map_holds_closed_form_curve_and_valley(plates: dict[str, Plate]) -> None:
+    """ΔE = least (1 + BEND ln²(p/optimum)) is within 1 % of the least where |ln(p/optimum)| < √(0.01/BEND)."""
+    within = math.sqrt(0.01 / BEND)
+    plate = plates["delta_e_by_pitch_and_luminance"]
+    assert len(rows_of(plate)) == 2 * 4 * 41
+    for row in rows_of(plate):
+        best_um = expected_um(row)
+        curve = least(row, "", "") * (1 + BEND * math.log(row["pitch_um"] / best_um) ** 2)
+        assert row["mean_delta_e"] == pytest.approx(curve, rel=3e-3)
+        # To a step of the fitted curve's 801 places, a factor of 1.0026.
+        assert math.log(row["within_1_percent_low_um"] / best_um) == pytest.approx(-within, abs=0.006)
+        assert math.log(row["within_1_percent_high_um"] / best_um) == pytest.approx(within, abs=0.006)
+
+
+def test_map_ridge_is_optima_and_valley(plates: dict[str, Plate]) -> None:
+    plate = plates["delta_e_by_pitch_and_lens"]
+    rows = rows_of(plate)
+    for panel, condition in enumerate(("day", "night")):
+        own = {row["lens"]: row for row in rows if row["condition"] == condition}
+        assert list(own) == [2.8, 4.0, 8.0], "in increasing order"
+        lines = drawn(plate, panel)
+        for name in ("optimum_um", "within_1_percent_low_um", "within_1_percent_high_um", "cutoff_pitch_um"):
+            assert (list(own), [row[name] for row in own.values()]) in lines, name
+        low_um, high_um = plate.figure.axes[panel].get_ylim()
+        assert (low_um, high_um) == (PITCH_UM[0], PITCH_UM[-1])
+
+
+def test_map_colours_are_the_levels_of_the_curve(plates: dict[str, Plate], two_axes: StudyResult) -> None:
+    """Each box has the colour of the two levels between which the fitted curve lies there."""
+    plate = plates["delta_e_by_pitch_and_lens"]
+    cells = plate.figure.axes[0].collections[0]
+    levels, checked = cells.norm.boundaries, 0
+    for path, value in zip(cells.get_paths(), cells.get_array(), strict=True):
+        (left, low_um), (right, high_um) = path.vertices.min(axis=0), path.vertices.max(axis=0)
+        lens = next(at for at in (2.8, 4.0, 8.0) if left < at < right)
+        middle_um = math.sqrt(low_um * high_um)
+        row = {"luminance": 10.0, "lens": lens}
+        delta_e = least(row, "", "") * (1 + BEND * math.log(middle_um / optimum_um(row, "day", "")) ** 2)
+        place = np.searchsorted(levels, value)
+        assert levels[place - 1] * (1 - 3e-3) < delta_e < levels[place] * (1 + 3e-3), "but for the error of the fit"
+        checked += 1
+    assert checked > 6
+    assert len(levels) <= 12
+    for curve in two_axes.curves:
+        if curve.at["luminance"] == 10.0:
+            assert levels[0] <= curve.fit.delta_e.min() <= curve.fit.delta_e.max() <= levels[-1]
+
+
+def test_cutoff_pitch_is_that_of_the_camera(plates: dict[str, Plate]) -> None:
+    """λ/(4 sin α) with tan α = 1/(2 N (1 + m)) and m of 3.86 mm at 1 m, at 550 nm."""
+    of_lens = {row["lens"]: row["cutoff_pitch_um"] for row in rows_of(plates["delta_e_by_pitch_and_lens"])}
+    for f_number, actual in of_lens.items():
+        alpha = math.atan(1 / (2 * f_number * (1 + 3.86 / (1000 - 3.86))))
+        assert actual == pytest.approx(0.55 / (4 * math.sin(alpha)), rel=1e-9)
+    assert "is 0.785 to 2.21 µm" in plates["delta_e_by_pitch_and_lens"].caption
+    assert "is 1.11 µm, below all sizes tried" in plates["delta_e_by_pitch_and_luminance"].caption
+    labels = [text.get_text() for text in plates["delta_e_by_pitch_and_luminance"].figure.legends[0].get_texts()]
+    assert len(labels) == 2, "nothing names a line that is not in view"
+
+
+def test_map_of_two_draws_both_numbers(plates: dict[str, Plate]) -> None:
+    plate = plates["optimum_by_luminance_and_lens"]
+    rows = rows_of(plate)
+    assert len(rows) == 2 * 4 * 3
+    for panel, (condition, name) in enumerate(product(("day", "night"), ("optimum_um", "mean_delta_e"))):
+        axes = plate.figure.axes[panel]
+        own = [row for row in rows if row["condition"] == condition]
+        assert axes.images[0].get_array().ravel().tolist() == [row[name] for row in own]
+        assert [float(text.get_text()) for text in axes.texts] == pytest.approx([row[name] for row in own], rel=5e-3)
+        across, up = ([label.get_text() for label in axis.get_ticklabels()] for axis in (axes.xaxis, axes.yaxis))
+        assert (across, up) == (["1", "10", "100", "1000"], ["2.8", "4", "8"])
+
+
+def test_numbers_fit_their_cells(plates: dict[str, Plate]) -> None:
+    figure = plates["optimum_by_luminance_and_lens"].figure
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        cell = axes.transData.transform([[0, 0], [1, 1]])
+        room = cell[1] - cell[0]
+        for text in axes.texts:
+            box = text.get_window_extent()
+            assert box.width < room[0]
+            assert box.height < room[1]
+
+
+# --- words ------------------------------------------------------------------------------------------------------------
+
+
+def caption_of(optima: dict[Any, float], axis: dict[str, Any], **study: Any) -> str:
+    """Caption of the optimum along one axis, of the optima of its values."""
+    result = result_of(lambda at, *_: optima[at[axis["name"]]], axis=[axis], **study)
+    return axis_plates(result)[0].caption
+
+
+LIGHTS = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [1.0, 10.0, 100.0]}
+
+
+@pytest.mark.parametrize(
+    ("optima_um", "words"),
+    [
+        ((7.0, 6.0, 5.5), "The optimum falls from 7.00 µm at light 1 cd/m² to 5.50 µm at 100 cd/m²."),
+        ((5.5, 6.0, 7.0), "The optimum rises from 5.50 µm at light 1 cd/m² to 7.00 µm at 100 cd/m²."),
+        (
+            (7.0, 5.0, 6.0),
+            "The optimum falls from 7.00 µm at light 1 cd/m² to 5.00 µm at 10 cd/m² and rises to 6.00 µm at 100 cd/m².",
+        ),
+        (
+            (6.0, 6.0, 6.0),
+            "The optimum does not change beyond its 95 % intervals: 6.00 µm at light 1 cd/m² and 6.00 µm at 100 cd/m².",
+        ),
+        ((40.0, 9.0, 6.0), "The optimum falls from 16.00 µm or more at light 1 cd/m² to 6.00 µm at 100 cd/m²."),
+        ((0.8, 4.0, 6.0), "The optimum rises from 2.00 µm or less at light 1 cd/m² to 6.00 µm at 100 cd/m²."),
+    ],
+)
+def test_caption_says_the_direction(optima_um: tuple[float, ...], words: str) -> None:
+    values = dict(zip(LIGHTS["values"], optima_um, strict=True))
+    caption = caption_of(values, LIGHTS)
+
+    def near(text: str) -> str:
+        return re.sub(r"\d+\.\d\d", lambda number: f"{round(float(number[0]) * 20) / 20:.2f}", text)  # to 0.05 µm
+
+    assert near(caption).startswith(words)
+    at_an_end = not 2.0 < min(optima_um) <= max(optima_um) < 16.0
+    assert ("Hollow: the least error is at an end of the sizes tried." in caption) == at_an_end
+    assert ("Arrow: no limit, to the end of the sizes tried." in caption) == at_an_end
+
+
+def test_caption_of_labels_and_one_value() -> None:
+    values = [{"label": f"f/{number:g}", "set": {"camera": {"f_number": number}}} for number in (2.8, 8.0, 4.0)]
+    optics = {"name": "optics", "values": values}
+    plates = axis_plates(result_of(lambda at, *_: {"f/2.8": 5.0, "f/8": 8.0, "f/4": 6.0}[at["optics"]], axis=[optics]))
+    assert re.match(
+        r"The optimum is smallest with f/2\.8 \((5\.0\d|4\.9\d) µm\) and largest with f/8 \([78]\.\d\d µm\)\.", plates[0].caption
+    )
+    assert plates[0].table["optics"] == ["f/2.8", "f/8", "f/4"], "in the order of the file"
+    labels = [label.get_text() for label in plates[1].figure.axes[0].get_xticklabels()]
+    assert labels == ["f/2.8", "f/8", "f/4"]
+    alone = {"name": "lens", "set": "camera.f_number", "values": [4.0]}
+    plates = axis_plates(result_of(lambda *_: 6.0, axis=[alone, LIGHTS]))
+    assert re.match(r"The optimum is (6\.0\d|5\.9\d) µm with lens 4\.", plates[0].caption)
+    assert re.match(r"Sizes from 5\.\d\d to 6\.\d\d µm are within 1 % of the least mean ΔE with lens 4\.", plates[1].caption)
+    assert "Held at its middle value: light 10 cd/m²." in plates[1].caption
+    assert plates[-1].name == "optimum_by_lens_and_light"
