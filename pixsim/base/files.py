@@ -250,8 +250,9 @@ def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = N
                 continue
             path.unlink()
             with suppress(OSError):  # it is not empty
-                if path.parent != folder:
-                    path.parent.rmdir()
+                for above in path.relative_to(folder).parents:
+                    if above != Path():
+                        (folder / above).rmdir()
         write_provenance(others | now)
 
 

@@ -228,6 +228,15 @@ def study(
     scheduler: Annotated[
         str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
     ] = None,
+    axis: Annotated[
+        list[str] | None,
+        Parameter(
+            help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
+            "a dotted setting, as camera.f_number; settings joined by + take each value together. Repeatable.",
+            metavar="NAME=VALUES",
+        ),
+    ] = None,
+    yes: Annotated[bool, Parameter(help="Run a study with axes of more than 100 000 evaluations.", negative="")] = False,
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
     dry_run: common.DryRun = False,
@@ -242,6 +251,8 @@ def study(
 
     Example: pixsim study pixel-size --config my_sensor.toml --scene still_life --pitch.min-um 2 --quick
 
+    Example: pixsim study pixel-size --axis camera.f_number=2,2.8,4 --quick
+
     Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
     command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
@@ -250,6 +261,8 @@ def study(
 
     table = sweep.read_study(study)
     tables = options.study_tables(scene, display=display, pitch=pitch, seed=seed, tolerance_e=tolerance_e, **vars(effort))
+    if axis:
+        tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
     if "vary" in table.table and (tables or options.config):
         hint = "Copy the study that it varies, set them there, and name the copy as its base."
         got = f"{', '.join(tables) or '--config'}, with {study}, which varies another study"
@@ -260,8 +273,11 @@ def study(
         suffix = "-quick" if quick else ""
         run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
         if "vary" not in table.table:
+            from pixsim.report.axes import axes_files, axes_lines, write_axes_report
             from pixsim.report.outline import long_lines, outline_lines, study_outline
-            from pixsim.report.study import report_files
+            from pixsim.report.study import report_files, write_report
+            from pixsim.studies.cases import check_number
+            from pixsim.studies.conditions import compromises_of
 
             plan = sweep.checked_study(layers)
             folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
@@ -270,7 +286,8 @@ def study(
             if dry_run:
                 show(outline, json, "\n".join(outline_lines(outline, folder)))
                 return
-            check_replaceable(folder, report_files(prepared.study))
+            check_number(len(prepared.cases), prepared.evaluations, yes)
+            check_replaceable(folder, (axes_files if prepared.cases else report_files)(prepared.study))
             for line in long_lines(outline):
                 common.verbosity.note(line)
         elif dry_run:
@@ -288,19 +305,23 @@ def study(
                     report = write_sensitivity_report(outcome, folder, seconds)
                 summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
             else:
-                from pixsim.report.study import write_report
                 from pixsim.studies.engine import Workers, workers_here
                 from pixsim.studies.preparation import fitting_jobs
 
                 with said_what_is_kept(folder):
-                    result = sweep.run_prepared(prepared, folder, progress=stage, **run_options)
+                    result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, **run_options)
                     stage("report")
-                    drawing = workers_here(jobs or fitting_jobs(result.study, result.camera)) if scheduler is None else Workers()
-                    report = write_report(result, folder, seconds, drawing)
+                    first = result.parts[0] if result.parts else result
+                    drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
+                    report = (write_axes_report if result.parts else write_report)(result, folder, seconds, drawing)
                 summary = result.as_dict()
                 warned = set(result.warned)  # they are on stderr
                 lines = [*map(optimum_line, result.curves), *study_view_line(result)]
                 lines += [film_words(summary["film"])] if "film" in summary else []
+                if result.counts:
+                    found = compromises_of(result.study, result.curves)
+                    summary |= {"counts": asdict(result.counts), "compromises": [each.as_dict() for each in found]}
+                    lines = axes_lines(result, found)
                 lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 

@@ -16,7 +16,7 @@ from cyclopts import App, Parameter
 
 from pixsim.base import progress
 from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
-from pixsim.base.errors import PixsimError, printable
+from pixsim.base.errors import PixsimError, invalid, printable
 from pixsim.base.files import cache_folder
 from pixsim.base.parameters import (
     DATA_SHEET,
@@ -290,6 +290,56 @@ def definitions(pairs: list[str] | None, linear: bool = False) -> dict[str, str]
             raise PixsimError(f"-D: got '{pair}'; allowed: name=value, as in -D spp=64.")
         table[name.strip()] = value
     return table or None
+
+
+def axes_of(texts: Sequence[str], known: Sequence[Any]) -> list[Any]:
+    """Axes of a study: those of its file, and those of --axis NAME=VALUES, which replace the values of an axis of that name.
+
+    NAME is an axis of the file or a dotted setting; settings joined by + take each value together. VALUES are v1,v2,… or
+    from:to:count, with :log for equal ratios. Raises PixsimError for a text that is neither.
+    """
+    axes = [dict(axis) if isinstance(axis, dict) else axis for axis in known]
+    by_name = {axis.get("name"): axis for axis in axes if isinstance(axis, dict)}
+    given: set[str] = set()
+    for text in texts:
+        name, equals, values = (part.strip() for part in text.partition("="))
+        if not (name and equals and values):
+            raise invalid("--axis", f"'{text}'", "NAME=v1,v2,… or NAME=from:to:count, as in --axis camera.f_number=2,2.8,4")
+        if name in given:
+            raise invalid("--axis", f"'{name}' twice", "each axis once", "Give all of its values in one --axis.")
+        given.add(name)
+        table = _values_of(text, values)
+        if name in by_name:
+            for old in ("values", "from", "to", "count", "spacing", "quick"):
+                by_name[name].pop(old, None)
+            by_name[name].update(table)
+        else:
+            axes.append({"name": " and ".join(name.split("+")), "set": [part.strip() for part in name.split("+")]} | table)
+    return axes
+
+
+def _values_of(text: str, values: str) -> dict[str, Any]:
+    """Table of the values in the text of an --axis."""
+    ends = values.split(":")
+    if len(ends) in (3, 4) and "," not in values:
+        try:
+            table: dict[str, Any] = {"from": float(ends[0]), "to": float(ends[1]), "count": int(ends[2])}
+        except ValueError:
+            raise invalid("--axis", f"'{text}'", "numbers in from:to:count, as in --axis camera.f_number=2:8:5:log") from None
+        if ends[3:] and ends[3] not in ("log", "linear"):
+            raise invalid("--axis", f"'{text}'", "log or linear after from:to:count")
+        return table | ({"spacing": ends[3]} if ends[3:] else {})
+    return {"values": [_value(part.strip()) for part in values.split(",")]}
+
+
+def _value(text: str) -> float | int | str:
+    """Number, if the text is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass  # not a number of this kind
+    return text
 
 
 def show(result: dict[str, Any], as_json: bool, text: str) -> None:

@@ -764,7 +764,7 @@ def draw_cells(
     words: Callable[[Curve], str],
     colours: str,
 ) -> None:
-    """Draw a number of each curve as a map, with the numbers in the cells or, if they do not fit, a colour bar; hatched if unknown."""
+    """Draw a number of each curve as a map, with numbers in the cells or, if they do not fit, a colour bar; hatched if unknown."""
     from matplotlib.patches import Rectangle
 
     values = np.array([number(curve) for curve in curves]).reshape(shape)

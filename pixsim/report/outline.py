@@ -78,18 +78,22 @@ def study_outline(prepared: Prepared, jobs: int | None = None, asked: Study | No
     jobs : processes; None means as many as it would take
     asked : the study before it was prepared, for the window that would take less than a minute
     """
-    study, camera = prepared.study, prepared.camera
-    scene, plan = first_film(study, prepared.scene, camera)
+    first = prepared.parts[0][1]
+    study, camera = first.study, first.camera
+    scene, plan = first_film(study, first.scene, camera)
     film = film_of(scene, camera, plan)
     cells = math.prod(film["samples"])
-    cost = study_cost(study, camera, plan, cells, jobs)
+    costs = [study_cost(case.study, part.camera, plan, cells, jobs) for case, part in prepared.parts]
+    cost = Cost(sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), costs[0].jobs)
     sensors = []
     for name in study.technologies:
         pitches_um = study_pitches_um(study, name).tolist()
         counts = [list(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches_um]
         sensors.append({"technology": name, "pitch_um": pitches_um, "pixels": counts, "sensors": study.repeats})
-    more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name}
-    if cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, cells, jobs)):
+    more: dict[str, Any] = {"film": film, "estimate": asdict(cost), "study": study.name, "evaluations": prepared.evaluations}
+    if prepared.cases:
+        more["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case, _ in prepared.cases]
+    elif cost.seconds > LONG_S and (window := window_within(asked or study, camera, plan, cells, jobs)):
         more["window_within_a_minute_mm"] = window
     own = {} if study.own_um is None else {"own_um": study.own_um}
     header = {"parameters": scene.parameters}
@@ -159,6 +163,10 @@ def outline_lines(outline: dict[str, Any], out: Path) -> list[str]:
             text = f"{len(sizes)} sizes from {sizes[0]:g} to {sizes[-1]:g} µm, {most:.3g} to {least:.3g} million pixels"
             text += f"; {sensor['sensors']} sensors of each"
         rows.append(("pixels", f"{label_of(sensor['technology'])}: {text}"))
+    if "cases" in outline:
+        rows.append(
+            ("cases", f"{len(outline['cases'])}, {outline['evaluations']} evaluations; the lines above are those of the first")
+        )
     own_um = outline.get("own_um") or (outline["sensors"][0]["pitch_um"][0] if "study" not in outline else None)
     columns = None if own_um is None else pixels_along(width_um, own_um)
     shown = "; ".join(view_words(display, outline, columns)) or "one dot a pixel"

@@ -210,7 +210,7 @@ def write_report(
         with publishing(path, "study", {"seconds": times_s}) as unfinished:
             if result.settings_toml:
                 (unfinished / SETTINGS_FILE).write_text(result.settings_toml, encoding="utf-8")
-            _write(result, unfinished, times_s, workers or Workers())
+            write_pages(result, unfinished, times_s, workers or Workers())
         return path / "report.html"
 
 
@@ -224,7 +224,8 @@ def report_files(study: Study) -> set[str]:
     return {"report.html", "summary.json", SETTINGS_FILE, *(f"figures/{name}" for name in figures)}
 
 
-def _write(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> None:
+def write_pages(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> None:
+    """Write report.html, summary.json and figures of a study without axes, or of one of the cases of another, to a new folder."""
     study = result.study
     kinds = [("curves", ""), *(("pictures", curve.technology) for curve in result.curves), ("more", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if result.study.paper else []

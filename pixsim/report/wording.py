@@ -47,6 +47,26 @@ def optimum_line(curve: Any) -> str:
     return f"{curve.label}: {text}, mean ΔE {best.mean_delta_e:.3f}; within 1 % of it: {within}"
 
 
+def interval_text(ends_um: tuple[float | None, float | None]) -> str:
+    """Return an interval of pixel sizes as text, naming an open end."""
+    low, high = ends_um
+    if low is None and high is None:
+        return "no limit among the sizes tried"
+    if low is None:
+        return f"below {high:.2f} µm"
+    return f"above {low:.2f} µm" if high is None else f"{low:.2f} to {high:.2f} µm"
+
+
+def compromise_lines(found: Any) -> list[str]:
+    """Return the pixel sizes that suit all conditions, with their intervals; none where the conditions share too few sizes."""
+    if found.best is None or found.regret is None:
+        return [f"{found.label}: the conditions share too few pixel sizes for one that suits all"]
+    best, regret = found.best, found.regret
+    weighted = f"least weighted mean ΔE {best.mean_delta_e:.3f} at {best.pitch_um:.2f} µm (95 %: {interval_text(best.interval_um)})"
+    worst = f"least worst regret {regret.delta_e:.3f} ΔE, in {regret.condition}, at {regret.pitch_um:.2f} µm"
+    return [f"{found.label}: {weighted}; {worst} (95 %: {interval_text(regret.interval_um)})"]
+
+
 def no_difference_words(curve: Any) -> str:
     """Return the range of sizes that look alike, as text; empty if it is narrow."""
     if curve.no_difference_um is None:

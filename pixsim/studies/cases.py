@@ -5,7 +5,9 @@ A study without axes and conditions is its own only case.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
@@ -36,15 +38,25 @@ class Case:
     @property
     def words(self) -> str:
         """Values and condition as text; empty for a study without them."""
-        moved = {self.alone: self.at[self.alone]} if self.alone else self.at
-        values = [f"{name} {value:.4g}" if not isinstance(value, str) else value for name, value in moved.items()]
-        return ", ".join([*(value for value in values if value != BASE), *([self.condition] if self.condition else [])])
+        return case_words(self.at, self.condition, self.alone)
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder in that of the study."""
+        return re.sub(r"[^\w.\-]+", "_", self.words) or BASE
 
     @property
     def columns(self) -> dict[str, str]:
         """Columns of a table that tell this case from the others, with its values."""
         values = {name: value if isinstance(value, str) else repr(value) for name, value in self.at.items()}
         return values | ({"condition": self.condition} if self.condition else {})
+
+
+def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) -> str:
+    """Return the values of axes and the condition of a case as text; without those where the study's own settings hold."""
+    moved = {alone: at[alone]} if alone else at
+    values = [f"{name} {value:.4g}" if not isinstance(value, str) else value for name, value in moved.items()]
+    return ", ".join([*(value for value in values if value != BASE), *([condition] if condition else [])])
 
 
 def cases_of(study: Study) -> tuple[Case, ...]:
@@ -54,6 +66,10 @@ def cases_of(study: Study) -> tuple[Case, ...]:
     """
     if not (study.axis or study.condition):
         return (Case(study),)
+    together = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
+    number = (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(1, len(study.condition))
+    if number > MAX_CASES:
+        raise invalid("axis", f"{number} cases, all values of all axes", f"at most {MAX_CASES}", "Give fewer values.")
     base = study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
     cases = []
     for chosen, alone in combinations(study.axis):
@@ -94,11 +110,12 @@ def _study(table: dict[str, Any], where: list[str]) -> Study:
         raise PixsimError("\n".join(f"{', '.join(where)}: {line}" for line in explain(error).splitlines())) from None
 
 
+MAX_CASES = 10_000
 MAX_UNASKED = 100_000  # evaluations of a study with axes
 
 
-def check_number(cases: Sequence[Case], evaluations: int, agreed: bool) -> None:
+def check_number(cases: int, evaluations: int, agreed: bool) -> None:
     """Raise PixsimError for a study with axes of very many evaluations, unless the user has agreed."""
-    if len(cases) > 1 and evaluations > MAX_UNASKED and not agreed:
+    if cases > 1 and evaluations > MAX_UNASKED and not agreed:
         hint = "Give --yes (in Python agreed=True) to run it, or fewer values, pixel sizes or repeats; --dry-run states the time."
-        raise invalid("study", f"{evaluations} evaluations in {len(cases)} cases", f"up to {MAX_UNASKED} without asking", hint)
+        raise invalid("study", f"{evaluations} evaluations in {cases} cases", f"up to {MAX_UNASKED} without asking", hint)

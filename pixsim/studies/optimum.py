@@ -281,10 +281,10 @@ def posteriors(design: Design, y: Array, degrees: int) -> tuple[list[Posterior],
     return [fits[index] for index in used], (weights[used] / weights[used].sum()).tolist()
 
 
-def drawn_curves(fits: list[Posterior], weights: list[float], places: Array) -> Array:
-    """Return curves drawn from the posterior, (`DRAWS`, places), in units of the scale; the same for the same data."""
+def drawn_curves(fits: list[Posterior], weights: list[float], places: Array, seed: int = 0) -> Array:
+    """Return curves drawn from the posterior, (`DRAWS`, places), in units of the scale; the same for the same data and seed."""
     ends = np.rint(np.cumsum(weights) * DRAWS).astype(int)
-    normal = np.random.default_rng(0).standard_normal((DRAWS, places.size))
+    normal = np.random.default_rng(seed).standard_normal((DRAWS, places.size))
     curves = np.empty_like(normal)
     for fit, first, last in zip(fits, [0, *ends[:-1]], ends, strict=True):
         if last > first:

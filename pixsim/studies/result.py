@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from pixsim.sensor.pixel import photodiode_widths_um, physics_of
 from pixsim.sensor.technology import file_label, label_of, labels_of, technology_of
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate, html_cell, rows_csv
-from pixsim.studies.cases import Case
+from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import (
     DELTA_E_STATISTICS,
     REPEATS_PER_TASK,
@@ -85,7 +85,12 @@ class Curve:
     @property
     def file_label(self) -> str:
         """The technology's name for file names."""
-        return file_label(self.label)
+        return file_label(self.label.removesuffix(f", {self.words}") if self.words else self.label)
+
+    @property
+    def words(self) -> str:
+        """Values and condition of its case as text; empty in a study without axes and conditions."""
+        return case_words(self.at, self.condition, self.alone)
 
     @property
     def optimum_features(self) -> float | None:
@@ -194,7 +199,7 @@ class StudyResult:
     def _labelled(self, curve: Curve, label: str) -> Curve:
         """Return a curve with its label, and the pitches that its film cannot tell apart."""
         film = self.part_of(curve).film
-        words = Case(self.study, curve.at, curve.condition, curve.alone).words
+        words = curve.words
         alike_um = film.alike_um(curve.pitch_um, curve.mean()) if film else None
         return replace(curve, label=", ".join(filter(None, (label, words))), alike_um=alike_um)
 
@@ -223,7 +228,7 @@ class StudyResult:
         if len(found) == 1:
             return found[0]
         got = ", ".join([f"{name} = {value}" for name, value in at.items()] + ([f"condition {condition}"] if condition else []))
-        allowed = "; ".join(Case(self.study, values, name).words or "base" for values, name in zip(*of_study, strict=True))
+        allowed = "; ".join(part.curves[0].words or BASE for part in self.parts)
         allowed = f"one of: {allowed}" if allowed else "a study with axes or conditions"
         raise invalid("case", f"{got or 'nothing'}, which names {len(found)} cases", allowed)
 
@@ -267,7 +272,6 @@ class StudyResult:
             "study": self.study.model_dump(mode="json", exclude={"quick"}),
             "chosen": self.view,
             "notes": self.notes,
-            "counts": asdict(self.counts) if self.counts else {},
             "cases": cases,
             "curves": [curve.as_dict() | {"dark": self.part_of(curve).dark(curve)} for curve in self.curves],
         }

@@ -22,8 +22,8 @@ from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
-from pixsim.studies.cases import Case, cases_of
-from pixsim.studies.engine import Workers, workers_for
+from pixsim.studies.cases import Case, cases_of, check_number
+from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import (
     Counts,
     Evaluations,
@@ -189,13 +189,20 @@ def check_pitches(study: Study) -> None:
         raise invalid("max_evaluations", study.max_evaluations, expected, "Raise it, or lower repeats or pitch.count.")
 
 
-def scene_for(study: Study, variant: str | None = None) -> tuple[Scene, Camera]:
-    """Return the study's scene and the camera of its window. Raises PixsimError for invalid input."""
+def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] | None = None) -> tuple[Scene, Camera]:
+    """Return the study's scene and the camera of its window. Raises PixsimError for invalid input.
+
+    known : scenes by their settings, to which this one is added
+    """
     from pixsim.scene.scene import load_scene
 
-    parameters: dict[str, Any] = dict(study.scene.parameters)
-    scene = load_scene(study.scene.file, variant=variant, **parameters)
-    scene = scene.with_resolution(study.resolution) if study.resolution else scene
+    known = {} if known is None else known
+    key = content_hash([study.scene.model_dump(mode="json"), study.resolution])
+    if key not in known:
+        parameters: dict[str, Any] = dict(study.scene.parameters)
+        loaded = load_scene(study.scene.file, variant=variant, **parameters)
+        known[key] = loaded.with_resolution(study.resolution) if study.resolution else loaded
+    scene = known[key]
     return scene, scene.camera(study.camera).window(study.window_mm)
 
 
@@ -245,13 +252,14 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     if study.tolerance_delta_e:
         hint = "Leave it out, or run the study for one case."
         raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
+    scenes: dict[str, Scene] = {}
     own = _without_axes(study)
     scene, camera = scene_for(own, variant)
     view = _chosen_view(own, scene, camera)
     prepared: list[tuple[Case, Prepared]] = []
     for case in cases_of(study):
         with _named(case):
-            part = _prepare(_with_view(case.study, view), variant, view)
+            part = _prepare(_with_view(case.study, view), variant, view, scenes)
         prepared.append((replace(case, study=part.study), part))
     return Prepared(study, view.scene(scene), camera, view, variant, tuple(prepared))
 
@@ -284,13 +292,14 @@ def _with_view(study: Study, view: View) -> Study:
     return study.model_copy(update={"display": view.display(study.display), "scene": of_scene})
 
 
-def _prepare(study: Study, variant: str | None, view: View | None = None) -> Prepared:
+def _prepare(study: Study, variant: str | None, view: View | None = None, scenes: dict[str, Scene] | None = None) -> Prepared:
     """Return `prepare` of a study without axes.
 
     view : of the study whose case it is, which its settings have already; None means to choose it
+    scenes : of the other cases, by their settings; it is added to
     """
     check_technologies(study)
-    scene, camera = scene_for(study, variant)
+    scene, camera = scene_for(study, variant, {} if scenes is None else scenes)
     study = fitted_range(study, camera)
     if view is None:
         view = _chosen_view(study, scene, camera)
@@ -321,15 +330,38 @@ def render_for(study: Study, variant: str | None = None, progress: Progress | No
     return made.image, camera, made.film
 
 
-def render_all(cases: Sequence[Case], variant: str | None, stage: Stage, settled: Settled | None = None) -> list[Light]:
-    """Return the light of each case; cases that differ in nothing that it depends on share one."""
-    lights: dict[str, Light] = {}
+def render_all(
+    cases: Sequence[Case], variant: str | None, stage: Stage, workers: Workers, settled: Settled | None = None
+) -> list[Light]:
+    """Return the light of each case; cases that differ in nothing that it depends on share one.
+
+    Where Mitsuba traces no rays, which would take all processors by itself, the workers make them.
+    """
     keys = [_light_hash(case.study) for case in cases]
-    for case, key in zip(cases, keys, strict=True):
-        if key not in lights:
-            progress = stage("render") if len(set(keys)) == 1 else stage(f"render {len(lights) + 1} of {len(set(keys))}")
-            lights[key] = render_for(case.study, variant, progress, settled)
+    studies = {key: case.study for case, key in zip(cases, keys, strict=True)}
+    lights: dict[str, Light] = {}
+    if len(studies) == 1:
+        lights = {key: render_for(study, variant, stage("render"), settled) for key, study in studies.items()}
+    elif first_film(cases[0].study, *scene_for(cases[0].study, variant))[1].exact:
+        progress = stage("render")
+        calls = [((key, study, variant), _nothing) for key, study in studies.items()]
+        for key, light in results_of(_render_task, calls, workers):
+            lights[key] = light
+            progress(len(lights) / len(studies))
+    else:
+        for key, study in studies.items():
+            lights[key] = render_for(study, variant, stage(f"render {len(lights) + 1} of {len(studies)}"))
     return [lights[key] for key in keys]
+
+
+def _nothing() -> None:
+    """Return what render tasks share."""
+
+
+def _render_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, Light]:
+    """Return the key of a task, and its light."""
+    key, study, variant = task
+    return key, render_for(study, variant)
 
 
 # The sensors decide on the noise and the film of a render, and so does a part of the display.
@@ -399,6 +431,7 @@ def study(
     scheduler: Any = None,
     variant: str | None = None,
     progress: Stage | None = None,
+    agreed: bool = False,
     **settings: Any,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
@@ -416,8 +449,10 @@ def study(
         on the same kind of processor their results are bitwise equal
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage
+    agreed : whether a study with axes may take more than 100 000 evaluations
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
-        pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0
+        pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
+        "camera.f_number", "values": [2.0, 4.0]}], condition=[…]
 
     Raises PixsimError for invalid input, before anything is rendered, and if `out` holds a results.csv of another program.
 
@@ -435,7 +470,9 @@ def study(
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
         chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
-        return run_prepared(prepare(chosen, variant, quick=quick), out, jobs=jobs, scheduler=scheduler, progress=progress)
+        return run_prepared(
+            prepare(chosen, variant, quick=quick), out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed
+        )
 
 
 def run_prepared(
@@ -445,9 +482,12 @@ def run_prepared(
     jobs: int | None = None,
     scheduler: Any = None,
     progress: Stage | None = None,
+    agreed: bool = False,
 ) -> StudyResult:
     """Run a prepared study; the arguments are those of `study`."""
     from pixsim.scene.convergence import RenderNoise
+
+    check_number(len(prepared.cases), prepared.evaluations, agreed)
 
     chosen, variant = prepared.study, prepared.variant
     stage = progress or (lambda _: lambda *_: None)
@@ -463,7 +503,7 @@ def run_prepared(
 
             chosen, settled = settled_study(chosen, prepared.scene, prepared.camera)
             prepared = replace(prepared, study=chosen)
-        lights = render_all([case for case, _ in prepared.parts], variant, stage, settled)
+        lights = render_all([case for case, _ in prepared.parts], variant, stage, workers, settled)
         cases = [
             replace(case, study=case.study.model_copy(update={"resolution": irradiance.shape[1]}))
             for (case, _), (irradiance, _, _) in zip(prepared.parts, lights, strict=True)

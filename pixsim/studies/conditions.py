@@ -1,0 +1,179 @@
+"""One pixel for several conditions: the least weighted mean ΔE, and the least worst regret.
+
+The regret of a pixel size in a condition is its mean ΔE there over that of the best size for that condition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.parameters import Study
+from pixsim.sensor.pixel import photodiode_widths_um
+from pixsim.studies.optimum import (
+    CREDIBILITY,
+    FINE_PLACES,
+    PLACES,
+    FittedCurve,
+    Optimum,
+    drawn_curves,
+    fit_curve,
+    measured,
+    minima,
+    places_of,
+    posteriors,
+)
+from pixsim.studies.result import Curve
+
+LEAST_PITCHES = 5  # that a curve is fitted to
+SHUFFLED = 1 << 16  # of the seeds with which the sensors of the conditions' posteriors are drawn
+
+
+@dataclass(frozen=True)
+class Regret:
+    """The pixel size with the least worst regret over all conditions of weight above 0.
+
+    pitch_um : of it
+    interval_um : 95 % interval; None for an open end, at the smallest or the largest size tried
+    delta_e : the worst regret there, in ΔE
+    condition : in which it is the worst
+    inside : whether it lies between the smallest and the largest size tried
+    """
+
+    pitch_um: float
+    interval_um: tuple[float | None, float | None]
+    delta_e: float
+    condition: str
+    inside: bool
+
+
+@dataclass(frozen=True)
+class Compromise:
+    """The pixel sizes that suit several conditions, of one technology and one value of each axis.
+
+    label : of technology and values, for readers
+    curves : one for each condition, in the order of the study
+    weights : of the conditions, with the sum 1
+    weighted : the fitted weighted mean of the curves; its optimum has the least weighted mean ΔE. None with fewer than 5 sizes
+        that all conditions share
+    regret : None as for `weighted`
+    """
+
+    label: str
+    technology: str
+    at: dict[str, float | int | str]
+    curves: tuple[Curve, ...] = field(repr=False)
+    weights: tuple[float, ...]
+    weighted: FittedCurve | None = field(repr=False)
+    regret: Regret | None
+
+    @property
+    def best(self) -> Optimum | None:
+        """The pixel size with the least weighted mean ΔE."""
+        return None if self.weighted is None else self.weighted.optimum
+
+    def regrets_at(self, pitch_um: float) -> dict[str, float]:
+        """Return each condition's regret of a pixel size, in ΔE."""
+        return {
+            curve.condition: float(np.interp(pitch_um, curve.fit.pitch_um, curve.fit.delta_e)) - curve.optimum.mean_delta_e
+            for curve in self.curves
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the compromise as in summary.json."""
+        own = {
+            curve.condition: {"weight": weight, "optimum": curve.optimum.as_dict()}
+            for curve, weight in zip(self.curves, self.weights, strict=True)
+        }
+        best = self.best
+        return {
+            "technology": self.technology,
+            **({"at": self.at} if self.at else {}),
+            "conditions": own,
+            "least_weighted_delta_e": best and best.as_dict() | {"regret_delta_e": self.regrets_at(best.pitch_um)},
+            "least_worst_regret": self.regret and asdict(self.regret) | {"regret_delta_e": self.regrets_at(self.regret.pitch_um)},
+        }
+
+
+def compromises_of(study: Study, curves: Sequence[Curve]) -> list[Compromise]:
+    """Return the compromise of each technology and combination of axes, in the order of the curves; none without conditions."""
+    groups: dict[tuple[object, ...], list[Curve]] = {}
+    for curve in curves:
+        if curve.condition:
+            groups.setdefault((curve.technology, *curve.at.items(), curve.alone), []).append(curve)
+    total = sum(condition.weight for condition in study.condition)
+    weights = {condition.name: condition.weight / total for condition in study.condition}
+    return [compromise(study, group, [weights[curve.condition] for curve in group]) for group in groups.values()]
+
+
+def compromise(study: Study, curves: Sequence[Curve], weights: Sequence[float]) -> Compromise:
+    """Return the compromise between the curves of several conditions."""
+    first = curves[0]
+    widths = partial(photodiode_widths_um, study, first.technology)
+    label = first.label.removesuffix(f", {first.condition}")
+    counted = [(curve, weight) for curve, weight in zip(curves, weights, strict=True) if weight]
+    pitches_um, delta_e = weighted_mean(counted)
+    weighted = regret = None
+    if pitches_um.size >= LEAST_PITCHES:
+        weighted = fit_curve(pitches_um, delta_e, widths)
+        regret = least_worst_regret([curve for curve, _ in counted])
+    return Compromise(label, first.technology, first.at, tuple(curves), tuple(weights), weighted, regret)
+
+
+def weighted_mean(weighted: Sequence[tuple[Curve, float]]) -> tuple[Array, Array]:
+    """Return the pitches that all curves have, (P,), and the weighted mean ΔE of each sensor there, (P, sensors).
+
+    Equal sensors of the conditions have equal random streams, so that the scatter of the mean is that of its sensors.
+    """
+    pitches_um = np.array(sorted(set.intersection(*(set(curve.pitch_um.tolist()) for curve, _ in weighted))))
+    sensors = min(curve.delta_e.shape[1] for curve, _ in weighted)
+    total = np.zeros((pitches_um.size, sensors))
+    for curve, weight in weighted:
+        total += weight * curve.delta_e[np.searchsorted(curve.pitch_um, pitches_um), :sensors]
+    return pitches_um, total
+
+
+def least_worst_regret(curves: Sequence[Curve]) -> Regret:
+    """Return the pixel size with the least worst regret, from the fitted curves and from curves drawn from their posteriors.
+
+    The conditions are drawn independently. They have common random numbers, so that the interval is rather too wide.
+    """
+    low_um = max(float(curve.pitch_um[0]) for curve in curves)
+    high_um = min(float(curve.pitch_um[-1]) for curve in curves)
+    fine_um = np.geomspace(low_um, high_um, FINE_PLACES)
+    fitted = np.stack([np.interp(fine_um, curve.fit.pitch_um, curve.fit.delta_e) for curve in curves])
+    regrets = fitted - np.array([[curve.optimum.mean_delta_e] for curve in curves])
+    worst = regrets.max(axis=0)
+    best = int(np.argmin(worst))
+
+    places_um = np.geomspace(low_um, high_um, PLACES)
+    drawn = np.full((1, PLACES), -np.inf)
+    for number, curve in enumerate(curves):
+        own = _drawn(curve, places_um, number)
+        drawn = np.maximum(drawn, own - own.min(axis=1, keepdims=True))
+    minima_um = np.exp(minima(np.log(places_um), drawn))
+    tail = (1 - CREDIBILITY) / 2
+    ends: list[float | None] = np.clip(np.quantile(minima_um, (tail, 1 - tail)), low_um, high_um).tolist()
+    for end in (0, -1):
+        if np.mean(drawn[:, end] <= drawn.min(axis=1)) > tail:
+            ends[end] = None
+    condition = curves[int(np.argmax(regrets[:, best]))].condition
+    inside = 0 < best < fine_um.size - 1
+    return Regret(float(fine_um[best]), (ends[0], ends[1]), float(worst[best]), condition, inside)
+
+
+def _drawn(curve: Curve, places_um: Array, number: int) -> Array:
+    """Return curves of mean ΔE drawn from the posterior of a condition, (draws, places)."""
+    fit = curve.fit
+    u = fit.places_of(curve.pitch_um)
+    mean, scale, design, degrees = measured(u, curve.delta_e)
+    fits, weights = posteriors(design, mean / scale, degrees)
+    at = places_of(places_um, float(curve.pitch_um[0]), fit.width_um)
+    drawn = scale * drawn_curves(fits, weights, np.maximum(at, 0.0), seed=number * SHUFFLED)
+    # Sorted by likeliness of their stiffness: without another order the conditions' likeliest curves would go together.
+    return np.random.default_rng([number, 1]).permutation(drawn, axis=0)
