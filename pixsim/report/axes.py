@@ -19,6 +19,7 @@ from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.conditions import Compromise, Regret, compromises_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
+from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import StudyResult, alike_words, interval_words, within_words
 
 SHOWN_CASES = 4  # with a report of their own
@@ -119,8 +120,18 @@ def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[s
     lines += [optimum_line(curve) for curve in result.curves]
     if len(lines) > LINES_SHOWN:
         lines = [*lines[:LINES_SHOWN], f"and {len(lines) - LINES_SHOWN} more: optima.csv"]
-    lines += study_view_line(result)
+    lines += [*study_view_line(result), *film_lines(result)]
     return [*lines, *([str(result.counts)] if result.counts else [])]
+
+
+def film_lines(result: StudyResult) -> list[str]:
+    """Return a line on each film of the cases, with its largest error."""
+    worst: dict[tuple[int, int], FilmError] = {}
+    for part in result.parts:
+        if part.film is not None:
+            shape = part.film.shape
+            worst[shape] = max(worst.get(shape, part.film), part.film, key=lambda film: film.largest_delta_e)
+    return [film_words(film.as_dict()) for film in worst.values()]
 
 
 def axes_files(study: Study) -> set[str]:
@@ -175,7 +186,7 @@ def write_axes_report(result: StudyResult, folder: Path, seconds: dict[str, floa
                 "plates": drawn,
                 "cases": [(case, optimum_line(part.curves[0])) for case, part in zip(shown, parts, strict=True)],
                 "shown": study_view_line(result),
-                "films": sorted({film_words(part.film.as_dict()) for part in result.parts if part.film}),
+                "films": film_lines(result),
                 "notes": result.notes,
                 "counts": result.counts,
                 "header": result.irradiance.header,

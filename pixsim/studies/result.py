@@ -331,6 +331,16 @@ class StudyResult:
         ]
         return rows_csv(rows, path)
 
+    def to_dataframe(self) -> Any:
+        """Return the rows of `to_csv` as a pandas.DataFrame. Raises PixsimError without pandas."""
+        import io
+
+        try:
+            import pandas as pd
+        except ImportError:
+            raise invalid("to_dataframe", "no pandas", "pip install pandas, or to_csv(), which pandas reads elsewhere") from None
+        return pd.read_csv(io.StringIO(self.to_csv()))
+
     def _repr_html_(self) -> str:
         rows = []
         for curve in self.curves:

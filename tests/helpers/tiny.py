@@ -36,7 +36,7 @@ def tiny_toml(**over: Any) -> str:
 def toml_of(value: Any) -> str:
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(name)} = {toml_of(each)}" for name, each in value.items()) + " }"
-    return json.dumps(value)
+    return f"[{', '.join(map(toml_of, value))}]" if isinstance(value, list) else json.dumps(value)
 
 
 def rows(path: Path) -> list[dict[str, str]]:

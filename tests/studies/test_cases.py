@@ -1,0 +1,310 @@
+"""What axes and conditions make of a study, and that its cases are the studies that one would run apart."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from helpers.tiny import keys, rows, tiny, tiny_toml
+from pydantic import ValidationError
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Axis, Study
+from pixsim.cli.options import axes_of
+from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
+from pixsim.studies.result import StudyResult
+
+LIGHT = "scene.parameters.luminance_cd_per_m2"
+LENS = {
+    "name": "lens",
+    "values": [{"label": "f/2.8", "set": {"camera": {"f_number": 2.8}}}, {"label": "f/8", "set": {"camera": {"f_number": 8.0}}}],
+}
+PRNU = {"name": "PRNU", "set": "pixel.prnu", "values": [0.01, 0.03], "alone": True}
+DAY = {"name": "day", "weight": 3.0, "set": {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}}}
+NIGHT = {"name": "night", "set": {"scene": {"parameters": {"luminance_cd_per_m2": 30.0}}}}
+
+
+# --- values of an axis ------------------------------------------------------------------------------------------------
+
+
+def test_axis_log_spacing_has_equal_ratios_and_its_ends() -> None:
+    points = Axis.model_validate({"name": "a", "set": LIGHT, "from": 1.0, "to": 1000.0, "count": 7, "spacing": "log"}).points
+    values = [float(point.value) for point in points]
+    assert (values[0], values[-1]) == (1.0, 1000.0)
+    np.testing.assert_allclose(np.diff(np.log10(values)), 0.5, atol=2e-6)  # six digits
+    assert points[2].table == {"scene": {"parameters": {"luminance_cd_per_m2": 10.0}}}
+
+
+def test_axis_linear_spacing_moves_settings_together() -> None:
+    axis = Axis.model_validate({"name": "a", "set": [LIGHT, "display.white_cd_per_m2"], "from": 4.0, "to": 1.0, "count": 4})
+    assert [point.value for point in axis.points] == [4.0, 3.0, 2.0, 1.0]
+    assert axis.points[1].table == {"scene": {"parameters": {"luminance_cd_per_m2": 3.0}}, "display": {"white_cd_per_m2": 3.0}}
+
+
+@pytest.mark.parametrize(
+    ("axis", "message"),
+    [
+        ({"set": "camera.f_number"}, r"missing: from .*, to, count; allowed: values = \[...\], or from, to and count"),
+        ({"set": "camera.f_number", "values": []}, "values: got an empty list"),
+        ({"set": "camera.f_number", "values": [2, 2]}, "values: 2 stands there twice"),
+        ({"set": "camera.f_number", "values": [2], "to": 3.0}, "values and to both state the values"),
+        ({"set": "camera.f_number", "from": 0.0, "to": 3.0, "count": 3, "spacing": "log"}, "allowed: numbers above 0"),
+        ({"set": "pitch.min_um", "values": [2]}, "pixel sizes are an axis of every study"),
+        ({"set": "technologies", "values": ["a"]}, "set pixel.technology"),
+        ({"set": "camera..f", "values": [2]}, "a dotted setting, as camera.f_number"),
+        ({"values": [2, 3]}, "set: missing"),
+        ({"set": "camera.f_number", "values": [{"label": "a", "set": {"seed": 1}}]}, "do not go with set"),
+        ({"name": "pitch_um", "set": "camera.f_number", "values": [2]}, "is a column of every study"),
+        ({"name": "a=b", "set": "camera.f_number", "values": [2]}, "name"),
+    ],
+)
+def test_axis_invalid_values_raise(axis: dict[str, object], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        Axis.model_validate({"name": "a"} | axis)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"axis": [LENS, LENS]}, "'lens' stands there twice"),
+        (
+            {"axis": [LENS, {"name": "N", "set": "camera.f_number", "values": [3]}]},
+            "camera.f_number is varied by 'lens' and by 'N'",
+        ),
+        (
+            {"axis": [{"name": "light", "set": LIGHT, "values": [3]}], "condition": [DAY]},
+            "condition 'day': .* varied by the axis 'light'",
+        ),
+        ({"condition": [DAY | {"weight": 0.0}]}, "all weights are 0"),
+        ({"condition": [DAY | {"weight": -1.0}]}, "condition.0.weight"),
+        ({"condition": [DAY, DAY]}, "'day' stands there twice"),
+        (
+            {"technologies": ["0.35um"], "axis": [{"name": "t", "set": "pixel.technology", "values": ["0.5um"]}]},
+            "leave technologies out",
+        ),
+    ],
+)
+def test_study_contradictory_axes_raise(more: dict[str, object], message: str) -> None:
+    with pytest.raises((ValidationError, PixsimError), match=message):
+        tiny(**more)
+
+
+def test_study_axes_survive_a_round_trip() -> None:
+    study = tiny(
+        axis=[
+            LENS,
+            PRNU,
+            {"name": "l", "set": "exposure.max_integration_s", "from": 1, "to": 9, "count": 3, "quick": {"count": 2}},
+        ],
+        condition=[DAY],
+    )
+    again = Study.model_validate(json.loads(json.dumps(study.model_dump(mode="json", exclude_unset=True))))
+    assert [case.columns for case in cases_of(again)] == [case.columns for case in cases_of(study)]
+    assert [point.value for point in study.quickened.axis[2].points] == [1.0, 9.0]
+
+
+# --- cases ------------------------------------------------------------------------------------------------------------
+
+
+def test_cases_of_plain_study_is_itself() -> None:
+    (case,) = cases_of(study := tiny())
+    assert case.study is study
+    assert (case.words, case.columns) == ("", {})
+
+
+def test_cases_of_are_a_product_then_single_moves_each_under_every_condition() -> None:
+    light = {"name": "integration", "set": "exposure.max_integration_s", "values": [0.1, 0.2]}
+    cases = cases_of(tiny(axis=[LENS, light, PRNU], condition=[DAY, NIGHT]))
+    assert len(cases) == (2 * 2 + 1 + 2) * 2
+    assert [case.words for case in cases[:3]] == [
+        "f/2.8, integration 0.1, day",
+        "f/2.8, integration 0.1, night",
+        "f/2.8, integration 0.2, day",
+    ]
+    assert cases[8].at == {"lens": BASE, "integration": BASE, "PRNU": BASE}
+    assert [case.words for case in cases[8:12]] == ["day", "night", "PRNU 0.01, day", "PRNU 0.01, night"]
+    assert (cases[10].alone, cases[10].study.pixel.prnu, cases[10].study.camera.f_number) == ("PRNU", 0.01, None)
+    assert (cases[0].study.camera.f_number, cases[0].study.scene.parameters["luminance_cd_per_m2"]) == (2.8, 300.0)
+    assert all(not (case.study.axis or case.study.condition) for case in cases)
+
+
+def test_cases_of_technology_axis_sets_the_technology() -> None:
+    table = tiny().model_dump(mode="json", exclude_unset=True) | {
+        "axis": [{"name": "process", "set": "pixel.technology", "values": ["0.5um", "0.25um"]}]
+    }
+    assert [case.study.technologies for case in cases_of(Study.model_validate(table))] == [("0.5um",), ("0.25um",)]
+
+
+@pytest.mark.parametrize(
+    ("axis", "message"),
+    [
+        (
+            {"name": "a", "set": "camera.f_nmber", "values": [2.0]},
+            "axis a, value 2: camera.f_nmber: unknown name.*Did you mean 'f_number'",
+        ),
+        ({"name": "a", "set": "camera.f_number", "values": [2.0, -2.0]}, "axis a, value -2: camera.f_number: got -2"),
+    ],
+)
+def test_cases_of_bad_value_is_named(axis: dict[str, object], message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        cases_of(tiny(axis=[axis]))
+
+
+def test_cases_of_very_many_raise_at_once() -> None:
+    many = [
+        {"name": f"a{n}", "set": f"pixel.{name}", "from": 0.0, "to": 0.1, "count": 101} for n, name in enumerate(("prnu", "dsnu"))
+    ]
+    assert math.prod(len(axis.points) for axis in tiny(axis=many).axis) > MAX_CASES
+    with pytest.raises(PixsimError, match=r"10201 cases.*at most 10000"):
+        cases_of(tiny(axis=many))
+
+
+def test_check_number_asks_for_more_than_a_hundred_thousand() -> None:
+    check_number(2, 100_000, agreed=False)
+    check_number(2, 100_001, agreed=True)
+    check_number(0, 10**9, agreed=False)  # a study without axes
+    with pytest.raises(PixsimError, match=r"100001 evaluations in 2 cases.*--yes"):
+        check_number(2, 100_001, agreed=False)
+
+
+def test_combinations_of_moves_alone_begin_with_the_base() -> None:
+    assert [(dict(chosen), alone) for chosen, alone in combinations([])] == [({}, "")]
+    moves = [(sorted(chosen), alone) for chosen, alone in combinations([Axis.model_validate(PRNU)])]
+    assert moves == [([], ""), (["PRNU"], "PRNU"), (["PRNU"], "PRNU")]
+
+
+# --- a study with axes and conditions ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
+    folder = tmp_path_factory.mktemp("axes")
+    return pixsim.study(tiny(axis=[LENS, PRNU], condition=[DAY, NIGHT]), folder, jobs=1), folder
+
+
+def test_study_of_a_case_alone_has_its_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    """The same numbers and keys: a case does not depend on the others."""
+    result, folder = done
+    alone = tiny(camera={"f_number": 8.0}, scene={"parameters": {"luminance_cd_per_m2": 30.0}})
+    same = pixsim.study(alone, tmp_path, jobs=1)
+    of_case = [row for row in rows(folder) if (row["lens"], row["condition"]) == ("f/8", "night")]
+    assert [{name: row[name] for name in rows(tmp_path)[0]} for row in of_case] == rows(tmp_path)
+    assert result.case(lens="f/8", condition="night").curves[0].optimum == same.curves[0].optimum
+
+
+def test_study_curves_are_technology_axis_condition(done: tuple[StudyResult, Path]) -> None:
+    result, _ = done
+    assert [(curve.at["lens"], curve.at["PRNU"], curve.condition) for curve in result.curves] == [
+        (lens, prnu, condition)
+        for lens, prnu in (("f/2.8", BASE), ("f/8", BASE), (BASE, BASE), (BASE, 0.01), (BASE, 0.03))
+        for condition in ("day", "night")
+    ]
+    assert result.curves[0].label == "0.35um, f/2.8, day"
+    assert all(result.part_of(curve).curves[0].label == curve.label for curve in result.curves)
+
+
+def test_study_counts_what_is_made(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result, _ = done
+    assert result.counts is not None
+    assert (result.counts.cases, result.counts.evaluations_made, result.counts.evaluations_reused) == (10, 120, 0)
+    # Another display leaves the light on the sensor and the frames as they are.
+    shown = {"name": "shown", "set": "display.samples_per_deg", "values": [10.0, 20.0]}
+    counts = pixsim.study(tiny(axis=[shown]), tmp_path, jobs=1).counts
+    assert counts is not None
+    assert (counts.cases, counts.evaluations_made, counts.frames_reused) == (2, 24, 12)
+
+
+def test_study_more_values_compute_only_the_new_ones(done: tuple[StudyResult, Path]) -> None:
+    _, folder = done
+    before = set(keys(folder))
+    other = {"name": "lens", "values": [*LENS["values"], {"label": "f/4", "set": {"camera": {"f_number": 4.0}}}]}
+    counts = pixsim.study(tiny(axis=[other, PRNU], condition=[DAY, NIGHT]), folder, jobs=1).counts
+    assert counts is not None
+    # f/4 is the chart's own lens: its rows are those of the base.
+    assert (counts.cases, counts.evaluations_made, counts.evaluations_reused) == (12, 0, 120)
+    assert set(keys(folder)) == before
+
+
+def test_study_jobs_do_not_change_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    small = {"axis": [PRNU], "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]}}
+    for jobs in (1, 2):
+        pixsim.study(tiny(**small), tmp_path / str(jobs), jobs=jobs)
+    assert (tmp_path / "1/results.csv").read_bytes() == (tmp_path / "2/results.csv").read_bytes()
+
+
+def test_result_case_ambiguous_or_unknown_names_the_cases(done: tuple[StudyResult, Path]) -> None:
+    with pytest.raises(PixsimError, match=r"lens = f/8, which names 2 cases; allowed: one of: f/2.8, day; f/2.8, night"):
+        done[0].case(lens="f/8")
+    with pytest.raises(PixsimError, match="condition noon, which names 0 cases"):
+        done[0].case(condition="noon")
+
+
+def test_result_to_csv_has_columns_of_axes(done: tuple[StudyResult, Path]) -> None:
+    head, first, *_ = done[0].to_csv().splitlines()
+    assert head.startswith("technology,pitch_um,repeat,lens,PRNU,condition,fill_factor,")
+    assert first.startswith("0.35um,5.3,0,f/2.8,base,day,")
+
+
+def test_study_tolerance_with_axes_raises(tmp_path: Path) -> None:
+    with pytest.raises(PixsimError, match=r"tolerance_delta_e: got 0.1; allowed: no tolerance in a study with axes"):
+        pixsim.study(tiny(axis=[PRNU], tolerance_delta_e=0.1), tmp_path)
+
+
+# --- command line -----------------------------------------------------------------------------------------------------
+
+
+def test_axes_of_texts() -> None:
+    known = [{"name": "light", "set": LIGHT, "from": 1.0, "to": 10.0, "count": 4, "quick": {"count": 2}}]
+    actual = axes_of(["light=1,2.5", "camera.f_number=2:8:3:log", "a.b+c.d=x,1e3"], known)
+    assert actual == [
+        {"name": "light", "set": LIGHT, "values": [1, 2.5]},
+        {"name": "camera.f_number", "set": ["camera.f_number"], "from": 2.0, "to": 8.0, "count": 3, "spacing": "log"},
+        {"name": "a.b and c.d", "set": ["a.b", "c.d"], "values": ["x", 1000.0]},
+    ]
+    assert known[0]["to"] == 10.0, "the file's own table is unchanged"
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["light"], "NAME=v1,v2"), (["=1"], "NAME=v1,v2"), (["a="], "NAME=v1,v2"), (["a=1", "a=2"], "'a' twice"),
+        (["a=1:x:3"], "numbers in from:to:count"), (["a=1:2:3:cubic"], "log or linear"),
+    ],
+)  # fmt: skip
+def test_axes_of_bad_text_raises(texts: list[str], message: str) -> None:
+    with pytest.raises(PixsimError, match=message):
+        axes_of(texts, [])
+
+
+def test_study_command_with_axis_writes_page_maps_and_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(tiny_toml(condition=[DAY, NIGHT]), encoding="utf-8")
+    code, out, err = command("study s.toml --axis pixel.prnu=0.01,0.03 --jobs 1 --out out --json")
+    assert code == 0, err
+    summary = json.loads(out)
+    assert summary["counts"]["evaluations_made"] == 2 * 2 * 12
+    written = json.loads(Path("out/summary.json").read_text(encoding="utf-8"))
+    assert [curve["at"] for curve in written["curves"]] == [{"pixel.prnu": 0.01}] * 2 + [{"pixel.prnu": 0.03}] * 2
+    names = {str(path.relative_to("out")) for path in Path("out").rglob("*") if path.is_file()}
+    assert names >= {"report.html", "optima.csv", "conditions.csv", "settings.toml", "figures/conditions_1.svg"}
+    assert names >= {"pixel.prnu_0.01_day/report.html", "pixel.prnu_0.01_night/report.html"}
+    assert {"figures/optimum_by_pixel.prnu.svg"} <= names or any(name.startswith("figures/optimum_by") for name in names)
+    page = Path("out/report.html").read_text(encoding="utf-8")
+    assert "One pixel for all conditions" in page
+    # settings.toml makes the same numbers again.
+    code, _, err = command("study out/settings.toml --jobs 1 --out again")
+    assert code == 0, err
+    assert Path("again/results.csv").read_bytes() == Path("out/results.csv").read_bytes()
+
+
+def test_study_command_dry_run_counts_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(tiny_toml(axis=[LENS], condition=[DAY, NIGHT]), encoding="utf-8")
+    code, out, err = command("study s.toml --dry-run")
+    assert code == 0, err
+    assert "cases    4, 48 evaluations" in out
