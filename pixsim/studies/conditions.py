@@ -25,7 +25,6 @@ from pixsim.studies.optimum import (
     fit_curve,
     measured,
     minima,
-    places_of,
     posteriors,
 )
 from pixsim.studies.result import Curve
@@ -151,10 +150,14 @@ def least_worst_regret(curves: Sequence[Curve]) -> Regret:
     worst = regrets.max(axis=0)
     best = int(np.argmin(worst))
 
-    places_um = np.geomspace(low_um, high_um, PLACES)
+    first = curves[0].fit
+    ends_u = first.places_of(np.array([low_um, high_um]))
+    places = np.linspace(float(ends_u[0]), float(ends_u[1]), PLACES)  # even steps of u, as `fit_curve` draws them
+    places_um = first.pitches_at(places)
     drawn = np.full((1, PLACES), -np.inf)
     for number, curve in enumerate(curves):
-        own = _drawn(curve, places_um, number)
+        begin = curve.fit.places_of(np.array([low_um]))[0]
+        own = _drawn(curve, begin + places - ends_u[0], number)
         drawn = np.maximum(drawn, own - own.min(axis=1, keepdims=True))
     minima_um = np.exp(minima(np.log(places_um), drawn))
     tail = (1 - CREDIBILITY) / 2
@@ -167,13 +170,12 @@ def least_worst_regret(curves: Sequence[Curve]) -> Regret:
     return Regret(float(fine_um[best]), (ends[0], ends[1]), float(worst[best]), condition, inside)
 
 
-def _drawn(curve: Curve, places_um: Array, number: int) -> Array:
+def _drawn(curve: Curve, places: Array, number: int) -> Array:
     """Return curves of mean ΔE drawn from the posterior of a condition, (draws, places)."""
     fit = curve.fit
     u = fit.places_of(curve.pitch_um)
     mean, scale, design, degrees = measured(u, curve.delta_e)
     fits, weights = posteriors(design, mean / scale, degrees)
-    at = places_of(places_um, float(curve.pitch_um[0]), fit.width_um)
-    drawn = scale * drawn_curves(fits, weights, np.maximum(at, 0.0), seed=number * SHUFFLED)
+    drawn = scale * drawn_curves(fits, weights, np.maximum(places, 0.0), seed=number * SHUFFLED)
     # Sorted by likeliness of their stiffness: without another order the conditions' likeliest curves would go together.
     return np.random.default_rng([number, 1]).permutation(drawn, axis=0)
