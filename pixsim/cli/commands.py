@@ -322,6 +322,7 @@ def study(
                     found = compromises_of(result.study, result.curves)
                     summary |= {"counts": asdict(result.counts), "compromises": [each.as_dict() for each in found]}
                     lines = axes_lines(result, found)
+                    common.verbosity.note(str(result.counts))
                 lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 

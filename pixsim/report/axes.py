@@ -115,13 +115,13 @@ def optima_table(result: StudyResult) -> dict[str, Column]:
 
 
 def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[str]:
-    """Return the result as lines of text: compromises and optima, of very many the first ones, and what was made."""
+    """Return the result as lines of text: compromises and optima, of very many the first ones."""
     lines = [line for found in compromises for line in compromise_lines(found)]
     lines += [optimum_line(curve) for curve in result.curves]
     if len(lines) > LINES_SHOWN:
         lines = [*lines[:LINES_SHOWN], f"and {len(lines) - LINES_SHOWN} more: optima.csv"]
     lines += [*study_view_line(result), *film_lines(result)]
-    return [*lines, *([str(result.counts)] if result.counts else [])]
+    return lines
 
 
 def film_lines(result: StudyResult) -> list[str]:
