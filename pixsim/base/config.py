@@ -119,8 +119,8 @@ def settings_layer(path: Path) -> Layer:
     return Layer(table, str(path))
 
 
-# Numbers of a pixel that are not uncertain: set by the study, or a check only.
-CERTAIN = ("data_sheet_pitch_um", "dynamic_range_db", "snr_max_db")
+# Numbers of a pixel that are not uncertain: set by the study or the user, or a check only.
+CERTAIN = ("data_sheet_pitch_um", "black_level_dn", "dynamic_range_db", "snr_max_db")
 MAY_BE_UNCERTAIN = tuple(
     name for name, field in PixelOptions.model_fields.items() if name not in CERTAIN and "float" in str(field.annotation)
 )
