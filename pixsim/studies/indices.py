@@ -34,6 +34,7 @@ CONFIDENCE = 0.95
 DIGITS = 4
 NODES = 64  # of the quadrature over one input; the kernel's length is at least a quarter of the input's standard deviation
 POINTS_PER_TERM = 3  # of a regression, so that a bootstrap sample, which has 63 % of the points, still determines it
+LEAST_POINTS = 4
 MOST_OF_PROCESS = 512  # points of a Gaussian process: its time grows with their cube; the first of a Sobol' sequence are one too
 LENGTHS = (0.25, 100.0)  # of the kernel, in standard deviations of an input
 NUGGETS = (1e-6, 10.0)  # variance that no input explains, over that of the process
@@ -243,11 +244,12 @@ def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Margina
 
     Raises PixsimError for shapes that do not fit together.
     """
-    if quantiles.ndim != 2 or quantiles.shape != (values.size, len(marginals)):
-        raise invalid("quantiles", f"shape {quantiles.shape}", f"({values.size}, {len(marginals)}): a row for each value")
+    if values.size < LEAST_POINTS or quantiles.shape != (values.size, len(marginals)) or not marginals:
+        expected = f"({values.size}, {len(marginals)}): a row for each value, at least {LEAST_POINTS}, and a column for each input"
+        raise invalid("quantiles", f"shape {quantiles.shape}", expected)
     if not (np.isfinite(values).all() and (quantiles > 0).all() and (quantiles < 1).all()):
         raise invalid("values and quantiles", "some out of range", "finite values, and quantiles above 0 and below 1")
-    if np.ptp(values) <= NEGLIGIBLE * np.abs(values).max():
+    if np.ptp(values[:MOST_OF_PROCESS]) <= NEGLIGIBLE * np.abs(values).max():
         return FirstOrder(withheld="it does not vary")
     kinds = list(marginals.values())
     x = np.column_stack([each.coordinate(column) for each, column in zip(kinds, quantiles.T, strict=True)])

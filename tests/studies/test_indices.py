@@ -13,6 +13,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.studies.indices import (
     LEAST_Q2,
     FirstOrder,
+    Index,
     Marginal,
     Process,
     Regression,
@@ -66,6 +67,14 @@ def test_total_indices_of_ishigami(seed: int) -> None:
     assert shares(total) == pytest.approx(ISHIGAMI_TOTAL, abs=0.009)
     for index, known in zip(total.values(), ISHIGAMI_TOTAL, strict=True):
         assert index.low < known < index.high, "wide for Sobol' points: they scatter less than points drawn with replacement"
+
+
+def test_total_indices_of_input_without_effect_are_zero() -> None:
+    """Exactly: its column changes nothing."""
+    quantile = saltelli(points(64, 6))
+    first, total = total_indices(ishigami(np.where([True, True, False], quantile, 0.5)) + 100, ["a", "b", "c"])
+    assert first["c"] == total["c"] == Index(0.0, 0.0, 0.0)
+    assert total["a"].share == pytest.approx(0.5 / 6.625, abs=0.03)
 
 
 @pytest.mark.parametrize("inputs", [3, 8])
@@ -171,6 +180,31 @@ def test_misfit_matches_normal_distribution() -> None:
         assert one - two == pytest.approx(three - four, rel=1e-9)
 
 
+def test_process_point_drawn_twice_counts_twice() -> None:
+    """As two measurements with the same result: the process of all rows, repeated ones with a nugget each."""
+    x, y = wavy(32)
+    fit = Process(x, (UNIFORM, NORMAL), y)
+    rows = np.random.default_rng(0).integers(32, size=32)
+    weight = np.linalg.solve(fit._kernel[np.ix_(rows, rows)] + fit._nugget * np.eye(32), y[rows] - y[rows].mean())
+    mean = weight @ fit._means[:, rows].prod(axis=0)
+    whole = weight @ fit._both[np.ix_(rows, rows)] @ weight - mean**2
+    assert fit.variances(rows)[1] == pytest.approx(whole, rel=1e-6)
+
+
+def test_regression_variances_have_no_bias() -> None:
+    """Of 300 sets of noise alone in one input: a mean variance of 0, within five standard errors; squares would give 2/64 each."""
+    quantile = points(64, 2)
+    x = np.column_stack([UNIFORM.coordinate(quantile[:, 0]), NORMAL.coordinate(quantile[:, 1])])
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(300):
+        alone, whole = Regression(x, (UNIFORM, NORMAL), x[:, 0] + rng.standard_normal(64)).variances(np.arange(64))
+        found.append([*(alone - [1, 0]), whole - 1])
+    errors = np.mean(found, axis=0) / (np.std(found, axis=0, ddof=1) / np.sqrt(300))
+    assert np.abs(errors).max() < 5
+    assert 5 * np.std(found, axis=0, ddof=1)[1] / np.sqrt(300) < 2 / 64, "the test would see it"
+
+
 # --- Intervals, and where nothing is known -----------------------------------------------------------------------------
 
 
@@ -230,6 +264,8 @@ def test_first_order_repeats_bit_for_bit() -> None:
         (lambda: first_order(points(16, 2), np.ones(16), {"a": UNIFORM}), r"allowed: \(16, 1\)"),
         (lambda: first_order(np.zeros((16, 1)), np.arange(16.0), {"a": NORMAL}), "quantiles above 0 and below 1"),
         (lambda: first_order(points(16, 1), np.full(16, np.nan), {"a": NORMAL}), "finite values"),
+        (lambda: first_order(np.zeros((0, 1)), np.zeros(0), {"a": NORMAL}), "at least 4"),
+        (lambda: first_order(np.zeros((16, 0)), np.arange(16.0), {}), "a column for each input"),
         (lambda: total_indices(np.arange(9.0), ["a", "b"]), r"values: got shape \(9,\) for 2 inputs; allowed: n\(2 \+ 2\) values"),
         (lambda: total_indices(np.arange(4.0), ["a", "b"]), "n at least 2"),
         (lambda: total_indices(np.arange(9.0), []), "for 0 inputs"),
