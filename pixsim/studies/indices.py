@@ -238,8 +238,8 @@ def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Margina
     marginals : the k inputs by name
     seed : of the bootstrap
 
-    Intervals are those of `BOOTSTRAPS` fits to points drawn with replacement, less their bias: the surrogate's kind and the
-    lengths of a Gaussian process are taken as known. Of smooth results whose variance is a twentieth noise, they covered the
+    Intervals are those of `BOOTSTRAPS` fits to points drawn with replacement. The surrogate's kind and the lengths of a
+    Gaussian process are taken as known. Of smooth results whose variance is a twentieth noise, they covered the
     truth in 91 to 94 % of cases with 64 points, and in 96 % with 256.
 
     Raises PixsimError for shapes that do not fit together.
@@ -269,7 +269,7 @@ def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Margina
 
     found = shares(np.arange(values.size))
     again = np.array([shares(rng.integers(values.size, size=values.size)) for _ in range(BOOTSTRAPS)])
-    low, high = bootstrap_interval(found, again - (again.mean(axis=0) - found))
+    low, high = bootstrap_interval(found, again)
     return FirstOrder(indices_of(list(marginals), found, low, high), best.name, q2)
 
 

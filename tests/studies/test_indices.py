@@ -209,17 +209,17 @@ def test_regression_variances_have_no_bias() -> None:
 
 
 def test_first_order_intervals_cover() -> None:
-    """Of 30 noisy data sets of 64 points, each with three indices: 90 intervals of 95 %, which in 150 sets covered 92 %.
+    """Of 20 noisy data sets of 64 points, each with three indices: 60 intervals of 95 %, which in 80 sets covered 92 %.
 
-    As three indices of one set are about two independent ones, fewer than 72 of 90 come by chance in 1 of 1000 sound programs;
-    intervals of half the length would cover 62 %, 56. And their half length is 1.96 standard deviations of the estimates, which
-    30 sets give to 13 %: within four times that, from the 1.75 that cover 92 %.
+    As three indices of one set are about two independent ones, fewer than 46 of 60 come by chance in 1 of 1000 sound programs;
+    intervals of half the length would cover 62 %, 37. And their half length is 1.75 standard deviations of the estimates, as
+    92 % need; 20 sets give these to 16 %, and their median stays within three times that.
     """
     coefficients = np.array([1.0, 0.6, 0.2])
     variances = coefficients**2 + np.array([2 * 0.4**2, 0, 0])
     known = variances / variances.sum()
     ends, found = [], []
-    for seed in range(30):
+    for seed in range(20):
         quantile = points(64, 3, seed)
         x = np.column_stack([NORMAL.coordinate(column) for column in quantile.T])
         y = x @ coefficients + 0.4 * (x[:, 0] ** 2 - 1) + 0.3 * np.random.default_rng(seed).standard_normal(64)
@@ -227,7 +227,7 @@ def test_first_order_intervals_cover() -> None:
         ends.append([(index.low, index.high) for index in indices])
         found.append([index.share for index in indices])
     low, high = np.moveaxis(ends, 2, 0)
-    assert ((low <= known) & (known <= high)).sum() >= 72
+    assert ((low <= known) & (known <= high)).sum() >= 46
     deviations = (high - low).mean(axis=0) / 2 / np.std(found, axis=0, ddof=1)
     assert 0.5 * 1.75 < np.median(deviations) < 1.5 * 1.75
 

@@ -88,7 +88,7 @@ def quantiles(distribution: ResultDistribution) -> np.ndarray:
 # --- Closed forms ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_propagate_linear_optimum_of_normal_inputs(seed: int) -> None:
     """Over 40 seeds of 256 draws: mean within 0.0014, sd within 1.3 %, quantiles within 0.09 sd, the share within 0.017."""
     result = propagate(NORMAL, sensor(linear), 256, seed)
