@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +22,10 @@ from scipy.special import betaincinv, ndtr, ndtri
 
 from pixsim.base.arguments import brief, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
+from pixsim.base.config import sheet_uncertainty
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import MIN_FRACTION, Pixel, PixelOptions, Record, Spread
-from pixsim.sensor.technology import Junction, Technology
+from pixsim.base.parameters import MIN_FRACTION, STANDS_FOR, PixelOptions, Record, Spread, Study
+from pixsim.sensor.technology import Junction, Technology, technology_of
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Column, Plate, rows_csv
 from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli
@@ -181,7 +183,7 @@ def unknowns_of_technology(technology: Technology, name: str, known: Sequence[st
 
 
 @checks_arguments
-def unknowns_of_sheet(pixel: Pixel, uncertainty: Mapping[str, Spread], technology: str = "") -> list[Unknown]:
+def unknowns_of_sheet(pixel: PixelOptions, uncertainty: Mapping[str, Spread], technology: str = "") -> list[Unknown]:
     """Return the uncertain numbers of a data sheet.
 
     pixel : the data sheet
@@ -194,19 +196,61 @@ def unknowns_of_sheet(pixel: Pixel, uncertainty: Mapping[str, Spread], technolog
     for name, spread in uncertainty.items():
         value = getattr(pixel, name, None)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            given = [field for field in pixel.given if isinstance(getattr(pixel, field), float)]
-            raise invalid(f"pixel.uncertainty.{name}", "no such number", ", ".join(sorted(given)), did_you_mean(name, given))
+            given = sorted(field for field in pixel.model_fields_set if isinstance(getattr(pixel, field), float))
+            raise invalid(f"pixel.uncertainty.{name}", "no such number", ", ".join(given) or "none", did_you_mean(name, given))
         unknowns.append(Unknown(name, float(value), spread, technology, bounds_of(pixel, name)))
     return unknowns
 
 
-def bounds_of(record: Technology | Pixel, number: str) -> tuple[float | None, float | None]:
+def bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float | None, float | None]:
     """Return the smallest and the largest allowed value of a number of a technology, its junction, or a pixel."""
-    kind: type[Record] = PixelOptions if isinstance(record, Pixel) else Junction if number in Junction.model_fields else Technology
+    of_process = Junction if number in Junction.model_fields else Technology
+    kind: type[Record] = PixelOptions if isinstance(record, PixelOptions) else of_process
     schema = kind.model_json_schema()["properties"][number]
     schema = next((one for one in schema.get("anyOf", ()) if one.get("type") == "number"), schema)
     low, high = schema.get("minimum", schema.get("exclusiveMinimum")), schema.get("maximum")
     return MIN_FRACTION if "exclusiveMinimum" in schema and low == 0 else low, high
+
+
+@checks_arguments
+def unknowns_of_study(study: Study, uncertainty: Mapping[str, Spread] | None = None) -> list[Unknown]:
+    """Return all numbers of a study's sensors that are not known: of [pixel], its data sheets, and its technologies.
+
+    uncertainty : of the study's own [pixel]; that of its data sheets stands in their files
+
+    Numbers that the study or a data sheet gives in place of a technology's are known, unless their own uncertainty is given.
+
+    Raises PixsimError for a file that is damaged, and as `unknowns_of_sheet`.
+    """
+    unknowns = unknowns_of_sheet(study.pixel, uncertainty or {})
+    for name in study.technologies:
+        if name in study.sensors:
+            spreads = sheet_uncertainty(Path(name)) if Path(name).is_file() else {}
+            unknowns += unknowns_of_sheet(study.sensors[name], spreads, name)
+        pixel = study.options_of(name)
+        given = {field for field in type(pixel).model_fields if getattr(pixel, field) is not None}
+        given = given.union(study.process.get(name, {}), *(STANDS_FOR[word] for word in given & STANDS_FOR.keys()))
+        unknowns += unknowns_of_technology(technology_of(study, name), name, sorted(given))
+    return unknowns
+
+
+@checks_arguments
+def settings_of(study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, float]) -> dict[str, Any]:
+    """Return the settings of a study that make one sensor type, as tables to merge into it.
+
+    unknowns : of `unknowns_of_study`
+    draw : `Unknown.name` -> value
+    """
+    table: dict[str, Any] = {}
+    for unknown in unknowns:
+        sensor = study.sensors.get(unknown.technology)
+        own = sensor is not None and getattr(sensor, unknown.quantity, None) is not None
+        place = ("sensors" if own else "process", unknown.technology) if unknown.technology else ("pixel",)
+        node = table
+        for part in place:
+            node = node.setdefault(part, {})
+        node[unknown.quantity] = draw[unknown.name]
+    return table
 
 
 @dataclass(frozen=True)

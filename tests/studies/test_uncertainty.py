@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pixsim.base.config import checked, with_data_sheets
 from pixsim.base.errors import PixsimError
-from pixsim.base.parameters import Pixel, Spread
-from pixsim.sensor.technology import Technology, load_technology
+from pixsim.base.parameters import Layer, Pixel, Spread, Study, merge
+from pixsim.sensor.technology import Technology, load_technology, technology_of
 from pixsim.studies.indices import total_indices
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.uncertainty import (
@@ -33,9 +34,11 @@ from pixsim.studies.uncertainty import (
     propagate,
     quantile_of,
     sample_types,
+    settings_of,
     sobol_points,
     summarise,
     unknowns_of_sheet,
+    unknowns_of_study,
     unknowns_of_technology,
 )
 
@@ -179,7 +182,7 @@ def test_propagate_censored_optima_are_a_share() -> None:
     # A clipped optimum describes the range of pitches as much as the inputs.
     assert "16% of the optima are at an end" in result.first_order["optimum_um"].withheld
     assert result.first_order["mean_delta_e"].withheld == ""
-    few = propagate(NORMAL, sensor(linear, (2.4, 4.6)), 256, 1)  # 8 %
+    few = propagate(NORMAL, sensor(linear, (2.4, 4.6)), 64, 1)  # 8 %
     assert few.first_order["optimum_um"].withheld == ""
 
 
@@ -353,6 +356,43 @@ def test_unknowns_of_sheet_draw_valid_pixels() -> None:
         "quantum_efficiency: 15.87% of its normal distribution lies outside 1e-12 to 1" in line for line in result.statements
     )
     assert unknowns_of_sheet(pixel, spreads, "a.toml")[0].name == "a.toml read_noise_e"
+
+
+def test_study_of_a_draw_has_its_numbers(tmp_path) -> None:
+    """Technologies, data sheets among them, one with a technology of its own, numbers set by the study, and its own [pixel]."""
+    sheet, mixed = tmp_path / "sheet.toml", tmp_path / "mixed.toml"
+    sheet.write_text(
+        "[pixel]\n"
+        + "".join(f"{name} = {value}\n" for name, value in SHEET.items())
+        + "[pixel.uncertainty]\nfull_well_e = { sd = 500 }\n",
+        encoding="utf-8",
+    )
+    mixed.write_text(
+        '[pixel]\ntechnology = "4t-bsi"\npitch_um = 1.4\ndsnu = 0.2\nprnu_percent = 1\n[pixel.uncertainty]\ndsnu = { sd = 0.05 }\n',
+        encoding="utf-8",
+    )
+    names = ["0.35um", str(sheet), str(mixed)]
+    table = {"name": "a", "technologies": names, "process": {"0.35um": {"dsnu": 0.25}}, "pixel": {"read_noise_e": 3.0}}
+    study = checked(Study, with_data_sheets([Layer(table)], {}))
+    unknowns = unknowns_of_study(study, {"read_noise_e": Spread(sd=0.3)})
+    quantities = {name: {unknown.quantity for unknown in unknowns if unknown.technology == name} for name in ["", *names]}
+    assert quantities[""] == {"read_noise_e"}
+    assert quantities["0.35um"] == set(load_technology("0.35um").ranges) - {"dsnu"}, "the study sets it"
+    assert quantities[str(sheet)] == {"full_well_e"}
+    assert quantities[str(mixed)] == set(load_technology("4t-bsi").ranges), "DSNU by its own uncertainty"
+    base = study.model_dump(mode="json", exclude_unset=True)
+    for draw in sample_types(unknowns, 8).draws:
+        drawn = Study.model_validate(merge(base, settings_of(study, unknowns, draw)))
+        assert drawn.pixel.read_noise_e == draw["read_noise_e"]
+        assert drawn.sensors[str(sheet)].full_well_e == draw[f"{sheet} full_well_e"]
+        assert drawn.sensors[str(mixed)].dsnu == draw[f"{mixed} dsnu"]
+        for name in ("0.35um", str(mixed)):
+            numbers = technology_of(drawn, name).numbers
+            assert {key: numbers[key] for key in quantities[name] - {"dsnu"}} == {
+                key: draw[f"{name} {key}"] for key in quantities[name] - {"dsnu"}
+            }
+        assert technology_of(drawn, "0.35um").numbers["dsnu"] == 0.25
+        assert (drawn.name, drawn.technologies) == (study.name, study.technologies), "the random streams depend on them"
 
 
 # --- Files, figures, repetition ----------------------------------------------------------------------------------------
