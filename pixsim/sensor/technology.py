@@ -226,11 +226,17 @@ def technology_of(study: Study, name: str) -> Technology:
     return technology.with_numbers(values, f"process.{name}")
 
 
+OF_ENTRY = ("value", "range", "distribution", "confidence", "source")  # of a file
+
+
 @lru_cache
 def _read(path: Path, _: tuple[int, ...]) -> Technology:
     """Read the technology of a file; the cache key has its modification time and size."""
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
+    for key, entry in numbers.items():
+        if unknown := next((name for name in entry if name not in OF_ENTRY), None):
+            raise invalid(f"{path}: {key}", f"'{unknown}'", ", ".join(OF_ENTRY), did_you_mean(unknown, OF_ENTRY))
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}

@@ -105,6 +105,7 @@ RANGES = [
         ("range = [0.9, 1.5]", "range = [0.9, 2.3]", r"range of voltage_swing_v: .*2\.3 exceeds reset_voltage_v = 2\.2"),
         ("range = [0.1, 0.6]", 'distribution = "normal"', r"distribution of dsnu: got 'normal' without a range"),
         ('source = "name of the process"', "", "source"),
+        ("range = [0.1, 0.6]", 'distribtion = "normal"', r"mine\.toml: dsnu: got 'distribtion'.*Did you mean 'distribution'"),
     ],
 )
 def test_load_technology_damaged_file_raises(written, instead, message, tmp_path):

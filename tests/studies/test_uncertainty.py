@@ -30,6 +30,7 @@ from pixsim.studies.uncertainty import (
     distribution_plate,
     few_pitches_um,
     indices_plate,
+    input_labels,
     inputs_of,
     propagate,
     quantile_of,
@@ -434,7 +435,7 @@ def test_as_dict_and_csv(result: UncertaintyResult, tmp_path) -> None:
 def test_plates_say_what_is_seen(result: UncertaintyResult) -> None:
     shown, shares = distribution_plate(result), indices_plate(result)
     median = result.optimum.quantiles["p50"]
-    assert f"Median of the optima: {median:.3g} µm" in shown.caption
+    assert f"Median of the optima: {median:.2f} µm" in shown.caption
     assert f"{result.optimum.censored_low:.1%} at or beyond the smallest" in shown.caption
     assert shown.table["optimum_um"] == [outcome.optimum_um for outcome in result.outcomes]
     hidden = shown.table["optimum_without_own_interval_um"].count("")
@@ -442,11 +443,21 @@ def test_plates_say_what_is_seen(result: UncertaintyResult) -> None:
     assert shares.table["input"][0] == "full_well_e", "the largest first"
     index = result.first_order["optimum_um"].indices["full_well_e"]
     assert f"full_well_e {index.share:.0%}" in shares.caption
+    assert "dsnu" not in shares.caption, "it has no share worth naming"
     row = {name: column[0] for name, column in shares.table.items()}
     assert (row["optimum_um_share"], row["optimum_um_low"], row["optimum_um_high"]) == (index.share, index.low, index.high)
     for plate in (shown, shares):
         assert plate.drawn().svg == plate.drawn().svg
         assert len(plate.csv.splitlines()) == 1 + len(next(iter(plate.table.values())))
+
+
+def test_input_labels_are_short_and_unique() -> None:
+    one = Unknown("read_noise_e", 2.0, Spread(sd=0.1), "/a/b/sensor.toml")
+    assert input_labels(sample_types([one, *NORMAL], 8)) == {
+        one.name: "sensor read_noise_e", "read_noise_e": "read_noise_e", "full_well_e": "full_well_e", "dsnu": "dsnu",
+    }  # fmt: skip
+    same = replace(one, technology="/c/sensor.toml")
+    assert list(input_labels(sample_types([one, same], 8)).values()) == [one.name, same.name]
 
 
 # --- The pitches of each type ------------------------------------------------------------------------------------------
