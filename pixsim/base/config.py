@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import read_text
 from pixsim.base.notes import warn
 from pixsim.base.parameters import (
@@ -20,8 +20,10 @@ from pixsim.base.parameters import (
     NO_TECHNOLOGY,
     STANDS_FOR,
     Layer,
+    PixelOptions,
     Record,
     Run,
+    Spread,
     Study,
     explain,
     merge,
@@ -100,16 +102,77 @@ REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"),
 
 
 def settings_layer(path: Path) -> Layer:
-    """Read a settings file; paths in it are resolved by `resolve_file`."""
+    """Read a settings file; paths in it are resolved by `resolve_file`.
+
+    Its [pixel.uncertainty] is checked and left out, so that a pixel is plain numbers: `sheet_uncertainty` returns it.
+    """
     table = read_toml(path)
     pixel = table.get("pixel")
     if isinstance(pixel, dict):
+        pixel, _ = without_uncertainty(pixel, str(path))
+        table = {**table, "pixel": pixel}
         resolved = {name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel}
         table = {**table, "pixel": pixel | resolved}
     scene = table.get("scene")
     if isinstance(scene, dict) and "chart" in scene:
         table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
     return Layer(table, str(path))
+
+
+# Numbers of a pixel that are not uncertain: set by the study or the user, or a check only.
+CERTAIN = ("data_sheet_pitch_um", "black_level_dn", "dynamic_range_db", "snr_max_db")
+MAY_BE_UNCERTAIN = tuple(
+    name for name, field in PixelOptions.model_fields.items() if name not in CERTAIN and "float" in str(field.annotation)
+)
+
+
+def sheet_uncertainty(path: Path) -> dict[str, Spread]:
+    """Return [pixel.uncertainty] of a data sheet: field of [pixel] -> how far its number may be wrong.
+
+    Raises PixsimError for a name that is not a number of [pixel], a number that the file does not give, and an invalid spread.
+    """
+    pixel = read_toml(path).get("pixel")
+    return without_uncertainty(pixel, str(path))[1] if isinstance(pixel, dict) else {}
+
+
+def without_uncertainty(pixel: dict[str, Any], source: str) -> tuple[dict[str, Any], dict[str, Spread]]:
+    """Return a table [pixel] without its table `uncertainty`, and that table. Raises PixsimError as `sheet_uncertainty` does.
+
+    source : of the table, for messages
+    """
+    if "uncertainty" not in pixel:
+        return pixel, {}
+    plain = {name: value for name, value in pixel.items() if name != "uncertainty"}
+    table, where = pixel["uncertainty"], f"{source}: pixel.uncertainty"
+    if not isinstance(table, dict):
+        raise invalid(where, repr(table), "a table", "Write read_noise_e = { sd = 0.2 } under [pixel.uncertainty].")
+    spreads = {}
+    for name, entry in table.items():
+        if name not in MAY_BE_UNCERTAIN:
+            raise invalid(where, f"'{name}'", ", ".join(MAY_BE_UNCERTAIN), did_you_mean(name, MAY_BE_UNCERTAIN))
+        spreads[name] = _spread(entry, plain.get(name), f"{where}.{name}", name)
+    return plain, spreads
+
+
+def _spread(entry: Any, value: Any, where: str, name: str) -> Spread:
+    """Return the spread of a number of [pixel]. Raises PixsimError if it is invalid, or does not hold the number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        hint = "A curve cannot be uncertain; give a number." if value is not None else ""
+        raise invalid(where, "a spread without its number", f"a number {name} in [pixel] of the same file", hint)
+    if not isinstance(entry, dict):
+        raise invalid(where, repr(entry), "a table", f"Write {name} = {{ sd = 0.2 }} or {{ range = [low, high] }}.")
+    try:
+        spread = Spread.model_validate(entry)
+        for end in spread.range or ():
+            PixelOptions.model_validate({name: end})  # the ends have the bounds of the number
+    except ValidationError as error:
+        raise PixsimError("\n".join(f"{where}: {line}" for line in explain(error).splitlines())) from None
+    low, high = spread.range or (value, value)
+    if not low <= value <= high:
+        raise invalid(where, f"range = [{low:g}, {high:g}]", f"low <= {value:g} (the number) <= high")
+    if spread.kind == "lognormal" and value <= 0:
+        raise invalid(where, f"a lognormal distribution of {value:g}", "a number above 0")
+    return spread
 
 
 def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:

@@ -340,6 +340,38 @@ QuantumEfficiency = Annotated[
 ]
 
 
+Distribution = Literal["uniform", "normal", "lognormal"]
+
+
+class Spread(Record):
+    """How far a number may be wrong: a distribution by its standard deviation or its range.
+
+    The standard deviation is about the stated value, which is the distribution's mean. A range is that of a uniform distribution
+    from end to end, or the central 90 % of a normal or lognormal one, whose middle then need not be the stated value.
+    """
+
+    sd: Annotated[float, Field(gt=0, le=1e18)] | None = Field(None, description="standard deviation, in the unit of the number")
+    range: tuple[float, float] | None = Field(None, description="smallest and largest plausible value, in place of sd")
+    distribution: Distribution | None = Field(None, description="distribution (absent: normal for sd, uniform for range)")
+
+    @model_validator(mode="after")
+    def _is_stated_once(self) -> Self:
+        if (self.sd is None) == (self.range is None):
+            raise ValueError(
+                "got both sd and range; give one of them" if self.range else "got neither sd nor range; give one of them"
+            )
+        if self.range and not self.range[0] < self.range[1]:
+            raise ValueError(f"range = [{self.range[0]:g}, {self.range[1]:g}]; allowed: low < high")
+        if self.kind == "lognormal" and self.range and self.range[0] <= 0:
+            raise ValueError(f"range = [{self.range[0]:g}, {self.range[1]:g}] of a lognormal distribution; allowed: low > 0")
+        return self
+
+    @property
+    def kind(self) -> Distribution:
+        """The distribution, stated or not."""
+        return self.distribution or ("uniform" if self.sd is None else "normal")
+
+
 ABSOLUTE_ZERO_C = -273.15
 Doubling = Annotated[float, Field(ge=1, le=1e6)]
 

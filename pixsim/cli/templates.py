@@ -7,9 +7,9 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from pixsim.base.config import packaged
+from pixsim.base.config import MAY_BE_UNCERTAIN, packaged
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.parameters import DATA_SHEET, Camera, Record, Run, Study
+from pixsim.base.parameters import DATA_SHEET, Camera, Record, Run, Spread, Study
 from pixsim.base.units import unit_of
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
@@ -48,11 +48,18 @@ STUDY_HEAD = """
 A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours. Lines with one
 # show defaults, or examples of optional values; remove the # to set them. Optional values of [pixel] come from the technology.
 """
+UNCERTAINTY = (
+    "how far numbers of the data sheet may be wrong, each by its standard deviation or its range; frames do not depend on it"
+)
+UNCERTAINTY_EXAMPLE = """
+##   [pixel.uncertainty]
+##   read_noise_e = { sd = 0.2 }
+##   full_well_e = { range = [10000, 11000], distribution = "normal" }"""
 
 
 def template(kind: str) -> str:
     """TOML file with every field of the settings of a sensor or a study. Raises PixsimError for another kind."""
-    schema = json_schema(kind)
+    schema = record_of(kind).model_json_schema()
     head, shown = (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
     lines = [f"# {line}" for line in head.strip().splitlines()]
     tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
@@ -63,6 +70,8 @@ def template(kind: str) -> str:
         properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
         first = [key for dotted in shown if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
         lines += ["", f"[{name}]", *_fields({key: properties[key] for key in [*first, *properties]}, shown, f"{name}.")]
+        if (kind, name) == ("sensor", "pixel"):
+            lines += [f"## {UNCERTAINTY}:{UNCERTAINTY_EXAMPLE}"]
     return "\n".join(lines) + "\n"
 
 
@@ -77,9 +86,23 @@ def packaged_study(name: str) -> str:
 
 def json_schema(kind: str) -> dict[str, Any]:
     """JSON schema (draft 2020-12) of such a file, for editors. Raises PixsimError for another kind."""
+    schema = record_of(kind).model_json_schema()
+    if kind == "sensor":  # a file has more than the pixel, which is plain numbers
+        schema["$defs"]["Spread"] = Spread.model_json_schema()
+        schema["$defs"]["Pixel"]["properties"]["uncertainty"] = {
+            "type": "object",
+            "description": UNCERTAINTY,
+            "propertyNames": {"enum": list(MAY_BE_UNCERTAIN)},
+            "additionalProperties": {"$ref": "#/$defs/Spread"},
+        }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def record_of(kind: str) -> type[Record]:
+    """The record of such a file. Raises PixsimError for another kind."""
     if kind not in KINDS:
         raise invalid("kind", f"'{kind}'", " or ".join(KINDS))
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **KINDS[kind].model_json_schema()}
+    return KINDS[kind]
 
 
 def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> Iterator[str]:

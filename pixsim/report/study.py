@@ -302,5 +302,6 @@ def technology_rows(study: Study, technology: str) -> tuple[str, list[tuple[str,
     """Return a process's name, and the name, value, plausible range and source of each of its numbers."""
     process = technology_of(study, technology)
     values = process.content | process.numbers
-    ranges = {name: f"{low:g} to {high:g}" for name, (low, high) in process.ranges.items()}
+    kinds = {name: f" ({distribution}, 90 %)" for name, distribution in process.distributions.items() if distribution != "uniform"}
+    ranges = {name: f"{low:g} to {high:g}{kinds.get(name, '')}" for name, (low, high) in process.ranges.items()}
     return process.name, [(name, values.get(name, ""), ranges.get(name, ""), source) for name, source in process.sources.items()]

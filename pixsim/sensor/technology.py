@@ -15,6 +15,7 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid, one_line
 from pixsim.base.parameters import (
     NO_TECHNOLOGY,
     DarkSpread,
+    Distribution,
     Fraction,
     GainSpread,
     Layer,
@@ -91,6 +92,10 @@ class Technology(Record):
     ranges: dict[str, tuple[float, float]] = Field(
         default_factory=dict, description="field -> smallest and largest plausible value, in the field's unit"
     )
+    distributions: dict[str, Distribution] = Field(
+        default_factory=dict,
+        description="field -> distribution of its range, which is the central 90 % (absent: uniform, the range is its ends)",
+    )
 
     @model_validator(mode="after")
     def _one_kind_of_well_inside_the_pixel(self) -> Self:
@@ -115,6 +120,12 @@ class Technology(Record):
                 raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", f"low <= {value:g} (the value) <= high")
             for end in (low, high):
                 self.with_numbers({name: end}, f"range of {name}")  # the ends have the bounds of the value
+        for name, distribution in self.distributions.items():
+            if name not in self.ranges:
+                raise invalid(f"distribution of {name}", f"'{distribution}' without a range", "a range = [low, high] beside it")
+            low, high = self.ranges[name]
+            if distribution == "lognormal" and not 0 < low < high:
+                raise invalid(f"range of {name}", f"[{low:g}, {high:g}]", "0 < low < high for a lognormal distribution")
         return self
 
     @property
@@ -125,8 +136,8 @@ class Technology(Record):
 
     @property
     def content(self) -> dict[str, Any]:
-        """The values that results depend on: the record without sources and ranges."""
-        return self.model_dump(exclude={"sources", "ranges"})
+        """The values that results depend on: the record without sources, ranges and distributions."""
+        return self.model_dump(exclude={"sources", "ranges", "distributions"})
 
     @checks_arguments
     def with_numbers(self, values: dict[str, float], source: str) -> Technology:
@@ -148,9 +159,9 @@ class Technology(Record):
         junction = {name: value for name, value in values.items() if name in Junction.model_fields}
         over = process_values | ({"junction": junction} if junction else {})
         # A study may set a value outside its plausible range, so ranges are not checked.
-        base = self.model_dump() | {"sources": self.sources | new_sources, "ranges": {}}
+        base = self.model_dump() | {"sources": self.sources | new_sources, "ranges": {}, "distributions": {}}
         technology: Technology = checked(Technology, [Layer(base), Layer(over, source)])
-        return technology.model_copy(update={"ranges": self.ranges})
+        return technology.model_copy(update={"ranges": self.ranges, "distributions": self.distributions})
 
 
 # For a sensor that is described by a data sheet (`pixsim.base.parameters.DATA_SHEET`). Numbers that the data sheet lacks are
@@ -180,7 +191,7 @@ def load_technology(name: str) -> Technology:
     """Load a packaged technology by its name, or a user's by the path of its TOML file.
 
     Every number of the file is a table `{value, confidence, source}`, with an optional `range = [low, high]` of plausible
-    values.
+    values and their `distribution`: "uniform" (the default), "normal" or "lognormal", of which the range is the central 90 %.
 
     Raises PixsimError for an unknown name, and for a file that is damaged or incomplete.
 
@@ -215,17 +226,24 @@ def technology_of(study: Study, name: str) -> Technology:
     return technology.with_numbers(values, f"process.{name}")
 
 
+OF_ENTRY = ("value", "range", "distribution", "confidence", "source")  # of a file
+
+
 @lru_cache
 def _read(path: Path, _: tuple[int, ...]) -> Technology:
     """Read the technology of a file; the cache key has its modification time and size."""
     table = read_toml(path)
     numbers = {key: entry for key, entry in table.items() if isinstance(entry, dict)}
+    for key, entry in numbers.items():
+        if unknown := next((name for name in entry if name not in OF_ENTRY), None):
+            raise invalid(f"{path}: {key}", f"'{unknown}'", ", ".join(OF_ENTRY), did_you_mean(unknown, OF_ENTRY))
     try:
         values = {key: entry["value"] for key, entry in numbers.items()}
         junction = {key: values.pop(key) for key in Junction.model_fields if key in values}
         sources = {key: f"{entry['confidence']}: {entry['source']}" for key, entry in numbers.items()}
         ranges = {key: entry["range"] for key, entry in numbers.items() if "range" in entry}
-        record = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges}
+        distributions = {key: entry["distribution"] for key, entry in numbers.items() if "distribution" in entry}
+        record = {"name": table.get("name", path.stem), "sources": sources, "ranges": ranges, "distributions": distributions}
         record |= {"junction": junction} if junction else {}
         technology: Technology = checked(Technology, [Layer(values | record, str(path))])
         return technology

@@ -2,5 +2,6 @@
 
 `study` runs a study: `evaluations` on the workers of `engine`; `optimum` fits the curve, `allocation` chooses further evaluations.
 `budget` estimates errors, `claims` checks the paper's statements, `sensitivity` varies one assumption at a time.
+`uncertainty` draws all unknown numbers together, and `indices` says which of them matter.
 May import: base, light, optics, sensor, scene, show, viewer.
 """

@@ -12,7 +12,7 @@ from helpers.commands import assert_refused, command
 from helpers.tiny import tiny_toml
 
 import pixsim
-from pixsim.base.config import checked, study_layers
+from pixsim.base.config import checked, sheet_uncertainty, study_layers, with_data_sheets
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import CameraOptions, Layer, Run, Study, pixel_of
 from pixsim.cli.options import SceneOptions
@@ -128,6 +128,70 @@ def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
     assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path]), "one file needs no list"
     with pytest.raises(pixsim.PixsimError, match=r"config: got with a Study"):
         pixsim.study(study, tmp_path / "out", config=[path])
+
+
+# --- How far its numbers may be wrong ------------------------------------------------------------------------------------
+
+UNCERTAIN = SHEET.replace(
+    "[camera]",
+    """[pixel.uncertainty]
+read_noise_e = { sd = 0.2 }
+full_well_e = { range = [10000, 15000], distribution = "lognormal" }
+quantum_efficiency = { range = [0.5, 0.65] }
+
+[camera]""",
+)
+
+
+def test_sheet_uncertainty_leaves_pixel_plain(tmp_path: Path) -> None:
+    """Runs and studies have the same sensor with and without it, however the file is given."""
+    plain, uncertain = written(tmp_path / "plain.toml", SHEET), written(tmp_path / "uncertain.toml", UNCERTAIN)
+    assert settings_of(uncertain) == settings_of(plain)
+    assert study_of(UNCERTAIN, tmp_path) == study_of(SHEET, tmp_path)
+    for path in (plain, uncertain):
+        written(path, path.read_text(encoding="utf-8").partition("[camera]")[0])
+    both = checked(Study, with_data_sheets([Layer({"name": "a", "technologies": [str(plain), str(uncertain)]})], {}))
+    assert both.sensors[str(plain)] == both.sensors[str(uncertain)]
+    assert sheet_uncertainty(plain) == {}
+    spreads = sheet_uncertainty(uncertain)
+    assert {name: spread.kind for name, spread in spreads.items()} == {
+        "read_noise_e": "normal", "full_well_e": "lognormal", "quantum_efficiency": "uniform",
+    }  # fmt: skip
+    assert (spreads["read_noise_e"].sd, spreads["full_well_e"].range) == (0.2, (10000, 15000))
+
+
+@pytest.mark.parametrize(
+    ("written_as", "instead", "message"),
+    [
+        ("read_noise_e = { sd", "readnoise_e = { sd", r"pixel\.uncertainty: got 'readnoise_e'; .*Did you mean 'read_noise_e'"),
+        ("read_noise_e = { sd", "bits = { sd", r"pixel\.uncertainty: got 'bits'; allowed: quantum_efficiency"),
+        ("read_noise_e = { sd", "pitch_um = { sd", r"pixel\.uncertainty: got 'pitch_um'"),
+        ("read_noise_e = { sd", "dsnu_e = { sd", r"dsnu_e: got a spread without its number; allowed: a number dsnu_e in \[pixel\]"),
+        ("sd = 0.2", "sd = 0", r"uncertainty\.read_noise_e: sd: got 0; allowed: greater than 0"),
+        ("sd = 0.2", "sd = nan", r"uncertainty\.read_noise_e: sd: got nan"),
+        ("sd = 0.2", "sd = true", r"uncertainty\.read_noise_e: sd: got True"),
+        ("sd = 0.2", "sdd = 0.2", r"sdd: unknown name; allowed: sd, range, distribution\. Did you mean 'sd'"),
+        ("sd = 0.2", "sd = 0.2, range = [1, 3]", "got both sd and range"),
+        ("sd = 0.2", "", "got neither sd nor range"),
+        ("{ sd = 0.2 }", "0.2", r"read_noise_e: got 0\.2; allowed: a table.*\{ sd = 0\.2 \}"),
+        ("sd = 0.2", "range = [2, 2]", r"range = \[2, 2\]; allowed: low < high"),
+        ("sd = 0.2", "range = [-1, 3]", r"read_noise_e: read_noise_e: got -1\.0; allowed: greater than or equal to 0"),
+        ("sd = 0.2", "range = [3, 4]", r"range = \[3, 4\]; allowed: low <= 2\.5 \(the number\) <= high"),
+        ("sd = 0.2", 'sd = 1, distribution = "gauss"', r"distribution: got 'gauss'; allowed: 'uniform', 'normal' or 'lognormal'"),
+        ("[10000, 15000]", "[0, 15000]", r"range = \[0, 15000\] of a lognormal distribution; allowed: low > 0"),
+        ("[0.5, 0.65]", "[0.5, 1.2]", r"quantum_efficiency: .*got 1\.2"),
+        ("quantum_efficiency = 0.6", "quantum_efficiency = [[400, 0.3], [550, 0.6]]", "A curve cannot be uncertain; give a number"),
+    ],
+)
+def test_sheet_uncertainty_invalid_raises(written_as: str, instead: str, message: str, tmp_path: Path) -> None:
+    """By every command that reads the file, also those that do not use it."""
+    assert UNCERTAIN.count(written_as) == 1
+    path = written(tmp_path / "sensor.toml", UNCERTAIN.replace(written_as, instead))
+    with pytest.raises(PixsimError, match=message) as caught:
+        sheet_uncertainty(path)
+    assert str(path) in str(caught.value)
+    with pytest.raises(PixsimError, match=message):
+        settings_of(path)
 
 
 # --- A sensor from its data sheet --------------------------------------------------------------------------------------

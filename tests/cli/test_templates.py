@@ -14,7 +14,7 @@ from helpers.commands import command
 from pydantic import BaseModel
 
 import pixsim
-from pixsim.base.config import packaged, read_toml
+from pixsim.base.config import packaged, read_toml, sheet_uncertainty
 from pixsim.base.parameters import DATA_SHEET, STANDS_FOR, Run, Study
 from pixsim.base.units import UNITS, unit_of
 from pixsim.cli import options
@@ -107,6 +107,25 @@ def test_json_schema_agrees_with_record(kind: str) -> None:
     for table, values in wrong.items():
         assert list(check.iter_errors(everything | {table: everything[table] | values})), table
     assert set(schema["properties"]) == set(RECORDS[kind].model_fields)
+
+
+def test_uncertainty_of_sensor_is_a_table_of_the_file(tmp_path: Path) -> None:
+    """The template's example and the schema agree with what is read."""
+    text = (
+        template("sensor")
+        .replace("\n##   [pixel.u", "\n[pixel.u")
+        .replace("\n##   read", "\nread")
+        .replace("\n##   full", "\nfull")
+    )
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    assert {name: spread.kind for name, spread in sheet_uncertainty(tmp_path / "mine.toml").items()} == dict.fromkeys(
+        ("read_noise_e", "full_well_e"), "normal"
+    )
+    check = jsonschema.Draft202012Validator(json_schema("sensor"))
+    table = tomllib.loads(text)
+    assert not list(check.iter_errors(table))
+    for wrong in ({"bits": {"sd": 1}}, {"prnu": {"sdd": 1}}, {"prnu": {"sd": -1}}, {"prnu": 0.1}, {"prnu": {"range": [1]}}):
+        assert list(check.iter_errors(table | {"pixel": table["pixel"] | {"uncertainty": wrong}})), wrong
 
 
 def test_json_schema_accepts_packaged_studies() -> None:

@@ -34,10 +34,18 @@ def text_of_035um() -> str:
 def test_load_technology_numbers_have_source_and_confidence(name):
     table = read_toml(packaged("data/technologies")[name])
     numbers = {key: value for key, value in table.items() if key != "name"}
-    common = set(Technology.model_fields) - {"name", "sources", "ranges", "junction", "full_well_e_per_um2", *OPTIONAL}
+    common = set(Technology.model_fields) - {
+        "name",
+        "sources",
+        "ranges",
+        "distributions",
+        "junction",
+        "full_well_e_per_um2",
+        *OPTIONAL,
+    }
     assert set(numbers) - OPTIONAL == common | (set(Junction.model_fields) if name in TECHNOLOGIES else {"full_well_e_per_um2"})
     for key, entry in numbers.items():
-        assert set(entry) - {"range"} == {"value", "confidence", "source"}, key
+        assert set(entry) - {"range", "distribution"} == {"value", "confidence", "source"}, key
         assert entry["confidence"] in ("A", "B", "C", "D"), key
         if entry["confidence"] in "CD" and isinstance(entry["value"], float | int):
             assert "range" in entry, f"{key} is derived or assumed, and does not say how far it may be wrong"
@@ -64,11 +72,14 @@ def test_technology_ranges_hold_known_values():
 
 
 def test_technology_ranges_do_not_change_content():
-    """Another range changes no result, and so no key of a row; another value does."""
+    """Another range or distribution changes no result, and so no key of a row; another value does."""
     bare = T035.model_copy(update={"ranges": {}, "sources": {}})
     assert bare.content == T035.content
+    normal = Technology.model_validate(T035.model_dump() | {"distributions": {"dsnu": "normal"}})
+    assert normal.content == T035.content
+    assert normal.with_numbers({"dsnu": 0.2}, "here").distributions == {"dsnu": "normal"}
     assert T035.with_numbers({"dsnu": 0.2}, "here").content == T035.content | {"dsnu": 0.2}
-    assert set(T035.content) == set(Technology.model_fields) - {"ranges", "sources"}
+    assert set(T035.content) == set(Technology.model_fields) - {"ranges", "distributions", "sources"}
 
 
 RANGES = [
@@ -80,6 +91,9 @@ RANGES = [
     ("[0.1, inf]", r"dsnu\.1: got inf; allowed: a finite number"),
     ("[0.1]", r"ranges\.dsnu"),
     ('"wide"', r"ranges\.dsnu: got 'wide'"),
+    ('[0.1, 0.6]\ndistribution = "flat"', r"distributions\.dsnu: got 'flat'; allowed: 'uniform', 'normal' or 'lognormal'"),
+    ('[0.0, 0.6]\ndistribution = "lognormal"', r"range of dsnu: got \[0, 0\.6\]; allowed: 0 < low < high for a lognormal"),
+    ('[0.3, 0.3]\ndistribution = "lognormal"', r"range of dsnu: got \[0\.3, 0\.3\]; allowed: 0 < low < high"),
 ]
 
 
@@ -89,7 +103,9 @@ RANGES = [
         *(("range = [0.1, 0.6]", f"range = {each}", message) for each, message in RANGES),
         # A swing above the reset voltage would turn the diode forward.
         ("range = [0.9, 1.5]", "range = [0.9, 2.3]", r"range of voltage_swing_v: .*2\.3 exceeds reset_voltage_v = 2\.2"),
+        ("range = [0.1, 0.6]", 'distribution = "normal"', r"distribution of dsnu: got 'normal' without a range"),
         ('source = "name of the process"', "", "source"),
+        ("range = [0.1, 0.6]", 'distribtion = "normal"', r"mine\.toml: dsnu: got 'distribtion'.*Did you mean 'distribution'"),
     ],
 )
 def test_load_technology_damaged_file_raises(written, instead, message, tmp_path):
@@ -97,7 +113,18 @@ def test_load_technology_damaged_file_raises(written, instead, message, tmp_path
     (tmp_path / "mine.toml").write_text(text_of_035um().replace(written, instead), encoding="utf-8")
     with pytest.raises(PixsimError, match=message) as caught:
         load_technology(str(tmp_path / "mine.toml"))
-    assert "mine.toml" in str(caught.value) or "ranges.dsnu" in str(caught.value)
+    assert "mine.toml" in str(caught.value) or "s.dsnu" in str(caught.value)
+
+
+def test_load_technology_distributions(tmp_path):
+    mine = tmp_path / "mine.toml"
+    mine.write_text(
+        text_of_035um().replace("range = [0.1, 0.6]", 'range = [0.1, 0.6]\ndistribution = "lognormal"'), encoding="utf-8"
+    )
+    loaded = load_technology(str(mine))
+    assert loaded.distributions == {"dsnu": "lognormal"}
+    assert loaded.ranges == T035.ranges
+    assert T035.distributions == {}
 
 
 @pytest.mark.parametrize(
