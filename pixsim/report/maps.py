@@ -21,7 +21,7 @@ from pixsim.base.units import unit_of
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.technology import labels_of
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, literal, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate
 from pixsim.studies.cases import BASE
 from pixsim.studies.result import Curve, StudyResult, interval_columns, with_ends
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import XAxis, YAxis
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Transform
 
 Item = TypeVar("Item")
 MAX_LINES = 6  # of a figure: as many looks that a reader tells apart
@@ -41,12 +42,14 @@ MAP_STEP = 20  # of the fitted curve's 801 places: its table has a row for each 
 WIDTH_IN = 6.4
 PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
-SHORT, SHORT_TICK, SHORT_SIDE = 36, 18, 10  # characters of a label in a figure, of one at a tick, and of one beside a map
-LEAST_SPAN = 0.02  # of the value of the base, along the axis of a bar
+# Characters of a line's label in a figure, of the name of an axis, of a label at a tick, and of one beside a map.
+SHORT, SHORT_AXIS, SHORT_TICK, SHORT_SIDE = 36, 24, 18, 10
+LEAST_SPAN = 0.02  # of a value, for the colours of a map and the axis of a bar
 MARGIN = 0.08  # of an axis, around what is drawn
 CELLS_PT = (175.0, 105.0)  # room for the cells of a map without colour bar, across and down
 WIDE, NARROW = 0.66, 0.33  # width of a digit and of a point over the font's size
-ARROW_PT = 7.0  # from the end of the sizes tried to an arrow
+ARROWS = ((r"$\downarrow$", -1), (r"$\uparrow$", 1))  # markers of an open end, and their way; no line has them
+ARROW_PT, ARROW_SIZE_PT = 8.0, 9.0  # from the end of the sizes tried to an arrow; length of an arrow
 DODGE_PT = 3.0  # between lines, whose bars would hide each other
 MOST_LEVELS = 11
 NICE = (
@@ -111,7 +114,8 @@ class Scale:
     @property
     def label(self) -> str:
         """Name and unit, for a figure."""
-        return literal(f"{short(self.name)} ({self.unit})" if self.unit else short(self.name))
+        name = short(self.name, SHORT_AXIS)
+        return literal(f"{name} ({self.unit})" if self.unit else name)
 
     def words(self, value: float | int | str) -> str:
         """Return a value with its unit."""
@@ -255,7 +259,8 @@ class Grid:
         others = [scale for scale in self.scales if scale not in but]
         held = {scale.name: evenly(scale.values, 1)[0] for scale in others}
         words = [scale.named(held[scale.name]) for scale in others if len(scale.values) > 1]
-        return held, f"Held at its middle value: {', '.join(words)}." if words else ""
+        middle = "their middle values" if len(words) > 1 else "its middle value"
+        return held, f"Held at {middle}: {', '.join(words)}." if words else ""
 
     def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
         """Return the columns that tell curves apart: technology, condition, and a column named by each axis."""
@@ -374,8 +379,7 @@ def trend(noun: str, points: Sequence[Seen], scale: Scale) -> str:
         ends = [(points[place].words, scale.words(scale.values[place])) for place in (least, most)]
         if points[least].differs(points[most]):
             return f"{noun} is smallest with {ends[0][1]} ({ends[0][0]}) and largest with {ends[1][1]} ({ends[1][0]})"
-        within = f"from {ends[0][0]} to {ends[1][0]}" if ends[0][0] != ends[1][0] else ends[0][0]
-        return f"{noun} does not differ beyond its 95 % intervals: {within}"
+        return f"{noun} does not differ beyond its 95 % intervals: {span(ends[0][0], ends[1][0])}"
     first, last = points[0], points[-1]
     start = f"{first.words} at {scale.named(scale.values[0])}"
     end = f"{last.words} at {scale.words(scale.values[-1])}"
@@ -409,6 +413,10 @@ def sentence(lines: Sequence[Line], words: Sequence[str]) -> str:
     if len(of_words) == 1:
         return capital(words[0]) + "."
     return "; ".join(f"{' / '.join(labels)}: {text}" for text, labels in of_words.items()) + "."
+
+
+def span(low: str, high: str) -> str:
+    return low if low == high else f"{low} to {high}"
 
 
 def capital(text: str) -> str:
@@ -459,21 +467,7 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
     scale.draw_on(axes, 70)
     for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
         aside = ScaledTranslation(DODGE_PT * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
-        where: dict[str, Any] = {"transform": axes.transData + aside, "color": look.colour}
-        sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
-        if scale.numeric:
-            axes.plot(scale.places, sizes_um, lw=1.2, ls=look.dashes, **where)
-        for at, curve in zip(scale.places.tolist(), line.curves, strict=True):
-            interval_um = with_ends(curve.optimum.interval_um, curve)
-            axes.plot([at, at], interval_um, lw=1.2, **where)
-            for end_um, end, arrow, way in zip(interval_um, curve.optimum.interval_um, ("v", "^"), (-1, 1), strict=True):
-                if end is None:  # beyond the end, since the point of the optimum may be there
-                    outside = ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, figure.dpi_scale_trans)
-                    axes.plot(at, end_um, marker=arrow, ms=5, color=look.colour, transform=axes.transData + aside + outside)
-                else:
-                    axes.plot(at, end_um, marker="_", ms=6, mew=1.2, **where)
-            face = look.colour if is_found(curve) else "white"
-            axes.plot(at, curve.optimum.pitch_um, marker=look.marker, ms=6, mec=look.colour, mfc=face, **where)
+        draw_optima(axes, scale, line, look, axes.transData + aside)
     curves = [curve for line in lines for curve in line.curves]
     shown_um = [size for curve in curves for size in (*with_ends(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
     margin_um = MARGIN * max(max(shown_um) - min(shown_um), MARGIN * max(shown_um))
@@ -496,6 +490,30 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
         without(grid.scales),
     )
     return Plate(name, caption, figure, grid.columns(curves) | optimum_columns(curves))
+
+
+def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transform) -> None:
+    """Draw the optima of a line with their intervals, hollow if they are not known."""
+    from matplotlib.transforms import ScaledTranslation
+
+    sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
+    ends_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in line.curves])
+    is_open = np.array([[end is None for end in curve.optimum.interval_um] for curve in line.curves])
+    found = np.array([is_found(curve) for curve in line.curves])
+    if scale.numeric:
+        axes.plot(scale.places, sizes_um, lw=1.2, transform=place, **look.stroke)
+    axes.vlines(scale.places, *ends_um.T, lw=1.2, transform=place, color=look.colour)
+    style: dict[str, Any] = {"ls": "none", "mec": look.colour, "mew": 0.8}
+    for end, (arrow, way) in enumerate(ARROWS):
+        # Beyond the end of the sizes tried, where the point of the optimum may be.
+        outside = place + ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, axes.figure.dpi_scale_trans)
+        for which, marker, size, where in ((is_open[:, end], arrow, ARROW_SIZE_PT, outside), (~is_open[:, end], "_", 5, place)):
+            if which.any():
+                at = scale.places[which], ends_um[which, end]
+                axes.plot(*at, marker=marker, mfc=look.colour, ms=size, transform=where, **style)
+    for which, face in ((found, look.colour), (~found, "white")):
+        if which.any():
+            axes.plot(scale.places[which], sizes_um[which], marker=look.marker, mfc=face, ms=6, transform=place, **style)
 
 
 def open_words(curves: Sequence[Curve]) -> str:
@@ -601,9 +619,11 @@ def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
             across = np.stack([scale.edges[:-1], scale.edges[1:], scale.edges[1:]], axis=1).ravel()
             up = np.stack([sizes, sizes, np.full(len(sizes), np.nan)], axis=1).ravel()
         axes.plot(across, up, **style, **haloed(around))
-    for at, curve in zip(scale.places.tolist(), line.curves, strict=True):
-        face, edge = ("black", "white") if is_found(curve) else ("white", "black")
-        axes.plot(at, curve.optimum.pitch_um, "o", ms=5, mec=edge, mfc=face, clip_on=False, zorder=5)
+    found = np.array([is_found(curve) for curve in line.curves])
+    for which, face, edge in ((found, "black", "white"), (~found, "white", "black")):
+        if which.any():
+            points: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 5, "mfc": face, "mec": edge, "clip_on": False, "zorder": 5}
+            axes.plot(scale.places[which], sizes_um[which], **points)
 
 
 def bands(curve: Curve, levels: Array) -> list[tuple[float, float, int]]:
@@ -618,6 +638,8 @@ def nice_levels(low: float, high: float) -> Array:
     """Return at most `MOST_LEVELS` + 1 round levels that hold all values, at about equal ratios if they span a factor of 2."""
     from matplotlib.ticker import MaxNLocator
 
+    if high <= 0:
+        return np.array([0.0, 0.5, 1.0])  # an error of 0 everywhere
     if low <= 0 or high < 2 * low:
         return np.asarray(MaxNLocator(MOST_LEVELS - 2, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), float)
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
@@ -671,13 +693,11 @@ def valley_words(line: Line, scale: Scale) -> str:
 
 
 def cutoff_words(cutoff_um: Array, low_um: float, high_um: float) -> str:
-    ends = list(dict.fromkeys(f"{value:.3g}" for value in (cutoff_um.min(), cutoff_um.max())))
+    ends = span(*(f"{value:.3g}" for value in (cutoff_um.min(), cutoff_um.max())))
     where = (
         ", below all sizes tried" if cutoff_um.max() < low_um else ", above all sizes tried" if cutoff_um.min() > high_um else ""
     )
-    return (
-        f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {GREEN_NM:g} nm, is {' to '.join(ends)} µm{where}."
-    )
+    return f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {GREEN_NM:g} nm, is {ends} µm{where}."
 
 
 def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
@@ -752,7 +772,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
 def cell_words(curve: Curve) -> str:
     """Return the optimum as in a cell of a map."""
     best = curve.optimum
-    sign = "" if best.inside else "≤ " if best.pitch_um <= float(curve.pitch_um[0]) else "≥ "
+    sign = "" if best.inside else "≤" if best.pitch_um <= float(curve.pitch_um[0]) else "≥"
     return "?" if curve.alike_um else sign + three_digits(best.pitch_um)
 
 
@@ -764,11 +784,13 @@ def draw_cells(
     words: Callable[[Curve], str],
     colours: str,
 ) -> None:
-    """Draw a number of each curve as a map, with numbers in the cells or, if they do not fit, a colour bar; hatched if unknown."""
+    """Draw a number of each curve as a map, hatched where it is not known, with the numbers in the cells, or else a colour bar."""
     from matplotlib.patches import Rectangle
 
     values = np.array([number(curve) for curve in curves]).reshape(shape)
-    image = axes.imshow(values, cmap=colours, aspect="auto", origin="lower")
+    middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
+    half = max(half, LEAST_SPAN * abs(middle) / 2)  # else rounding errors would have all colours
+    image = axes.imshow(values, cmap=colours, aspect="auto", origin="lower", vmin=middle - half, vmax=middle + half)
     texts = [words(curve) for curve in curves]
     longest_pt = CELL_PT * max(sum(NARROW if character in ". " else WIDE for character in text) for text in texts)
     fit = 1.1 * longest_pt < CELLS_PT[0] / shape[1] and CELLS_PT[1] / shape[0] > 1.6 * CELL_PT
@@ -806,7 +828,7 @@ def extremes(label: str, curves: Sequence[Curve], scales: tuple[Scale, Scale]) -
             low, high = (f"{points[place].words}, with {where(points, place)}" for place in (least, most))
             parts.append(f"{noun} is smallest, {low}, and largest, {high}")
         else:
-            parts.append(f"{noun} does not differ beyond its 95 % intervals, from {points[least].words} to {points[most].words}")
+            parts.append(f"{noun} does not differ beyond its 95 % intervals: {span(points[least].words, points[most].words)}")
     text = "; ".join(parts)
     return (f"{label}: {text}" if label else capital(text)) + "."
 
@@ -825,16 +847,20 @@ def alone_plate(result: StudyResult) -> Plate | None:
 
     Panels for technologies and conditions.
     """
-    axes_alone = [axis.name for axis in result.study.axis if axis.alone]
-    if not axes_alone:
+    scales = [Scale.of(axis) for axis in result.study.axis if axis.alone]
+    if not scales:
         return None
-    groups, left_out = alone_groups(result, axes_alone)
+    groups, left_out = alone_groups(result, [scale.name for scale in scales])
 
-    def width(name: str) -> float:
-        sizes = [[curve.optimum.pitch_um for curve in (group.base, *group.moved[name])] for group in groups]
+    def width(scale: Scale) -> float:
+        sizes = [[curve.optimum.pitch_um for curve in (group.base, *group.moved[scale.name])] for group in groups]
         return max(max(own) - min(own) for own in sizes)
 
-    names = sorted(axes_alone, key=lambda name: -width(name))
+    scales.sort(key=width, reverse=True)
+    names = [scale.name for scale in scales]
+    labels = [
+        "\n".join(filter(None, (literal(short(scale.name, SHORT_TICK)), scale.unit and f"({scale.unit})"))) for scale in scales
+    ]
     figure = new_figure(WIDTH_IN, (0.46 * len(names) + 1.1) * len(groups))
     panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
     for (left, right), group in zip(panels, groups, strict=True):
@@ -853,13 +879,13 @@ def alone_plate(result: StudyResult) -> Plate | None:
             missing = max(0.0, LEAST_SPAN * abs(base.value) - (high - low)) / 2  # else rounding errors would look like moves
             axes.set_xlim(low - missing, high + missing)
             axes.set_title(literal(short(group.label)), fontsize=SMALL_PT + 1)
-        left.set_yticks(range(len(names)), [literal(short(name, SHORT_TICK)) for name in names])
+        left.set_yticks(range(len(names)), labels)
         left.set_ylim(len(names) - 0.4, -0.6)
     for axes, label in zip(panels[-1], ("optimal pixel size (µm)", "least mean ΔE"), strict=True):
         axes.set_xlabel(label)
     curves = [curve for group in groups for curve in (group.base, *(each for name in names for each in group.moved[name]))]
     caption = joined(
-        *(strongest(group, names) for group in groups),
+        *(strongest(group, scales) for group in groups),
         "Each axis moved alone about the base (vertical line, grey: its 95 % interval); a wider bar means a stronger influence.",
         hollow_words(curves, "Hollow points"),
         left_out,
@@ -907,17 +933,18 @@ def draw_moves(axes: Axes, row: int, group: Group, name: str, seen: Callable[[Cu
         axes.annotate(text, (value, row), offset, textcoords="offset points", fontsize=CELL_PT, ha="center")
 
 
-def strongest(group: Group, names: Sequence[str]) -> str:
-    """Return which axis moves the optimum most, and whether that is more than its interval."""
+def strongest(group: Group, scales: Sequence[Scale]) -> str:
+    """Return which axis moves the optimum most, of those that move it beyond the intervals."""
     base = seen_optimum(group.base)
     label = f"{group.label}: " if group.label else ""
-
-    def move(name: str) -> tuple[float, Curve]:
-        return max(((abs(curve.optimum.pitch_um - base.value), curve) for curve in group.moved[name]), key=lambda each: each[0])
-
-    name = max(names, key=lambda each: move(each)[0])
-    far = move(name)[1]
-    seen, value = seen_optimum(far), far.at[name]
-    text = value if isinstance(value, str) else f"{value:.4g}"
-    words = f"{label}{name} moves the optimum most, from {base.words} of the base to {seen.words} with {text}"
-    return words + ("." if seen.differs(base) else ", which is not beyond the 95 % intervals.")
+    moves = [
+        (abs(seen.value - base.value), scale, seen.words, curve.at[scale.name])
+        for scale in scales
+        for curve in group.moved[scale.name]
+        if (seen := seen_optimum(curve)).differs(base)
+    ]
+    if not moves:
+        words = f"no axis moves the optimum, {base.words} of the base, beyond the 95 % intervals."
+        return f"{label}{words}" if label else capital(words)
+    _, scale, words, value = max(moves, key=lambda move: move[0])
+    return f"{label}{scale.name} moves the optimum most, from {base.words} of the base to {words} with {scale.words(value)}."
