@@ -138,11 +138,12 @@ class Scale:
 
             axes.set_xscale("log")
             axes.xaxis.set_minor_locator(NullLocator())
-            apart = np.log(self.places) / max(float(np.ptp(np.log(self.edges))), 1e-9) * characters
-            shown = [0]
-            for place in range(1, len(self.values)):
-                if apart[place] - apart[shown[-1]] > (len(self.ticks[place]) + len(self.ticks[shown[-1]])) / 2 + 1:
+            at = np.log(self.places) / float(np.ptp(np.log(self.edges))) * characters
+            shown: list[int] = []
+            for place in sorted(range(len(self.values)), key=lambda place: len(self.ticks[place])):  # round numbers first
+                if all(abs(at[place] - at[other]) > 1 + (len(self.ticks[place]) + len(self.ticks[other])) / 2 for other in shown):
                     shown.append(place)
+            shown.sort()
             axes.set_xticks(self.places[shown], [self.ticks[place] for place in shown])
         elif not self.numeric:
             draw_labels(axes.xaxis, self.ticks, characters)
@@ -484,6 +485,7 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
     caption = joined(
         trends("the optimum", lines, seen_optimum, scale),
         f"Optimal pixel size against {scale.name}; bars: its 95 % interval.",
+        "Points of one value stand side by side." if len(lines) > 1 else "",
         open_words(curves),
         hollow_words(curves, "Hollow"),
         left_out,

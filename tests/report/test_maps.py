@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.parameters import Axis
-from pixsim.report.maps import MAX_LINES, Scale, alone_plate, axis_plates, evenly, plate_names
+from pixsim.report.maps import MAX_LINES, Grid, Scale, alone_plate, axis_plates, evenly, map_along, optimum_along, plate_names
+from pixsim.show.figures import new_figure
 from pixsim.show.pages import Plate
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.optimum import FittedCurve, fit_curve
@@ -224,7 +225,8 @@ def test_numbers_fit_their_cells(plates: dict[str, Plate]) -> None:
 def caption_of(optima: dict[Any, float], axis: dict[str, Any], **study: Any) -> str:
     """Caption of the optimum along one axis, of the optima of its values."""
     result = result_of(lambda at, *_: optima[at[axis["name"]]], axis=[axis], **study)
-    return axis_plates(result)[0].caption
+    grid = Grid(result)
+    return optimum_along(grid, grid.scales[0], "").caption
 
 
 LIGHTS = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [1.0, 10.0, 100.0]}
@@ -450,8 +452,8 @@ def test_no_plates_without_axes() -> None:
 
 
 def test_plates_are_reproducible() -> None:
-    one, again = ([plate.drawn() for plate in axis_plates(result_of(lambda *_: 6.0, axis=[LENS]))] for _ in range(2))
-    assert one == again
+    grid = Grid(result_of(lambda *_: 6.0, axis=[LENS]))
+    assert map_along(grid, grid.scales[0], "").drawn() == map_along(grid, grid.scales[0], "").drawn()
 
 
 def test_axis_over_rasters() -> None:
@@ -523,3 +525,15 @@ def test_alone_axes_are_not_in_the_maps() -> None:
     assert [plate.name for plate in axis_plates(result)] == ["optimum_by_lens", "delta_e_by_pitch_and_lens"]
     assert plate_names(result.study)[-1] == "tornado"
     assert axis_plates(result)[0].table["lens"] == [2.8, 8.0]
+
+
+def test_ticks_of_a_logarithmic_axis_do_not_overlap() -> None:
+    """Seven values in a panel of half the width: those of fewest digits have labels."""
+    scale = Scale.of(Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log"))
+    figure = new_figure(2.4, 2.0)
+    axes = figure.subplots()
+    scale.draw_on(axes, 28)
+    figure.draw_without_rendering()
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["1", "10", "100", "1000"]
+    boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+    assert all(one.x1 < other.x0 for one, other in pairwise(boxes))
