@@ -29,6 +29,7 @@ from pixsim.studies.result import Curve, StudyResult, interval_columns, with_end
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import XAxis, YAxis
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
     from matplotlib.transforms import Transform
 
@@ -51,8 +52,9 @@ WIDE, NARROW = 0.66, 0.33  # width of a digit and of a point over the font's siz
 ARROWS = ((r"$\downarrow$", -1), (r"$\uparrow$", 1))  # markers of an open end, and their way; no line has them
 ARROW_PT, ARROW_SIZE_PT = 8.0, 9.0  # from the end of the sizes tried to an arrow; length of an arrow
 DODGE_PT = 3.0  # between lines, whose bars would hide each other
-MOST_LEVELS = 11
-NICE = (
+BANDS = 24  # of colours in a map
+MOST_TICKS = 9  # of a colour bar
+ROUND = (
     (1, 1.1, 1.25, 1.5, 1.75, 2, 2.5, 3, 4, 5, 6, 8),
     (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
     (1, 1.5, 2, 3, 5, 7),
@@ -167,7 +169,7 @@ def draw_labels(axis: XAxis | YAxis, labels: Sequence[str], characters: int) -> 
     """Label places 0, 1, … of an axis that has room for about that many characters; of very many, some evenly chosen ones."""
     across = axis.axis_name == "x"
     tilted = across and sum(map(len, labels)) + 2 * len(labels) > characters
-    room = characters // 3 if tilted or not across else len(labels)
+    room = characters // 4 if tilted or not across else len(labels)
     places = evenly(range(len(labels)), min(len(labels), room))
     axis.set_ticks(list(places), [literal(short(labels[place], SHORT_TICK if across else SHORT_SIDE)) for place in places])
     if tilted:
@@ -466,8 +468,9 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
     figure = new_figure(WIDTH_IN, 3.8)
     axes = figure.subplots()
     scale.draw_on(axes, 70)
+    apart_pt = min(DODGE_PT, 0.6 * WIDTH_IN * PT_PER_IN / len(scale.values) / len(lines))
     for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
-        aside = ScaledTranslation(DODGE_PT * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
+        aside = ScaledTranslation(apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
         draw_optima(axes, scale, line, look, axes.transData + aside)
     curves = [curve for line in lines for curve in line.curves]
     shown_um = [size for curve in curves for size in (*with_ends(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
@@ -534,22 +537,21 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     """Plot the fitted mean ΔE over pixel size and axis, with the optimum, its 1 % valley and the lens's limit."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import PolyCollection
-    from matplotlib.colors import BoundaryNorm
     from matplotlib.lines import Line2D
 
     held, held_words = grid.middle([scale])
     lines, left_out = grid.lines(scale, [], held, MAX_PANELS, "panels")
     curves = [curve for line in lines for curve in line.curves]
     low_um, high_um = min(curve.fit.pitch_um[0] for curve in curves), max(curve.fit.pitch_um[-1] for curve in curves)
-    levels = nice_levels(min(curve.fit.delta_e.min() for curve in curves), max(curve.fit.delta_e.max() for curve in curves))
-    norm = BoundaryNorm(levels, 256)
+    ends = min(float(curve.fit.delta_e.min()) for curve in curves), max(float(curve.fit.delta_e.max()) for curve in curves)
+    levels, norm = colour_scale(*ends)
     figure, panels = panel_grid(len(lines), 2.5)
     for line, axes in zip(lines, panels, strict=True):
         boxes, values = [], []
         for left, right, curve in zip(scale.edges, scale.edges[1:], line.curves, strict=False):
             for bottom_um, top_um, band in bands(curve, levels):
                 boxes.append([(left, bottom_um), (right, bottom_um), (right, top_um), (left, top_um)])
-                values.append((levels[band] + levels[band + 1]) / 2)
+                values.append(levels[band : band + 2].mean())
         cells = PolyCollection(boxes, array=np.array(values), cmap="viridis", norm=norm, edgecolors="face", linewidths=0.3)
         axes.add_collection(cells)
         axes.set(yscale="log", ylim=(low_um, high_um), title=literal(short(line.label)))
@@ -566,7 +568,9 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
         if place + columns < len(panels):  # there is a panel below
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
-    bar = figure.colorbar(ScalarMappable(norm, "viridis"), ax=panels, label="mean ΔE", ticks=levels, format="%.3g")
+    bar = figure.colorbar(
+        ScalarMappable(norm, "viridis"), ax=panels, label="mean ΔE", ticks=round_numbers(*levels[[0, -1]]), format="%.3g"
+    )
     bar.ax.minorticks_off()
     cutoff_um = np.concatenate([line.cutoff_um for line in lines])
     in_view = bool(((cutoff_um >= low_um) & (cutoff_um <= high_um)).any())
@@ -624,7 +628,15 @@ def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
     found = np.array([is_found(curve) for curve in line.curves])
     for which, face, edge in ((found, "black", "white"), (~found, "white", "black")):
         if which.any():
-            points: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 5, "mfc": face, "mec": edge, "clip_on": False, "zorder": 5}
+            points: dict[str, Any] = {
+                "ls": "none",
+                "marker": "o",
+                "ms": 5 if found.size <= MAX_VALUES / 2 else 3,
+                "mfc": face,
+                "mec": edge,
+                "clip_on": False,
+                "zorder": 5,
+            }
             axes.plot(scale.places[which], sizes_um[which], **points)
 
 
@@ -636,24 +648,37 @@ def bands(curve: Curve, levels: Array) -> list[tuple[float, float, int]]:
     return [(float(pitch_um[low]), float(pitch_um[high]), int(band[low])) for low, high in pairwise(starts) if high > low]
 
 
-def nice_levels(low: float, high: float) -> Array:
-    """Return at most `MOST_LEVELS` + 1 round levels that hold all values, at about equal ratios if they span a factor of 2."""
+def colour_scale(low: float, high: float) -> tuple[Array, Normalize]:
+    """Return the borders of `BANDS` colours, and the scale of the colours: logarithmic if the values span a factor of 2."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    half = LEAST_SPAN / 2 * abs(low + high) / 2 or 0.5  # else rounding errors would have all colours
+    middle, least = (low + high) / 2, min(low, 0.0)  # no error is below 0
+    low, high = max(min(low, middle - half), least), max(high, middle + half)
+    if is_wide(low, high):
+        return np.geomspace(low, high, BANDS + 1), LogNorm(low, high)
+    return np.linspace(low, high, BANDS + 1), Normalize(low, high)
+
+
+def is_wide(low: float, high: float) -> bool:
+    """Return whether values span a factor of 2, so that their scale is logarithmic."""
+    return low > 0 and high >= 2 * low
+
+
+def round_numbers(low: float, high: float) -> Array:
+    """Return up to `MOST_TICKS` round numbers from low to high, at about equal ratios if these span a factor of 2."""
     from matplotlib.ticker import MaxNLocator
 
-    if high <= 0:
-        return np.array([0.0, 0.5, 1.0])  # an error of 0 everywhere
-    if low <= 0 or high < 2 * low:
-        return np.asarray(MaxNLocator(MOST_LEVELS - 2, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), float)
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    levels = np.array([])
-    for mantissas in NICE:
-        levels = np.array([mantissa * 10.0**decade for decade in decades for mantissa in mantissas])
-        first, last = int(np.searchsorted(levels, low, side="right")) - 1, int(np.searchsorted(levels, high))
-        levels = levels[max(first, 0) : last + 1]
-        if levels.size <= MOST_LEVELS:
-            break
-    step = -(-levels.size // MOST_LEVELS)
-    return np.unique([*levels[::step], levels[-1]])
+    numbers = np.asarray(MaxNLocator(MOST_TICKS - 1, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), float)
+    if is_wide(low, high):
+        decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+        for mantissas in ROUND:
+            numbers = np.array([mantissa * 10.0**decade for decade in decades for mantissa in mantissas])
+            numbers = numbers[(numbers >= low) & (numbers <= high)]
+            if numbers.size <= MOST_TICKS:
+                break
+    numbers = numbers[(numbers >= low) & (numbers <= high)]
+    return numbers[:: -(-numbers.size // MOST_TICKS) or 1]
 
 
 def draw_sizes(axis: YAxis, low_um: float, high_um: float) -> None:
@@ -797,7 +822,7 @@ def draw_cells(
     longest_pt = CELL_PT * max(sum(NARROW if character in ". " else WIDE for character in text) for text in texts)
     fit = 1.1 * longest_pt < CELLS_PT[0] / shape[1] and CELLS_PT[1] / shape[0] > 1.6 * CELL_PT
     if not fit:
-        axes.figure.colorbar(image, ax=axes, format="%.3g")
+        axes.figure.colorbar(image, ax=axes, format="%.4g")
     for place, (curve, text) in enumerate(zip(curves, texts, strict=True)):
         down, right = divmod(place, shape[1])
         red, green, blue, _ = image.cmap(image.norm(values[down, right]))

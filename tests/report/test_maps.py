@@ -17,7 +17,19 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.parameters import Axis
-from pixsim.report.maps import MAX_LINES, Grid, Scale, alone_plate, axis_plates, evenly, map_along, optimum_along, plate_names
+from pixsim.report.maps import (
+    MAX_LINES,
+    Grid,
+    Scale,
+    alone_plate,
+    axis_plates,
+    colour_scale,
+    evenly,
+    map_along,
+    optimum_along,
+    plate_names,
+    round_numbers,
+)
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import Plate
 from pixsim.studies.cases import Case, cases_of
@@ -161,25 +173,37 @@ def test_map_ridge_is_optima_and_valley(plates: dict[str, Plate]) -> None:
         assert (low_um, high_um) == (PITCH_UM[0], PITCH_UM[-1])
 
 
-def test_map_colours_are_the_levels_of_the_curve(plates: dict[str, Plate], two_axes: StudyResult) -> None:
-    """Each box has the colour of the two levels between which the fitted curve lies there."""
+def test_map_colours_are_those_of_the_curve(plates: dict[str, Plate], two_axes: StudyResult) -> None:
+    """A box has the colour of the mean ΔE in its middle, to half of one of 24 colours; boxes fill each column."""
     plate = plates["delta_e_by_pitch_and_lens"]
     cells = plate.figure.axes[0].collections[0]
-    levels, checked = cells.norm.boundaries, 0
+    low, high = cells.norm.vmin, cells.norm.vmax
+    half_ratio = (high / low) ** (1 / 48) * 1.004, "the error of the fit, and of a fitted curve's 801 places"
+    height = dict.fromkeys((2.8, 4.0, 8.0), 0.0)
     for path, value in zip(cells.get_paths(), cells.get_array(), strict=True):
         (left, low_um), (right, high_um) = path.vertices.min(axis=0), path.vertices.max(axis=0)
-        lens = next(at for at in (2.8, 4.0, 8.0) if left < at < right)
-        middle_um = math.sqrt(low_um * high_um)
-        row = {"luminance": 10.0, "lens": lens}
-        delta_e = least(row, "", "") * (1 + BEND * math.log(middle_um / optimum_um(row, "day", "")) ** 2)
-        place = np.searchsorted(levels, value)
-        assert levels[place - 1] * (1 - 3e-3) < delta_e < levels[place] * (1 + 3e-3), "but for the error of the fit"
-        checked += 1
-    assert checked > 6
-    assert len(levels) <= 12
-    for curve in two_axes.curves:
-        if curve.at["luminance"] == 10.0:
-            assert levels[0] <= curve.fit.delta_e.min() <= curve.fit.delta_e.max() <= levels[-1]
+        row = {"luminance": 10.0, "lens": next(at for at in height if left < at < right)}
+        best_um = optimum_um(row, "day", "")
+        delta_e = least(row, "", "") * (1 + BEND * math.log(math.sqrt(low_um * high_um) / best_um) ** 2)
+        assert 1 / half_ratio[0] < value / delta_e < half_ratio[0], half_ratio[1]
+        height[row["lens"]] += math.log(high_um / low_um)
+    assert height == pytest.approx(dict.fromkeys(height, math.log(8.0)))
+    shown = [curve.fit.delta_e for curve in two_axes.curves if curve.at["luminance"] == 10.0]
+    assert (low, high) == (min(map(np.min, shown)), max(map(np.max, shown)))
+
+
+@pytest.mark.parametrize(
+    "ends", [(0.0, 0.0), (1.0, 1.0), (0.5, 0.9), (0.3, 1.7), (0.02, 40.0), (1e-3, 1e6), (-1e-9, 2.0), (0.0, 3.0)]
+)
+def test_colour_scale_holds_all_values(ends: tuple[float, float]) -> None:
+    levels, norm = colour_scale(*ends)
+    assert levels[0] <= ends[0] <= ends[1] <= levels[-1]
+    assert (np.diff(levels) > 0).all()
+    assert (norm.vmin, norm.vmax) == pytest.approx((levels[0], levels[-1]))
+    ticks = round_numbers(levels[0], levels[-1])
+    assert 2 <= ticks.size <= 9
+    assert (np.diff(ticks) > 0).all()
+    assert levels[0] <= ticks[0] <= ticks[-1] <= levels[-1]
 
 
 def test_cutoff_pitch_is_that_of_the_camera(plates: dict[str, Plate]) -> None:
