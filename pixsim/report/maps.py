@@ -359,6 +359,13 @@ def three_digits(value: float) -> str:
     return f"{value:#.3g}".rstrip(".")
 
 
+def extremes_of(points: Sequence[Seen]) -> tuple[int, int]:
+    """Return the places of the smallest and the largest number, of those that are known if some are."""
+    known = [place for place, point in enumerate(points) if point.low > -math.inf or point.high < math.inf]
+    places = known or range(len(points))
+    return min(places, key=lambda place: points[place].value), max(places, key=lambda place: points[place].value)
+
+
 def verb(one: Seen, other: Seen) -> str:
     return "falls" if other.value < one.value else "rises"
 
@@ -377,8 +384,7 @@ def trend(noun: str, points: Sequence[Seen], scale: Scale) -> str:
     if len(points) == 1:
         return f"{noun} is {points[0].words} with {scale.named(scale.values[0])}"
     if not scale.numeric:
-        values = [point.value for point in points]
-        least, most = values.index(min(values)), values.index(max(values))
+        least, most = extremes_of(points)
         ends = [(points[place].words, scale.words(scale.values[place])) for place in (least, most)]
         if points[least].differs(points[most]):
             return f"{noun} is smallest with {ends[0][1]} ({ends[0][0]}) and largest with {ends[1][1]} ({ends[1][0]})"
@@ -844,13 +850,13 @@ def extremes(label: str, curves: Sequence[Curve], scales: tuple[Scale, Scale]) -
         row = [points[down * len(across.values) + column] for column in range(len(across.values))]
         column = points[right :: len(across.values)]
         values = (across.named(across.values[right]), row), (up.named(up.values[down]), column)
-        return " and ".join(words for words, others in values if any(points[place].differs(other) for other in others))
+        named = [words for words, others in values if any(points[place].differs(other) for other in others)]
+        return " and ".join(named or [words for words, _ in values])
 
     parts = []
     for noun, seen in (("the optimum", seen_optimum), ("the least mean ΔE", seen_delta_e)):
         points = [seen(curve) for curve in curves]
-        values = [point.value for point in points]
-        least, most = values.index(min(values)), values.index(max(values))
+        least, most = extremes_of(points)
         if points[least].differs(points[most]):
             low, high = (f"{points[place].words}, with {where(points, place)}" for place in (least, most))
             parts.append(f"{noun} is smallest, {low}, and largest, {high}")
@@ -937,6 +943,7 @@ def alone_groups(result: StudyResult, names: Sequence[str]) -> tuple[list[Group]
     for place, condition in product(evenly(range(len(labels)), counts[0]), evenly(list(bases), counts[1])):
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
+        # An axis over technologies has one curve in a case.
         own = {name: [part.curves[min(place, len(part.curves) - 1)] for part in moved[condition, name]] for name in names}
         groups.append(Group(", ".join(words), bases[condition].curves[place], own))
     total = math.prod(sizes)

@@ -434,18 +434,33 @@ def test_optima_at_an_end_are_hollow_and_hatched() -> None:
         assert f"{mark}: the least error is at an end of the sizes tried." in plate.caption
 
 
+def unknown_at(result: StudyResult, **at: float | str) -> StudyResult:
+    """A result whose film cannot tell apart 5 to 7 µm at some values."""
+    for part in result.parts:
+        if at.items() <= part.curves[0].at.items():
+            for curve in part.curves:
+                object.__setattr__(curve, "alike_um", (5.0, 7.0))  # a result takes it from its film
+    return result
+
+
 def test_sizes_that_the_film_cannot_tell_apart_are_not_known() -> None:
-    result = result_of(lambda *_: 6.0, axis=[LENS])
-    parts = tuple(
-        replace(part, curves=tuple(replace(curve, alike_um=(5.0, 7.0)) for curve in part.curves)) for part in result.parts
-    )
-    for part in parts:
-        for curve in part.curves:
-            object.__setattr__(curve, "alike_um", (5.0, 7.0))  # a result takes it from its film
-    along = axis_plates(replace(result, parts=parts))[0]
+    grid = Grid(unknown_at(result_of(lambda *_: 6.0, axis=[LENS])))
+    along = optimum_along(grid, grid.scales[0], "")
     assert along.table["alike"] == ["True"] * 3
     assert along.caption.startswith("The optimum does not change beyond its 95 % intervals: an unknown size at lens 2.8")
     assert "Hollow: the film cannot tell sizes apart." in along.caption
+
+
+def test_an_unknown_size_does_not_hide_a_difference() -> None:
+    """The largest of three is not known; the other two differ."""
+    optima = {2.8: 4.0, 4.0: 6.0, 8.0: 9.0}
+    result = unknown_at(result_of(lambda at, *_: optima[at["lens"]], axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}]), lens=8.0)
+    two = axis_plates(result)[-1]
+    assert re.match(
+        r"The optimum is smallest, (4\.0\d|3\.9\d) µm, with lens 2.8, and largest, (6\.0\d|5\.9\d) µm, with lens 4;", two.caption
+    )
+    assert [text.get_text() for text in two.figure.axes[0].texts][2::3] == ["?", "?"]
+    assert hatched(two, 0) == {(1.5, -0.5), (1.5, 0.5)}
 
 
 # --- names --------------------------------------------------------------------------------------------------------------
