@@ -160,6 +160,21 @@ def test_map_holds_closed_form_curve_and_valley(plates: dict[str, Plate]) -> Non
         assert math.log(row["within_1_percent_high_um"] / best_um) == pytest.approx(within, abs=0.006)
 
 
+@pytest.mark.parametrize(("optima_um", "common"), [((6.0, 6.5), True), ((5.0, 8.0), False)])
+def test_caption_of_map_names_the_common_valley(optima_um: tuple[float, float], common: bool) -> None:
+    """Of two optima, the sizes from the upper one's lower end to the lower one's upper end, a factor of e^√(0.01/BEND) away."""
+    lens = LENS | {"values": [2.8, 8.0]}
+    grid = Grid(result_of(lambda at, *_: optima_um[at["lens"] > 4.0], axis=[lens]))
+    caption = map_along(grid, grid.scales[0], "").caption
+    if not common:
+        assert caption.startswith("No size is within 1 % of the least mean ΔE at every value of lens.")
+        return
+    found = re.match(r"Sizes from (\S+) to (\S+) µm are within 1 % of the least mean ΔE at every value of lens\.", caption)
+    assert found
+    factor = math.exp(math.sqrt(0.01 / BEND))
+    assert [float(number) for number in found.groups()] == pytest.approx([6.5 / factor, 6.0 * factor], rel=0.006)
+
+
 def test_map_ridge_is_optima_and_valley(plates: dict[str, Plate]) -> None:
     plate = plates["delta_e_by_pitch_and_lens"]
     rows = rows_of(plate)
