@@ -21,7 +21,7 @@ from pixsim.base.units import unit_of
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.technology import labels_of
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, literal, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate
 from pixsim.studies.cases import BASE
 from pixsim.studies.result import Curve, StudyResult, interval_columns, with_ends
@@ -29,7 +29,9 @@ from pixsim.studies.result import Curve, StudyResult, interval_columns, with_end
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import XAxis, YAxis
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Transform
 
 Item = TypeVar("Item")
 MAX_LINES = 6  # of a figure: as many looks that a reader tells apart
@@ -41,15 +43,18 @@ MAP_STEP = 20  # of the fitted curve's 801 places: its table has a row for each 
 WIDTH_IN = 6.4
 PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
-SHORT, SHORT_TICK, SHORT_SIDE = 36, 18, 10  # characters of a label in a figure, of one at a tick, and of one beside a map
-LEAST_SPAN = 0.02  # of the value of the base, along the axis of a bar
+# Characters of a line's label in a figure, of the name of an axis, of a label at a tick, and of one beside a map.
+SHORT, SHORT_AXIS, SHORT_TICK, SHORT_SIDE = 36, 24, 18, 10
+LEAST_SPAN = 0.02  # of a value, for the colours of a map and the axis of a bar
 MARGIN = 0.08  # of an axis, around what is drawn
 CELLS_PT = (175.0, 105.0)  # room for the cells of a map without colour bar, across and down
 WIDE, NARROW = 0.66, 0.33  # width of a digit and of a point over the font's size
-ARROW_PT = 7.0  # from the end of the sizes tried to an arrow
+ARROWS = ((r"$\downarrow$", -1), (r"$\uparrow$", 1))  # markers of an open end, and their way; no line has them
+ARROW_PT, ARROW_SIZE_PT = 8.0, 9.0  # from the end of the sizes tried to an arrow; length of an arrow
 DODGE_PT = 3.0  # between lines, whose bars would hide each other
-MOST_LEVELS = 11
-NICE = (
+BANDS = 24  # of colours in a map
+MOST_TICKS = 9  # of a colour bar
+ROUND = (
     (1, 1.1, 1.25, 1.5, 1.75, 2, 2.5, 3, 4, 5, 6, 8),
     (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
     (1, 1.5, 2, 3, 5, 7),
@@ -111,7 +116,8 @@ class Scale:
     @property
     def label(self) -> str:
         """Name and unit, for a figure."""
-        return literal(f"{short(self.name)} ({self.unit})" if self.unit else short(self.name))
+        name = short(self.name, SHORT_AXIS)
+        return literal(f"{name} ({self.unit})" if self.unit else name)
 
     def words(self, value: float | int | str) -> str:
         """Return a value with its unit."""
@@ -134,11 +140,12 @@ class Scale:
 
             axes.set_xscale("log")
             axes.xaxis.set_minor_locator(NullLocator())
-            apart = np.log(self.places) / max(float(np.ptp(np.log(self.edges))), 1e-9) * characters
-            shown = [0]
-            for place in range(1, len(self.values)):
-                if apart[place] - apart[shown[-1]] > (len(self.ticks[place]) + len(self.ticks[shown[-1]])) / 2 + 1:
+            at = np.log(self.places) / float(np.ptp(np.log(self.edges))) * characters
+            shown: list[int] = []
+            for place in sorted(range(len(self.values)), key=lambda place: len(self.ticks[place])):  # round numbers first
+                if all(abs(at[place] - at[other]) > 1 + (len(self.ticks[place]) + len(self.ticks[other])) / 2 for other in shown):
                     shown.append(place)
+            shown.sort()
             axes.set_xticks(self.places[shown], [self.ticks[place] for place in shown])
         elif not self.numeric:
             draw_labels(axes.xaxis, self.ticks, characters)
@@ -162,7 +169,7 @@ def draw_labels(axis: XAxis | YAxis, labels: Sequence[str], characters: int) -> 
     """Label places 0, 1, … of an axis that has room for about that many characters; of very many, some evenly chosen ones."""
     across = axis.axis_name == "x"
     tilted = across and sum(map(len, labels)) + 2 * len(labels) > characters
-    room = characters // 3 if tilted or not across else len(labels)
+    room = characters // 4 if tilted or not across else len(labels)
     places = evenly(range(len(labels)), min(len(labels), room))
     axis.set_ticks(list(places), [literal(short(labels[place], SHORT_TICK if across else SHORT_SIDE)) for place in places])
     if tilted:
@@ -255,7 +262,8 @@ class Grid:
         others = [scale for scale in self.scales if scale not in but]
         held = {scale.name: evenly(scale.values, 1)[0] for scale in others}
         words = [scale.named(held[scale.name]) for scale in others if len(scale.values) > 1]
-        return held, f"Held at its middle value: {', '.join(words)}." if words else ""
+        middle = "their middle values" if len(words) > 1 else "its middle value"
+        return held, f"Held at {middle}: {', '.join(words)}." if words else ""
 
     def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
         """Return the columns that tell curves apart: technology, condition, and a column named by each axis."""
@@ -351,6 +359,13 @@ def three_digits(value: float) -> str:
     return f"{value:#.3g}".rstrip(".")
 
 
+def extremes_of(points: Sequence[Seen]) -> tuple[int, int]:
+    """Return the places of the smallest and the largest number, of those that are known if some are."""
+    known = [place for place, point in enumerate(points) if point.low > -math.inf or point.high < math.inf]
+    places = known or range(len(points))
+    return min(places, key=lambda place: points[place].value), max(places, key=lambda place: points[place].value)
+
+
 def verb(one: Seen, other: Seen) -> str:
     return "falls" if other.value < one.value else "rises"
 
@@ -369,13 +384,11 @@ def trend(noun: str, points: Sequence[Seen], scale: Scale) -> str:
     if len(points) == 1:
         return f"{noun} is {points[0].words} with {scale.named(scale.values[0])}"
     if not scale.numeric:
-        values = [point.value for point in points]
-        least, most = values.index(min(values)), values.index(max(values))
+        least, most = extremes_of(points)
         ends = [(points[place].words, scale.words(scale.values[place])) for place in (least, most)]
         if points[least].differs(points[most]):
             return f"{noun} is smallest with {ends[0][1]} ({ends[0][0]}) and largest with {ends[1][1]} ({ends[1][0]})"
-        within = f"from {ends[0][0]} to {ends[1][0]}" if ends[0][0] != ends[1][0] else ends[0][0]
-        return f"{noun} does not differ beyond its 95 % intervals: {within}"
+        return f"{noun} does not differ beyond its 95 % intervals: {span(ends[0][0], ends[1][0])}"
     first, last = points[0], points[-1]
     start = f"{first.words} at {scale.named(scale.values[0])}"
     end = f"{last.words} at {scale.words(scale.values[-1])}"
@@ -409,6 +422,10 @@ def sentence(lines: Sequence[Line], words: Sequence[str]) -> str:
     if len(of_words) == 1:
         return capital(words[0]) + "."
     return "; ".join(f"{' / '.join(labels)}: {text}" for text, labels in of_words.items()) + "."
+
+
+def span(low: str, high: str) -> str:
+    return low if low == high else f"{low} to {high}"
 
 
 def capital(text: str) -> str:
@@ -457,23 +474,10 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
     figure = new_figure(WIDTH_IN, 3.8)
     axes = figure.subplots()
     scale.draw_on(axes, 70)
+    apart_pt = min(DODGE_PT, 0.6 * WIDTH_IN * PT_PER_IN / len(scale.values) / len(lines))
     for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
-        aside = ScaledTranslation(DODGE_PT * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
-        where: dict[str, Any] = {"transform": axes.transData + aside, "color": look.colour}
-        sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
-        if scale.numeric:
-            axes.plot(scale.places, sizes_um, lw=1.2, ls=look.dashes, **where)
-        for at, curve in zip(scale.places.tolist(), line.curves, strict=True):
-            interval_um = with_ends(curve.optimum.interval_um, curve)
-            axes.plot([at, at], interval_um, lw=1.2, **where)
-            for end_um, end, arrow, way in zip(interval_um, curve.optimum.interval_um, ("v", "^"), (-1, 1), strict=True):
-                if end is None:  # beyond the end, since the point of the optimum may be there
-                    outside = ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, figure.dpi_scale_trans)
-                    axes.plot(at, end_um, marker=arrow, ms=5, color=look.colour, transform=axes.transData + aside + outside)
-                else:
-                    axes.plot(at, end_um, marker="_", ms=6, mew=1.2, **where)
-            face = look.colour if is_found(curve) else "white"
-            axes.plot(at, curve.optimum.pitch_um, marker=look.marker, ms=6, mec=look.colour, mfc=face, **where)
+        aside = ScaledTranslation(apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
+        draw_optima(axes, scale, line, look, axes.transData + aside)
     curves = [curve for line in lines for curve in line.curves]
     shown_um = [size for curve in curves for size in (*with_ends(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
     margin_um = MARGIN * max(max(shown_um) - min(shown_um), MARGIN * max(shown_um))
@@ -490,12 +494,37 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
     caption = joined(
         trends("the optimum", lines, seen_optimum, scale),
         f"Optimal pixel size against {scale.name}; bars: its 95 % interval.",
+        "Points of one value stand side by side." if len(lines) > 1 else "",
         open_words(curves),
         hollow_words(curves, "Hollow"),
         left_out,
         without(grid.scales),
     )
     return Plate(name, caption, figure, grid.columns(curves) | optimum_columns(curves))
+
+
+def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transform) -> None:
+    """Draw the optima of a line with their intervals, hollow if they are not known."""
+    from matplotlib.transforms import ScaledTranslation
+
+    sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
+    ends_um = np.array([with_ends(curve.optimum.interval_um, curve) for curve in line.curves])
+    is_open = np.array([[end is None for end in curve.optimum.interval_um] for curve in line.curves])
+    found = np.array([is_found(curve) for curve in line.curves])
+    if scale.numeric:
+        axes.plot(scale.places, sizes_um, lw=1.2, transform=place, **look.stroke)
+    axes.vlines(scale.places, *ends_um.T, lw=1.2, transform=place, color=look.colour)
+    style: dict[str, Any] = {"ls": "none", "mec": look.colour, "mew": 0.8}
+    for end, (arrow, way) in enumerate(ARROWS):
+        # Beyond the end of the sizes tried, where the point of the optimum may be.
+        outside = place + ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, axes.figure.dpi_scale_trans)
+        for which, marker, size, where in ((is_open[:, end], arrow, ARROW_SIZE_PT, outside), (~is_open[:, end], "_", 5, place)):
+            if which.any():
+                at = scale.places[which], ends_um[which, end]
+                axes.plot(*at, marker=marker, mfc=look.colour, ms=size, transform=where, **style)
+    for which, face in ((found, look.colour), (~found, "white")):
+        if which.any():
+            axes.plot(scale.places[which], sizes_um[which], marker=look.marker, mfc=face, ms=6, transform=place, **style)
 
 
 def open_words(curves: Sequence[Curve]) -> str:
@@ -514,22 +543,21 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
     """Plot the fitted mean ΔE over pixel size and axis, with the optimum, its 1 % valley and the lens's limit."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import PolyCollection
-    from matplotlib.colors import BoundaryNorm
     from matplotlib.lines import Line2D
 
     held, held_words = grid.middle([scale])
     lines, left_out = grid.lines(scale, [], held, MAX_PANELS, "panels")
     curves = [curve for line in lines for curve in line.curves]
     low_um, high_um = min(curve.fit.pitch_um[0] for curve in curves), max(curve.fit.pitch_um[-1] for curve in curves)
-    levels = nice_levels(min(curve.fit.delta_e.min() for curve in curves), max(curve.fit.delta_e.max() for curve in curves))
-    norm = BoundaryNorm(levels, 256)
+    ends = min(float(curve.fit.delta_e.min()) for curve in curves), max(float(curve.fit.delta_e.max()) for curve in curves)
+    levels, norm = colour_scale(*ends)
     figure, panels = panel_grid(len(lines), 2.5)
     for line, axes in zip(lines, panels, strict=True):
         boxes, values = [], []
         for left, right, curve in zip(scale.edges, scale.edges[1:], line.curves, strict=False):
             for bottom_um, top_um, band in bands(curve, levels):
                 boxes.append([(left, bottom_um), (right, bottom_um), (right, top_um), (left, top_um)])
-                values.append((levels[band] + levels[band + 1]) / 2)
+                values.append(levels[band : band + 2].mean())
         cells = PolyCollection(boxes, array=np.array(values), cmap="viridis", norm=norm, edgecolors="face", linewidths=0.3)
         axes.add_collection(cells)
         axes.set(yscale="log", ylim=(low_um, high_um), title=literal(short(line.label)))
@@ -546,7 +574,9 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
         if place + columns < len(panels):  # there is a panel below
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
-    bar = figure.colorbar(ScalarMappable(norm, "viridis"), ax=panels, label="mean ΔE", ticks=levels, format="%.3g")
+    bar = figure.colorbar(
+        ScalarMappable(norm, "viridis"), ax=panels, label="mean ΔE", ticks=round_numbers(*levels[[0, -1]]), format="%.3g"
+    )
     bar.ax.minorticks_off()
     cutoff_um = np.concatenate([line.cutoff_um for line in lines])
     in_view = bool(((cutoff_um >= low_um) & (cutoff_um <= high_um)).any())
@@ -601,9 +631,19 @@ def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
             across = np.stack([scale.edges[:-1], scale.edges[1:], scale.edges[1:]], axis=1).ravel()
             up = np.stack([sizes, sizes, np.full(len(sizes), np.nan)], axis=1).ravel()
         axes.plot(across, up, **style, **haloed(around))
-    for at, curve in zip(scale.places.tolist(), line.curves, strict=True):
-        face, edge = ("black", "white") if is_found(curve) else ("white", "black")
-        axes.plot(at, curve.optimum.pitch_um, "o", ms=5, mec=edge, mfc=face, clip_on=False, zorder=5)
+    found = np.array([is_found(curve) for curve in line.curves])
+    for which, face, edge in ((found, "black", "white"), (~found, "white", "black")):
+        if which.any():
+            points: dict[str, Any] = {
+                "ls": "none",
+                "marker": "o",
+                "ms": 5 if found.size <= MAX_VALUES / 2 else 3,
+                "mfc": face,
+                "mec": edge,
+                "clip_on": False,
+                "zorder": 5,
+            }
+            axes.plot(scale.places[which], sizes_um[which], **points)
 
 
 def bands(curve: Curve, levels: Array) -> list[tuple[float, float, int]]:
@@ -614,22 +654,37 @@ def bands(curve: Curve, levels: Array) -> list[tuple[float, float, int]]:
     return [(float(pitch_um[low]), float(pitch_um[high]), int(band[low])) for low, high in pairwise(starts) if high > low]
 
 
-def nice_levels(low: float, high: float) -> Array:
-    """Return at most `MOST_LEVELS` + 1 round levels that hold all values, at about equal ratios if they span a factor of 2."""
+def colour_scale(low: float, high: float) -> tuple[Array, Normalize]:
+    """Return the borders of `BANDS` colours, and the scale of the colours: logarithmic if the values span a factor of 2."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    half = LEAST_SPAN / 2 * abs(low + high) / 2 or 0.5  # else rounding errors would have all colours
+    middle, least = (low + high) / 2, min(low, 0.0)  # no error is below 0
+    low, high = max(min(low, middle - half), least), max(high, middle + half)
+    if is_wide(low, high):
+        return np.geomspace(low, high, BANDS + 1), LogNorm(low, high)
+    return np.linspace(low, high, BANDS + 1), Normalize(low, high)
+
+
+def is_wide(low: float, high: float) -> bool:
+    """Return whether values span a factor of 2, so that their scale is logarithmic."""
+    return low > 0 and high >= 2 * low
+
+
+def round_numbers(low: float, high: float) -> Array:
+    """Return up to `MOST_TICKS` round numbers from low to high, at about equal ratios if these span a factor of 2."""
     from matplotlib.ticker import MaxNLocator
 
-    if low <= 0 or high < 2 * low:
-        return np.asarray(MaxNLocator(MOST_LEVELS - 2, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), float)
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    levels = np.array([])
-    for mantissas in NICE:
-        levels = np.array([mantissa * 10.0**decade for decade in decades for mantissa in mantissas])
-        first, last = int(np.searchsorted(levels, low, side="right")) - 1, int(np.searchsorted(levels, high))
-        levels = levels[max(first, 0) : last + 1]
-        if levels.size <= MOST_LEVELS:
-            break
-    step = -(-levels.size // MOST_LEVELS)
-    return np.unique([*levels[::step], levels[-1]])
+    numbers = np.asarray(MaxNLocator(MOST_TICKS - 1, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), float)
+    if is_wide(low, high):
+        decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+        for mantissas in ROUND:
+            numbers = np.array([mantissa * 10.0**decade for decade in decades for mantissa in mantissas])
+            numbers = numbers[(numbers >= low) & (numbers <= high)]
+            if numbers.size <= MOST_TICKS:
+                break
+    numbers = numbers[(numbers >= low) & (numbers <= high)]
+    return numbers[:: -(-numbers.size // MOST_TICKS) or 1]
 
 
 def draw_sizes(axis: YAxis, low_um: float, high_um: float) -> None:
@@ -671,13 +726,11 @@ def valley_words(line: Line, scale: Scale) -> str:
 
 
 def cutoff_words(cutoff_um: Array, low_um: float, high_um: float) -> str:
-    ends = list(dict.fromkeys(f"{value:.3g}" for value in (cutoff_um.min(), cutoff_um.max())))
+    ends = span(*(f"{value:.3g}" for value in (cutoff_um.min(), cutoff_um.max())))
     where = (
         ", below all sizes tried" if cutoff_um.max() < low_um else ", above all sizes tried" if cutoff_um.min() > high_um else ""
     )
-    return (
-        f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {GREEN_NM:g} nm, is {' to '.join(ends)} µm{where}."
-    )
+    return f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {GREEN_NM:g} nm, is {ends} µm{where}."
 
 
 def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
@@ -752,7 +805,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
 def cell_words(curve: Curve) -> str:
     """Return the optimum as in a cell of a map."""
     best = curve.optimum
-    sign = "" if best.inside else "≤ " if best.pitch_um <= float(curve.pitch_um[0]) else "≥ "
+    sign = "" if best.inside else "≤" if best.pitch_um <= float(curve.pitch_um[0]) else "≥"
     return "?" if curve.alike_um else sign + three_digits(best.pitch_um)
 
 
@@ -764,16 +817,18 @@ def draw_cells(
     words: Callable[[Curve], str],
     colours: str,
 ) -> None:
-    """Draw a number of each curve as a map, with numbers in the cells or, if they do not fit, a colour bar; hatched if unknown."""
+    """Draw a number of each curve as a map, hatched where it is not known, with the numbers in the cells, or else a colour bar."""
     from matplotlib.patches import Rectangle
 
     values = np.array([number(curve) for curve in curves]).reshape(shape)
-    image = axes.imshow(values, cmap=colours, aspect="auto", origin="lower")
+    middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
+    half = max(half, LEAST_SPAN * abs(middle) / 2)  # else rounding errors would have all colours
+    image = axes.imshow(values, cmap=colours, aspect="auto", origin="lower", vmin=middle - half, vmax=middle + half)
     texts = [words(curve) for curve in curves]
     longest_pt = CELL_PT * max(sum(NARROW if character in ". " else WIDE for character in text) for text in texts)
     fit = 1.1 * longest_pt < CELLS_PT[0] / shape[1] and CELLS_PT[1] / shape[0] > 1.6 * CELL_PT
     if not fit:
-        axes.figure.colorbar(image, ax=axes, format="%.3g")
+        axes.figure.colorbar(image, ax=axes, format="%.4g")
     for place, (curve, text) in enumerate(zip(curves, texts, strict=True)):
         down, right = divmod(place, shape[1])
         red, green, blue, _ = image.cmap(image.norm(values[down, right]))
@@ -795,18 +850,18 @@ def extremes(label: str, curves: Sequence[Curve], scales: tuple[Scale, Scale]) -
         row = [points[down * len(across.values) + column] for column in range(len(across.values))]
         column = points[right :: len(across.values)]
         values = (across.named(across.values[right]), row), (up.named(up.values[down]), column)
-        return " and ".join(words for words, others in values if any(points[place].differs(other) for other in others))
+        named = [words for words, others in values if any(points[place].differs(other) for other in others)]
+        return " and ".join(named or [words for words, _ in values])
 
     parts = []
     for noun, seen in (("the optimum", seen_optimum), ("the least mean ΔE", seen_delta_e)):
         points = [seen(curve) for curve in curves]
-        values = [point.value for point in points]
-        least, most = values.index(min(values)), values.index(max(values))
+        least, most = extremes_of(points)
         if points[least].differs(points[most]):
             low, high = (f"{points[place].words}, with {where(points, place)}" for place in (least, most))
             parts.append(f"{noun} is smallest, {low}, and largest, {high}")
         else:
-            parts.append(f"{noun} does not differ beyond its 95 % intervals, from {points[least].words} to {points[most].words}")
+            parts.append(f"{noun} does not differ beyond its 95 % intervals: {span(points[least].words, points[most].words)}")
     text = "; ".join(parts)
     return (f"{label}: {text}" if label else capital(text)) + "."
 
@@ -825,16 +880,20 @@ def alone_plate(result: StudyResult) -> Plate | None:
 
     Panels for technologies and conditions.
     """
-    axes_alone = [axis.name for axis in result.study.axis if axis.alone]
-    if not axes_alone:
+    scales = [Scale.of(axis) for axis in result.study.axis if axis.alone]
+    if not scales:
         return None
-    groups, left_out = alone_groups(result, axes_alone)
+    groups, left_out = alone_groups(result, [scale.name for scale in scales])
 
-    def width(name: str) -> float:
-        sizes = [[curve.optimum.pitch_um for curve in (group.base, *group.moved[name])] for group in groups]
+    def width(scale: Scale) -> float:
+        sizes = [[curve.optimum.pitch_um for curve in (group.base, *group.moved[scale.name])] for group in groups]
         return max(max(own) - min(own) for own in sizes)
 
-    names = sorted(axes_alone, key=lambda name: -width(name))
+    scales.sort(key=width, reverse=True)
+    names = [scale.name for scale in scales]
+    labels = [
+        "\n".join(filter(None, (literal(short(scale.name, SHORT_TICK)), scale.unit and f"({scale.unit})"))) for scale in scales
+    ]
     figure = new_figure(WIDTH_IN, (0.46 * len(names) + 1.1) * len(groups))
     panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
     for (left, right), group in zip(panels, groups, strict=True):
@@ -853,13 +912,13 @@ def alone_plate(result: StudyResult) -> Plate | None:
             missing = max(0.0, LEAST_SPAN * abs(base.value) - (high - low)) / 2  # else rounding errors would look like moves
             axes.set_xlim(low - missing, high + missing)
             axes.set_title(literal(short(group.label)), fontsize=SMALL_PT + 1)
-        left.set_yticks(range(len(names)), [literal(short(name, SHORT_TICK)) for name in names])
+        left.set_yticks(range(len(names)), labels)
         left.set_ylim(len(names) - 0.4, -0.6)
     for axes, label in zip(panels[-1], ("optimal pixel size (µm)", "least mean ΔE"), strict=True):
         axes.set_xlabel(label)
     curves = [curve for group in groups for curve in (group.base, *(each for name in names for each in group.moved[name]))]
     caption = joined(
-        *(strongest(group, names) for group in groups),
+        *(strongest(group, scales) for group in groups),
         "Each axis moved alone about the base (vertical line, grey: its 95 % interval); a wider bar means a stronger influence.",
         hollow_words(curves, "Hollow points"),
         left_out,
@@ -884,6 +943,7 @@ def alone_groups(result: StudyResult, names: Sequence[str]) -> tuple[list[Group]
     for place, condition in product(evenly(range(len(labels)), counts[0]), evenly(list(bases), counts[1])):
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
+        # An axis over technologies has one curve in a case.
         own = {name: [part.curves[min(place, len(part.curves) - 1)] for part in moved[condition, name]] for name in names}
         groups.append(Group(", ".join(words), bases[condition].curves[place], own))
     total = math.prod(sizes)
@@ -907,17 +967,18 @@ def draw_moves(axes: Axes, row: int, group: Group, name: str, seen: Callable[[Cu
         axes.annotate(text, (value, row), offset, textcoords="offset points", fontsize=CELL_PT, ha="center")
 
 
-def strongest(group: Group, names: Sequence[str]) -> str:
-    """Return which axis moves the optimum most, and whether that is more than its interval."""
+def strongest(group: Group, scales: Sequence[Scale]) -> str:
+    """Return which axis moves the optimum most, of those that move it beyond the intervals."""
     base = seen_optimum(group.base)
     label = f"{group.label}: " if group.label else ""
-
-    def move(name: str) -> tuple[float, Curve]:
-        return max(((abs(curve.optimum.pitch_um - base.value), curve) for curve in group.moved[name]), key=lambda each: each[0])
-
-    name = max(names, key=lambda each: move(each)[0])
-    far = move(name)[1]
-    seen, value = seen_optimum(far), far.at[name]
-    text = value if isinstance(value, str) else f"{value:.4g}"
-    words = f"{label}{name} moves the optimum most, from {base.words} of the base to {seen.words} with {text}"
-    return words + ("." if seen.differs(base) else ", which is not beyond the 95 % intervals.")
+    moves = [
+        (abs(seen.value - base.value), scale, seen.words, curve.at[scale.name])
+        for scale in scales
+        for curve in group.moved[scale.name]
+        if (seen := seen_optimum(curve)).differs(base)
+    ]
+    if not moves:
+        words = f"no axis moves the optimum, {base.words} of the base, beyond the 95 % intervals."
+        return f"{label}{words}" if label else capital(words)
+    _, scale, words, value = max(moves, key=lambda move: move[0])
+    return f"{label}{scale.name} moves the optimum most, from {base.words} of the base to {words} with {scale.words(value)}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -83,9 +84,21 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def literal(text: str) -> str:
-    """Return text that Matplotlib draws literally: between dollar signs it would be read as mathematics."""
-    printable = "".join(character if character.isprintable() else "\ufffd" for character in text)
+    """Return text that Matplotlib draws literally: between dollar signs it would be read as mathematics.
+
+    A character that the font does not have is drawn as one that is missing, without a warning for each figure.
+    """
+    known = font_characters()
+    printable = "".join(character if character.isprintable() and ord(character) in known else "\ufffd" for character in text)
     return printable.replace("$", r"\$")
+
+
+@cache
+def font_characters() -> frozenset[int]:
+    """Return the characters of the figures' font."""
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    return frozenset(get_font(findfont(FontProperties())).get_charmap())
 
 
 def svg_text(figure: Figure) -> str:

@@ -5,18 +5,35 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from itertools import product
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.looks import grey_look
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.report.maps import axis_plates
+from pixsim.base.parameters import Axis
+from pixsim.report.maps import (
+    MAX_LINES,
+    Grid,
+    Scale,
+    alone_plate,
+    axis_plates,
+    colour_scale,
+    evenly,
+    map_along,
+    optimum_along,
+    plate_names,
+    round_numbers,
+)
+from pixsim.show.figures import new_figure
 from pixsim.show.pages import Plate
 from pixsim.studies.cases import Case, cases_of
-from pixsim.studies.optimum import fit_curve
+from pixsim.studies.optimum import FittedCurve, fit_curve
 from pixsim.studies.result import Curve, StudyResult
 
 PITCH_UM = np.geomspace(2.0, 16.0, 7)
@@ -25,11 +42,16 @@ BEND = 0.5  # of ΔE in the square of the logarithm of the pitch, around a least
 Optima = Callable[[dict[str, Any], str, str], float]
 
 
-def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Curve:
-    """Mean ΔE = least (1 + BEND ln² (p/optimum)), with a scatter far below the gates."""
+@cache
+def fitted(optimum_um: float, least: float) -> tuple[np.ndarray, FittedCurve]:
+    """Mean ΔE = least (1 + BEND ln² (p/optimum)) of two sensors, with a scatter far below the gates, and its fit."""
     mean = least * (1 + BEND * np.log(PITCH_UM / optimum_um) ** 2)
     delta_e = mean[:, None] * np.array([1 - 1e-4, 1 + 1e-4])
-    fit = fit_curve(PITCH_UM, delta_e)
+    return delta_e, fit_curve(PITCH_UM, delta_e)
+
+
+def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Curve:
+    delta_e, fit = fitted(optimum_um, least)
     of_case = {"at": case.at, "condition": case.condition, "alone": case.alone}
     return Curve(technology, 0.35, PITCH_UM, np.ones(PITCH_UM.size), {"mean_delta_e": delta_e}, fit, **of_case)
 
@@ -112,10 +134,13 @@ def test_tables_hold_closed_form_optima(plates: dict[str, Plate]) -> None:
 
 def test_optimum_along_draws_optima_and_intervals(plates: dict[str, Plate]) -> None:
     plate = plates["optimum_by_lens"]
-    lines = drawn(plate)
+    points = {(x, y) for xs, ys in drawn(plate) for x, y in zip(xs, ys, strict=True)}
+    bars = {tuple(map(tuple, bar)) for bars in plate.figure.axes[0].collections for bar in bars.get_segments()}
     for row in rows_of(plate):
-        assert ([row["lens"]], [row["optimum_um"]]) in lines
-        assert ([row["lens"]] * 2, [row["interval_low_um"], row["interval_high_um"]]) in lines
+        low, high = ((row["lens"], row[f"interval_{end}_um"]) for end in ("low", "high"))
+        assert {low, (row["lens"], row["optimum_um"]), high} <= points
+        assert (low, high) in bars
+    assert len(bars) == len(rows_of(plate))
     low, high = plate.figure.axes[0].get_ylim()
     assert low < min(row["interval_low_um"] for row in rows_of(plate))
     assert high > max(row["interval_high_um"] for row in rows_of(plate))
@@ -135,6 +160,21 @@ def test_map_holds_closed_form_curve_and_valley(plates: dict[str, Plate]) -> Non
         assert math.log(row["within_1_percent_high_um"] / best_um) == pytest.approx(within, abs=0.006)
 
 
+@pytest.mark.parametrize(("optima_um", "common"), [((6.0, 6.5), True), ((5.0, 8.0), False)])
+def test_caption_of_map_names_the_common_valley(optima_um: tuple[float, float], common: bool) -> None:
+    """Of two optima, the sizes from the upper one's lower end to the lower one's upper end, a factor of e^√(0.01/BEND) away."""
+    lens = LENS | {"values": [2.8, 8.0]}
+    grid = Grid(result_of(lambda at, *_: optima_um[at["lens"] > 4.0], axis=[lens]))
+    caption = map_along(grid, grid.scales[0], "").caption
+    if not common:
+        assert caption.startswith("No size is within 1 % of the least mean ΔE at every value of lens.")
+        return
+    found = re.match(r"Sizes from (\S+) to (\S+) µm are within 1 % of the least mean ΔE at every value of lens\.", caption)
+    assert found
+    factor = math.exp(math.sqrt(0.01 / BEND))
+    assert [float(number) for number in found.groups()] == pytest.approx([6.5 / factor, 6.0 * factor], rel=0.006)
+
+
 def test_map_ridge_is_optima_and_valley(plates: dict[str, Plate]) -> None:
     plate = plates["delta_e_by_pitch_and_lens"]
     rows = rows_of(plate)
@@ -148,25 +188,37 @@ def test_map_ridge_is_optima_and_valley(plates: dict[str, Plate]) -> None:
         assert (low_um, high_um) == (PITCH_UM[0], PITCH_UM[-1])
 
 
-def test_map_colours_are_the_levels_of_the_curve(plates: dict[str, Plate], two_axes: StudyResult) -> None:
-    """Each box has the colour of the two levels between which the fitted curve lies there."""
+def test_map_colours_are_those_of_the_curve(plates: dict[str, Plate], two_axes: StudyResult) -> None:
+    """A box has the colour of the mean ΔE in its middle, to half of one of 24 colours; boxes fill each column."""
     plate = plates["delta_e_by_pitch_and_lens"]
     cells = plate.figure.axes[0].collections[0]
-    levels, checked = cells.norm.boundaries, 0
+    low, high = cells.norm.vmin, cells.norm.vmax
+    half_ratio = (high / low) ** (1 / 48) * 1.004, "the error of the fit, and of a fitted curve's 801 places"
+    height = dict.fromkeys((2.8, 4.0, 8.0), 0.0)
     for path, value in zip(cells.get_paths(), cells.get_array(), strict=True):
         (left, low_um), (right, high_um) = path.vertices.min(axis=0), path.vertices.max(axis=0)
-        lens = next(at for at in (2.8, 4.0, 8.0) if left < at < right)
-        middle_um = math.sqrt(low_um * high_um)
-        row = {"luminance": 10.0, "lens": lens}
-        delta_e = least(row, "", "") * (1 + BEND * math.log(middle_um / optimum_um(row, "day", "")) ** 2)
-        place = np.searchsorted(levels, value)
-        assert levels[place - 1] * (1 - 3e-3) < delta_e < levels[place] * (1 + 3e-3), "but for the error of the fit"
-        checked += 1
-    assert checked > 6
-    assert len(levels) <= 12
-    for curve in two_axes.curves:
-        if curve.at["luminance"] == 10.0:
-            assert levels[0] <= curve.fit.delta_e.min() <= curve.fit.delta_e.max() <= levels[-1]
+        row = {"luminance": 10.0, "lens": next(at for at in height if left < at < right)}
+        best_um = optimum_um(row, "day", "")
+        delta_e = least(row, "", "") * (1 + BEND * math.log(math.sqrt(low_um * high_um) / best_um) ** 2)
+        assert 1 / half_ratio[0] < value / delta_e < half_ratio[0], half_ratio[1]
+        height[row["lens"]] += math.log(high_um / low_um)
+    assert height == pytest.approx(dict.fromkeys(height, math.log(8.0)))
+    shown = [curve.fit.delta_e for curve in two_axes.curves if curve.at["luminance"] == 10.0]
+    assert (low, high) == (min(map(np.min, shown)), max(map(np.max, shown)))
+
+
+@pytest.mark.parametrize(
+    "ends", [(0.0, 0.0), (1.0, 1.0), (0.5, 0.9), (0.3, 1.7), (0.02, 40.0), (1e-3, 1e6), (-1e-9, 2.0), (0.0, 3.0)]
+)
+def test_colour_scale_holds_all_values(ends: tuple[float, float]) -> None:
+    levels, norm = colour_scale(*ends)
+    assert levels[0] <= ends[0] <= ends[1] <= levels[-1]
+    assert (np.diff(levels) > 0).all()
+    assert (norm.vmin, norm.vmax) == pytest.approx((levels[0], levels[-1]))
+    ticks = round_numbers(levels[0], levels[-1])
+    assert 2 <= ticks.size <= 9
+    assert (np.diff(ticks) > 0).all()
+    assert levels[0] <= ticks[0] <= ticks[-1] <= levels[-1]
 
 
 def test_cutoff_pitch_is_that_of_the_camera(plates: dict[str, Plate]) -> None:
@@ -212,7 +264,8 @@ def test_numbers_fit_their_cells(plates: dict[str, Plate]) -> None:
 def caption_of(optima: dict[Any, float], axis: dict[str, Any], **study: Any) -> str:
     """Caption of the optimum along one axis, of the optima of its values."""
     result = result_of(lambda at, *_: optima[at[axis["name"]]], axis=[axis], **study)
-    return axis_plates(result)[0].caption
+    grid = Grid(result)
+    return optimum_along(grid, grid.scales[0], "").caption
 
 
 LIGHTS = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [1.0, 10.0, 100.0]}
@@ -264,3 +317,277 @@ def test_caption_of_labels_and_one_value() -> None:
     assert re.match(r"Sizes from 5\.\d\d to 6\.\d\d µm are within 1 % of the least mean ΔE with lens 4\.", plates[1].caption)
     assert "Held at its middle value: light 10 cd/m²." in plates[1].caption
     assert plates[-1].name == "optimum_by_lens_and_light"
+
+
+@pytest.mark.parametrize(("larger_at", "words"), [("night", "5.50 µm to 4.40 µm (day), 7.15 µm to 5.72 µm (night)")])
+def test_caption_of_lines_that_fall_together(larger_at: str, words: str) -> None:
+    def optima(at: dict[str, Any], condition: str, technology: str) -> float:
+        return {1.0: 5.5, 10.0: 5.0, 100.0: 4.4}[at["light"]] * (1.3 if condition == larger_at else 1.0)
+
+    plate = axis_plates(result_of(optima, axis=[LIGHTS], condition=DAY_AND_NIGHT))[0]
+    start, _, moves = plate.caption.partition(": ")
+    assert start == "From light 1 cd/m² to 100 cd/m², the optimum falls"
+    expected = [float(number) for number in re.findall(r"\d+\.\d\d", words)]
+    assert [float(number) for number in re.findall(r"\d+\.\d\d", moves)] == pytest.approx(expected, abs=0.02)
+    assert re.sub(r"\d+\.\d\d", "", moves).startswith(re.sub(r"\d+\.\d\d", "", words) + ".")
+
+
+def test_caption_of_lines_that_differ() -> None:
+    def optima(at: dict[str, Any], condition: str, technology: str) -> float:
+        return at["light"] ** (0.1 if condition == "night" else -0.1) * 6.0
+
+    caption = axis_plates(result_of(optima, axis=[LIGHTS], condition=DAY_AND_NIGHT))[0].caption
+    assert re.match(r"day: the optimum falls from .* at 100 cd/m²; night: the optimum rises from .* at 100 cd/m²\.", caption)
+
+
+def test_map_of_two_names_the_axes_that_matter(plates: dict[str, Plate]) -> None:
+    caption = plates["optimum_by_luminance_and_lens"].caption
+    day, night, *_ = caption.split(". ")
+    for words, condition in ((day, "day"), (night, "night")):
+        low, high = (optimum_um({"luminance": at, "lens": lens}, condition, "") for at, lens in ((1000.0, 2.8), (1.0, 8.0)))
+        found = re.match(
+            rf"{condition}: the optimum is smallest, (\S+) µm, with luminance 1000 cd/m² and lens 2.8, and largest, (\S+) µm, "
+            "with luminance 1 cd/m² and lens 8; the least mean ΔE is smallest, 0.50., with luminance 1000 cd/m², "
+            "and largest, 2.00, with luminance 1 cd/m²",  # which the lens does not change here
+            words,
+        )
+        assert found, words
+        assert [float(number) for number in found.groups()] == pytest.approx([low, high], rel=3e-3)
+
+
+# --- what a figure leaves out -------------------------------------------------------------------------------------------
+
+
+def test_thinning_states_itself(two_axes: StudyResult, plates: dict[str, Plate]) -> None:
+    """2 conditions × 4 luminances are 8 lines: of the luminances 3 are kept, the first and the last among them."""
+    plate = plates["optimum_by_lens"]
+    assert "6 of 8 lines are shown, evenly chosen." in plate.caption
+    assert {(row["condition"], row["luminance"]) for row in rows_of(plate)} == set(product(("day", "night"), (1.0, 100.0, 1000.0)))
+    assert len(plate.figure.legends[0].get_texts()) == MAX_LINES
+    assert "evenly" not in plates["optimum_by_luminance"].caption, "6 lines are all"
+    looks = [grey_look(line) for line in plate.figure.legends[0].get_lines()]
+    assert len(set(looks)) == MAX_LINES
+
+
+def test_panels_are_at_most_six() -> None:
+    names = ["0.5um", "0.35um", "0.25um", "0.18um"]
+    result = result_of(optimum_um, axis=[LENS | {"values": [2.8, 8.0]}], technologies=names, condition=DAY_AND_NIGHT)
+    plate = axis_plates(result)[1]
+    panels = [axes.get_title() for axes in plate.figure.axes if axes.get_title()]
+    assert panels == [f"{name}, {condition}" for name in ("0.5um", "0.25um", "0.18um") for condition in ("day", "night")]
+    assert "6 of 8 panels are shown, evenly chosen." in plate.caption
+    for row in rows_of(plate):
+        assert row["optimum_um"] == pytest.approx(expected_um(row), rel=FIT)
+
+
+def test_axis_over_technologies_is_one_line() -> None:
+    process = {"name": "process", "set": "pixel.technology", "values": ["0.5um", "0.35um"]}
+    along, over = axis_plates(result_of(optimum_um, axis=[process]))
+    assert along.table["process"] == along.table["technology"] == ["0.5um", "0.35um"]
+    assert not along.figure.legends
+    assert re.match(r"The optimum is smallest with 0\.35um .* and largest with 0\.5um", along.caption)
+    assert len(over.figure.axes) == 2, "one panel and its colour bar"
+
+
+def test_scale_of_very_many_values() -> None:
+    many = Axis(name="light", set=("scene.parameters.spp",), first=1.0, to=1000.0, count=1000)
+    scale = Scale.of(many)
+    assert (len(scale.values), scale.left_out, scale.values[0], scale.values[-1]) == (50, 950, 1.0, 1000.0)
+    assert np.diff(scale.values).max() <= 1.2 * np.diff(scale.values).min()
+
+
+@pytest.mark.parametrize(
+    ("values", "log"),
+    [((1.0, 10.0, 100.0), True), ((1.0, 3.0, 10.0, 30.0), True), ((1.0, 6.0, 11.0), False), ((2.8, 4.0, 5.6, 8.0), False),
+     ((-1.0, 0.0, 100.0), False), ((0.0, 1.0, 100.0), False), ((4.0,), False), ((100.0, 1.0, 10.0), True)],
+)  # fmt: skip
+def test_scale_is_logarithmic_by_ratios(values: tuple[float, ...], log: bool) -> None:
+    scale = Scale.of(Axis(name="x", set=("pixel.dsnu",), values=values))
+    assert scale.log == log
+    assert scale.values == tuple(sorted(values))
+    assert (np.diff(scale.edges) > 0).all()
+    assert ((scale.edges[:-1] < scale.places) & (scale.places < scale.edges[1:])).all()
+    between = np.sqrt(scale.places[1:] * scale.places[:-1]) if log else (scale.places[1:] + scale.places[:-1]) / 2
+    np.testing.assert_allclose(scale.edges[1:-1], between)
+
+
+def test_evenly_keeps_ends_and_middle() -> None:
+    assert evenly(range(7), 3) == [0, 3, 6]
+    assert evenly(range(7), 1) == [3]
+    assert evenly("ab", 2) == ["a", "b"]
+
+
+# --- optima that are not known ------------------------------------------------------------------------------------------
+
+
+def hatched(plate: Plate, panel: int) -> set[tuple[float, float]]:
+    return {patch.get_xy() for patch in plate.figure.axes[panel].patches if patch.get_hatch()}
+
+
+def test_optima_at_an_end_are_hollow_and_hatched() -> None:
+    """The optimum of 100 µm at the largest f-number lies beyond the 16 µm tried."""
+    optics = LENS | {"values": [2.8, 4.0, 8.0]}
+    result = result_of(lambda at, *_: 100.0 if at["lens"] == 8.0 else 6.0, axis=[optics, LIGHTS])
+    along, _, _, _, two = axis_plates(result)
+    points = [line for line in along.figure.axes[0].lines if line.get_linestyle() == "None"]
+    for line in points:
+        known = set(line.get_xdata()) == {2.8, 4.0}
+        if line.get_marker() == r"$\uparrow$":
+            assert set(line.get_xdata()) == {8.0}
+            assert set(line.get_ydata()) == {16.0}
+        elif line.get_marker() != "_":
+            assert known or set(line.get_xdata()) == {8.0}
+            assert (line.get_markerfacecolor() != "white") == known
+    assert sum(line.get_marker() == r"$\uparrow$" for line in points) == 3, "one for each light"
+    rows = rows_of(along)
+    assert {row["interval_high_um"] == "" for row in rows if row["lens"] == 8.0} == {True}
+    assert {row["inside"] for row in rows if row["lens"] == 8.0} == {"False"}
+    for panel in (0, 1):
+        assert hatched(two, panel) == {(1.5, light - 0.5) for light in range(3)}
+    assert [text.get_text() for text in two.figure.axes[0].texts][2::3] == ["≥16.0"] * 3
+    for plate, mark in ((along, "Hollow"), (two, "Hatched")):
+        assert f"{mark}: the least error is at an end of the sizes tried." in plate.caption
+
+
+def unknown_at(result: StudyResult, **at: float | str) -> StudyResult:
+    """A result whose film cannot tell apart 5 to 7 µm at some values."""
+    for part in result.parts:
+        if at.items() <= part.curves[0].at.items():
+            for curve in part.curves:
+                object.__setattr__(curve, "alike_um", (5.0, 7.0))  # a result takes it from its film
+    return result
+
+
+def test_sizes_that_the_film_cannot_tell_apart_are_not_known() -> None:
+    grid = Grid(unknown_at(result_of(lambda *_: 6.0, axis=[LENS])))
+    along = optimum_along(grid, grid.scales[0], "")
+    assert along.table["alike"] == ["True"] * 3
+    assert along.caption.startswith("The optimum does not change beyond its 95 % intervals: an unknown size at lens 2.8")
+    assert "Hollow: the film cannot tell sizes apart." in along.caption
+
+
+def test_an_unknown_size_does_not_hide_a_difference() -> None:
+    """The largest of three is not known; the other two differ."""
+    optima = {2.8: 4.0, 4.0: 6.0, 8.0: 9.0}
+    result = unknown_at(result_of(lambda at, *_: optima[at["lens"]], axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}]), lens=8.0)
+    two = axis_plates(result)[-1]
+    assert re.match(
+        r"The optimum is smallest, (4\.0\d|3\.9\d) µm, with lens 2.8, and largest, (6\.0\d|5\.9\d) µm, with lens 4;", two.caption
+    )
+    assert [text.get_text() for text in two.figure.axes[0].texts][2::3] == ["?", "?"]
+    assert hatched(two, 0) == {(1.5, -0.5), (1.5, 0.5)}
+
+
+# --- names --------------------------------------------------------------------------------------------------------------
+
+
+def test_names_of_columns_and_files_are_unique() -> None:
+    """Also of axes that are called as columns are, or as each other but for case, spaces and other scripts."""
+    axes = [
+        {"name": "optimum_um", "set": "pixel.prnu", "values": [0.01, 0.02]},
+        {"name": "Optimum_um", "set": "camera.f_number", "values": [4.0, 5.0]},
+        {"name": "$x$ <b>/..", "set": "pixel.bits", "values": [10, 12]},
+    ]
+    result = result_of(lambda *_: 6.0, axis=axes)
+    plates = axis_plates(result)
+    names = [plate.name for plate in plates]
+    assert len({name.casefold() for name in names}) == len(names) == 2 * 3 + 3
+    assert names == plate_names(result.study)
+    assert all(re.fullmatch(r"[\w.\-]+", name, re.ASCII) for name in names)
+    for plate in plates:
+        assert all(np.isfinite(row["optimum_um"]) and row["optimum_um"] > 5.9 for row in rows_of(plate)), "not the axis' value"
+        assert {row["optimum_um_2"] for row in rows_of(plate)} <= {0.01, 0.02}
+
+
+def test_no_plates_without_axes() -> None:
+    assert axis_plates(result_of(lambda *_: 6.0, condition=DAY_AND_NIGHT)) == []
+    assert alone_plate(result_of(lambda *_: 6.0, axis=[LENS | {"values": [4.0]}])) is None
+    assert axis_plates(replace(result_of(lambda *_: 6.0), parts=())) == []
+
+
+def test_plates_are_reproducible() -> None:
+    grid = Grid(result_of(lambda *_: 6.0, axis=[LENS]))
+    assert map_along(grid, grid.scales[0], "").drawn() == map_along(grid, grid.scales[0], "").drawn()
+
+
+def test_axis_over_rasters() -> None:
+    """One axis over the display's raster: the lens's limit is that of the camera, not of the display."""
+    raster = {"name": "raster", "set": "display.raster", "values": ["one_to_one", "fixed_size"]}
+    along, over = axis_plates(result_of(lambda at, *_: 6.0 if at["raster"] == "one_to_one" else 7.0, axis=[raster]))
+    assert re.match(r"The optimum is smallest with one_to_one \(.*\) and largest with fixed_size", along.caption)
+    assert len(set(over.table["cutoff_pitch_um"])) == 1
+
+
+# --- axes moved alone ---------------------------------------------------------------------------------------------------
+
+ALONE = [
+    {"name": "prnu", "set": "pixel.prnu", "values": [0.005, 0.03], "alone": True},
+    {"name": "read noise", "set": "pixel.read_noise_e", "values": [1.0, 5.0, 20.0], "alone": True},
+]
+
+
+def moved_um(at: dict[str, Any], condition: str, technology: str) -> float:
+    moved = {"prnu": {0.005: 0.99, 0.03: 1.05}, "read noise": {1.0: 0.9, 5.0: 1.1, 20.0: 1.4}}
+    night = 1.3 if condition == "night" else 1.0
+    return 5.0 * night * math.prod(moved[name].get(value, 1.0) for name, value in at.items() if name in moved)
+
+
+@pytest.fixture(scope="module")
+def tornado() -> Plate:
+    plate = alone_plate(result_of(moved_um, axis=[*ALONE, LENS | {"values": [4.0]}], condition=DAY_AND_NIGHT))
+    assert plate is not None
+    return plate
+
+
+def test_alone_plate_holds_moves_about_the_base(tornado: Plate) -> None:
+    rows = rows_of(tornado)
+    assert len(rows) == 2 * (1 + 2 + 3)
+    for row in rows:
+        assert row["optimum_um"] == pytest.approx(moved_um({row["axis"]: row["value"]}, row["condition"], ""), rel=FIT)
+    assert [row["axis"] for row in rows[:6]] == ["base", *["read noise"] * 3, *["prnu"] * 2], "the widest first"
+
+
+def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
+    for panel, condition in ((0, "day"), (2, "night")):
+        rows = [row for row in rows_of(tornado) if row["condition"] == condition]
+        base_um = rows[0]["optimum_um"]
+        for bar, name in zip(tornado.figure.axes[panel].patches, ("read noise", "prnu"), strict=False):
+            own = [base_um, *(row["optimum_um"] for row in rows if row["axis"] == name)]
+            assert (bar.get_x(), bar.get_x() + bar.get_width()) == pytest.approx((min(own), max(own)))
+        labels = [label.get_text() for label in tornado.figure.axes[panel].get_yticklabels()]
+        assert labels == ["read noise\n(electrons)", "prnu"]
+        assert {text.get_text() for text in tornado.figure.axes[panel].texts} == {"1", "20", "0.005", "0.03"}, (
+            "the ends of the bars"
+        )
+
+
+def test_alone_plate_names_the_strongest(tornado: Plate) -> None:
+    day, night = tornado.caption.split(". ")[:2]
+    for words, condition, larger in ((day, "day", 1.0), (night, "night", 1.3)):
+        found = re.fullmatch(
+            rf"{condition}: read noise moves the optimum most, from (\S+) µm of the base to (\S+) µm with 20 electrons", words
+        )
+        assert found, words
+        assert [float(number) for number in found.groups()] == pytest.approx([5.0 * larger, 7.0 * larger], rel=3e-3)
+    still = alone_plate(result_of(lambda *_: 6.0, axis=[ALONE[0]]))
+    assert still is not None
+    assert re.match(r"No axis moves the optimum, \S+ µm of the base, beyond the 95 % intervals\.", still.caption)
+
+
+def test_alone_axes_are_not_in_the_maps() -> None:
+    result = result_of(moved_um, axis=[*ALONE, LENS | {"values": [2.8, 8.0]}])
+    assert [plate.name for plate in axis_plates(result)] == ["optimum_by_lens", "delta_e_by_pitch_and_lens"]
+    assert plate_names(result.study)[-1] == "tornado"
+    assert axis_plates(result)[0].table["lens"] == [2.8, 8.0]
+
+
+def test_ticks_of_a_logarithmic_axis_do_not_overlap() -> None:
+    """Seven values in a panel of half the width: those of fewest digits have labels."""
+    scale = Scale.of(Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log"))
+    figure = new_figure(2.4, 2.0)
+    axes = figure.subplots()
+    scale.draw_on(axes, 28)
+    figure.draw_without_rendering()
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["1", "10", "100", "1000"]
+    boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+    assert all(one.x1 < other.x0 for one, other in pairwise(boxes))

@@ -10,7 +10,7 @@ import pytest
 from helpers.looks import grey_look
 from matplotlib.colors import same_color, to_rgb
 
-from pixsim.show.figures import COLOURS, LOOKS, new_figure
+from pixsim.show.figures import COLOURS, LOOKS, literal, new_figure
 
 TOGETHER = 4  # most lines that differ by colour and dashes only
 EYES = (None, "Protanomaly", "Deuteranomaly", "Tritanomaly")
@@ -57,3 +57,12 @@ def test_grey_look_ignores_colour(tmp_path: Path) -> None:
     one, other, dashed = axes.plot([0, 1], color=COLOURS[0]) + axes.plot([1, 0], color=COLOURS[1]) + axes.plot([1, 1], "--")
     assert not same_color(one.get_color(), other.get_color())
     assert grey_look(one) == grey_look(other) != grey_look(dashed)
+
+
+@pytest.mark.filterwarnings("error")
+def test_literal_text_is_drawn_without_warnings() -> None:
+    """Mathematics, control characters, and scripts that the font does not have."""
+    assert literal("x$y$ 光 µm\n") == "x\\$y\\$ \ufffd µm\ufffd"
+    figure = new_figure(2, 2)
+    figure.subplots().set_title(literal("光度 $x$ 明 ✓ Ω"))
+    figure.draw_without_rendering()
