@@ -896,7 +896,7 @@ AxisNumber = float | int | str
 class AxisValue(Record):
     """One value of an axis: its label, and the settings of the study that it changes."""
 
-    label: CaseName
+    label: CaseName = Field(description="name of the value, in columns and results")
     set: Settings = Field(description="settings, as set.camera.f_number = 2.8")
 
 

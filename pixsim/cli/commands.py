@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -236,6 +237,22 @@ def study(
             metavar="NAME=VALUES",
         ),
     ] = None,
+    uncertainty: Annotated[
+        int | None,
+        Parameter(
+            help="Draw this many sensor types from the ranges of the technologies and [pixel.uncertainty] of data sheets, and "
+            "report the distribution of the optimum, probabilities, and which numbers matter.",
+            metavar="N",
+        ),
+    ] = None,
+    sobol: Annotated[
+        int | None,
+        Parameter(help="In place of --uncertainty: total indices, which take N × (inputs + 2) sensor types.", metavar="N"),
+    ] = None,
+    smaller_than: Annotated[
+        list[float] | None,
+        Parameter(help="Report the probability that the optimum is smaller than this pixel size in µm. Repeatable.", metavar="UM"),
+    ] = None,
     yes: Annotated[bool, Parameter(help="Run a study with axes of more than 100 000 evaluations.", negative="")] = False,
     effort: common.Effort = common.NO_EFFORT,
     variant: common.Variant = None,
@@ -276,8 +293,10 @@ def study(
             from pixsim.report.axes import axes_files, axes_lines, write_axes_report
             from pixsim.report.outline import long_lines, outline_lines, study_outline
             from pixsim.report.study import report_files, write_report
+            from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
             from pixsim.studies.cases import check_number
             from pixsim.studies.conditions import compromises_of
+            from pixsim.studies.sensor_types import Asked, check_axes, draw_types, number_of_evaluations
 
             plan = sweep.checked_study(layers)
             folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
@@ -287,7 +306,21 @@ def study(
                 show(outline, json, "\n".join(outline_lines(outline, folder)))
                 return
             check_number(len(prepared.cases), prepared.evaluations, yes)
-            check_replaceable(folder, (axes_files if prepared.cases else report_files)(prepared.study))
+            names = (axes_files if prepared.cases else report_files)(prepared.study)
+            asked = None
+            if uncertainty is not None or sobol is not None:
+                if uncertainty is not None and sobol is not None:
+                    raise invalid("--uncertainty", "with --sobol", "one of the two")
+                check_axes(prepared.study)
+                spreads = sweep.uncertainty_of(study, options.config or [])
+                asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
+                types, evaluations = number_of_evaluations(prepared.parts[0][0].study, asked, len(prepared.parts))
+                common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
+                check_number(types, evaluations, yes)
+                names = names | uncertainty_files()
+            elif smaller_than:
+                raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
+            check_replaceable(folder, names)
             for line in long_lines(outline):
                 common.verbosity.note(line)
         elif dry_run:
@@ -305,15 +338,22 @@ def study(
                     report = write_sensitivity_report(outcome, folder, seconds)
                 summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
             else:
-                from pixsim.studies.engine import Workers, workers_here
+                from pixsim.studies.engine import Workers, workers_for, workers_here
                 from pixsim.studies.preparation import fitting_jobs
 
                 with said_what_is_kept(folder):
                     result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, **run_options)
+                    unknown: list[Any] = []
+                    if asked is not None:
+                        with workers_for(jobs, scheduler) as workers, output_folder(folder) as path:
+                            unknown = draw_types(result, asked, path, workers, lambda: stage("sensor types"))
+                    more = (
+                        partial(write_uncertainty, found=unknown, study=result.study, total=sobol is not None) if unknown else None
+                    )
                     stage("report")
                     first = result.parts[0] if result.parts else result
                     drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-                    report = (write_axes_report if result.parts else write_report)(result, folder, seconds, drawing)
+                    report = (write_axes_report if result.parts else write_report)(result, folder, seconds, drawing, more)
                 summary = result.as_dict()
                 warned = set(result.warned)  # they are on stderr
                 lines = [*map(optimum_line, result.curves), *study_view_line(result)]
@@ -323,6 +363,8 @@ def study(
                     summary |= {"counts": asdict(result.counts), "compromises": [each.as_dict() for each in found]}
                     lines = axes_lines(result, found)
                     common.verbosity.note(str(result.counts))
+                lines += uncertainty_lines(unknown)
+                summary |= {"uncertainty": [each.as_dict() for each in unknown]} if unknown else {}
                 lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 

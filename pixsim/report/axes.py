@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -143,8 +143,12 @@ def axes_files(study: Study) -> set[str]:
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", *files, *own}
 
 
-def write_axes_report(result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers) -> Path:
+def write_axes_report(
+    result: StudyResult, folder: Path, seconds: dict[str, float], workers: Workers, more: Callable[[Path], None] | None = None
+) -> Path:
     """Write the report of a study with axes or conditions, with a folder for each of its first cases.
+
+    more : writes further files to the new folder
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write.
@@ -193,6 +197,8 @@ def write_axes_report(result: StudyResult, folder: Path, seconds: dict[str, floa
                 "provenance": {"versions": versions(), "seconds": seconds},
             }
             write_page(unfinished / "report.html", "axes.html.j2", page)
+            if more:
+                more(unfinished)
     return folder / "report.html"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -189,7 +189,11 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
 
 @checks_arguments
 def write_report(
-    result: StudyResult, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None, workers: Workers | None = None
+    result: StudyResult,
+    folder: str | os.PathLike[str],
+    seconds: dict[str, float] | None = None,
+    workers: Workers | None = None,
+    more: Callable[[Path], None] | None = None,
 ) -> Path:
     """Write report.html, figures/ (*.svg, *.csv, contact sheets), summary.json and provenance.json.
 
@@ -200,6 +204,7 @@ def write_report(
     folder : created if missing
     seconds : stage -> wall time in s, for the report
     workers : processes that draw the figures; None means this process
+    more : writes further files to the new folder
 
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write.
@@ -211,6 +216,8 @@ def write_report(
             if result.settings_toml:
                 (unfinished / SETTINGS_FILE).write_text(result.settings_toml, encoding="utf-8")
             write_pages(result, unfinished, times_s, workers or Workers())
+            if more:
+                more(unfinished)
         return path / "report.html"
 
 

@@ -51,6 +51,7 @@ DELTA_E_STATISTICS = ("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delt
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
 COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS, *DELTA_E_STATISTICS)
 TEXTS = COLUMNS[:2]
+FEW_PARTS = 64
 FROM_CACHE = "frame from cache"  # in the rows of a worker only
 Row = dict[str, str]
 MAX_BYTES = 1 << 28  # a million rows
@@ -288,11 +289,15 @@ def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key:
 
 @dataclass(frozen=True)
 class Fingerprints:
-    """Hashes of everything that the evaluations of a study depend on."""
+    """Hashes of everything that the evaluations of a study depend on.
+
+    stored : whether its frames may go into the cache
+    """
 
     study: Study
     camera: Camera
     irradiance: SpectralImage
+    stored: bool = True
     _pixels: dict[tuple[str, float], str] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -350,6 +355,8 @@ class Fingerprints:
     @cached_property
     def frames_fit_in_cache(self) -> bool:
         """Whether all frames of the study fit in the cache without displacing most of it."""
+        if not self.stored:
+            return False
         study = self.study
         bits = max(study.options_of(technology).bits for technology in study.technologies)
         code_bytes = np.min_scalar_type(2**bits - 1).itemsize
@@ -396,10 +403,14 @@ def tasks_of(
 
 @dataclass(frozen=True)
 class Part:
-    """A case of a study and its light, which other cases may share."""
+    """A case of a study and its light, which other cases may share.
+
+    stored : whether its frames may go into the cache
+    """
 
     case: Case
     scenes: SceneCache
+    stored: bool = True
 
     @property
     def study(self) -> Study:
@@ -409,7 +420,7 @@ class Part:
     @cached_property
     def fingerprints(self) -> Fingerprints:
         """Keys of its frames and rows."""
-        return Fingerprints(self.study, self.scenes.camera, self.scenes.irradiance)
+        return Fingerprints(self.study, self.scenes.camera, self.scenes.irradiance, self.stored)
 
 
 @dataclass
@@ -455,7 +466,18 @@ class Evaluations:
     @contextmanager
     def resumed(self) -> Iterator[None]:
         """Read the file, whose folder the caller has locked."""
-        self._done = self._results.resume(lambda row: any(part.fingerprints.is_expected_row(row) for part in self.parts))
+        by_columns: dict[tuple[str, ...], list[Part]] = {}
+        for part in self.parts:
+            by_columns.setdefault(tuple(part.case.columns.values()), []).append(part)
+        names = tuple(self.parts[0].case.columns)
+
+        def is_expected(row: Row) -> bool:
+            """A row of another case may have the same numbers; it is looked for among few cases only."""
+            own = by_columns.get(tuple(row[name] for name in names), [])
+            others = self.parts if len(self.parts) <= FEW_PARTS else ()
+            return any(part.fingerprints.is_expected_row(row) for part in (*own, *others))
+
+        self._done = self._results.resume(is_expected)
         self.counts.evaluations_reused = len(self._done)
         try:
             yield

@@ -215,7 +215,7 @@ class StudyResult:
         """Return the result of one case of a study with axes or conditions, with its curves, pictures and files.
 
         condition : its name; None if the study has at most one
-        at : axis -> its value, or the label of it; an axis with one value need not be given
+        at : axis -> its value in the unit of its settings, or its label; axes that tell no cases apart need not be given
 
         Raises PixsimError if no case, or more than one, is named.
         """

@@ -11,11 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.base.config import SETTINGS_FILE, checked, packaged, read_toml, resolve_file, scene_table, settings_text, study_layers
+from pixsim.base.config import (
+    SETTINGS_FILE,
+    checked,
+    packaged,
+    read_toml,
+    resolve_file,
+    scene_table,
+    settings_text,
+    sheet_uncertainty,
+    study_layers,
+    without_uncertainty,
+)
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Camera, Layer, Study, content_hash, pixel_of
+from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.scene import packaged_scenes
@@ -61,7 +72,16 @@ def read_study(name: str | os.PathLike[str]) -> Layer:
     for part in (table, table.get("quick", {})):
         if isinstance(part, dict):
             _resolve_files(part, path)
+    if isinstance(pixel := table.get("pixel"), dict):
+        table["pixel"], _ = without_uncertainty(pixel, str(path))
     return Layer(table, str(path))
+
+
+def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = ()) -> dict[str, Spread]:
+    """Return [pixel.uncertainty] of a study's file and of sensor files, of which later ones take precedence."""
+    known = packaged("data/studies")
+    paths = [known.get(str(name)) or Path(name), *map(Path, config)]
+    return {number: spread for path in paths for number, spread in sheet_uncertainty(path).items()}
 
 
 def _resolve_files(table: dict[str, Any], path: Path) -> None:

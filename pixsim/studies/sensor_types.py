@@ -1,0 +1,156 @@
+"""A study of many sensor types: what is not known of the sensor's numbers, taken through to the optimum.
+
+Each type is a case of the study, with numbers of its own, evaluated at a few pitches around the optimum of the base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.errors import invalid
+from pixsim.base.parameters import Spread, Study, merge
+from pixsim.base.progress import Progress
+from pixsim.studies.cases import Case
+from pixsim.studies.claims import scaling_rows
+from pixsim.studies.engine import Workers
+from pixsim.studies.evaluations import Evaluations, Part, Sampling, study_pitches_um
+from pixsim.studies.indices import total_indices
+from pixsim.studies.result import Curve, StudyResult, curve_of
+from pixsim.studies.uncertainty import (
+    OUTPUTS,
+    Outcome,
+    Sample,
+    UncertaintyResult,
+    few_pitches_um,
+    sample_types,
+    settings_of,
+    sobol_points,
+    summarise,
+    unknowns_of_study,
+)
+from pixsim.viewer.score import SceneCache
+
+MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
+MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
+TYPES_FILE = "types.csv"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked about the unknown numbers.
+
+    draws : sensor types; rounded up to a power of two
+    total : whether the draws are those of total indices, draws × (inputs + 2)
+    smaller_than_um : pixel sizes; the probability that the optimum is smaller is reported
+    uncertainty : of the study's own [pixel]
+    """
+
+    draws: int
+    total: bool = False
+    smaller_than_um: tuple[float, ...] = ()
+    uncertainty: Mapping[str, Spread] = field(default_factory=dict)
+
+    def sample(self, study: Study) -> Sample:
+        """Return the sensor types. Raises PixsimError if nothing is unknown."""
+        make = sobol_points if self.total else sample_types
+        return make(unknowns_of_study(study, self.uncertainty), self.draws, study.seed)
+
+
+def check_axes(study: Study) -> None:
+    """Raise PixsimError for axes with which sensor types cannot be drawn."""
+    if any(axis.alone for axis in study.axis) or len(study.axis) > 1 or any(len(axis.points) > MOST_VALUES for axis in study.axis):
+        got = ", ".join(f"{axis.name} with {len(axis.points)} values" for axis in study.axis)
+        raise invalid("--uncertainty", f"a study with the axes {got}", f"at most one axis of at most {MOST_VALUES} values")
+
+
+def number_of_evaluations(study: Study, asked: Asked, cases: int) -> tuple[int, int]:
+    """Return the number of sensor types, and that of their evaluations at most."""
+    types = len(asked.sample(study).quantiles)
+    return types, types * MOST_EVALUATIONS * len(study.technologies) * cases
+
+
+def draw_types(
+    result: StudyResult, asked: Asked, folder: Path, workers: Workers, progress: Callable[[], Progress | None]
+) -> list[UncertaintyResult]:
+    """Evaluate the sensor types of a finished study, and return what is known of each of its optima.
+
+    result : of the study, whose optima are the base
+    folder : of the study, in which types.csv keeps the rows, so that an interrupted run goes on
+
+    Raises PixsimError if nothing is unknown, or if a type has no pixel sizes in common with the base.
+    """
+    study = result.study
+    sample = asked.sample(study)
+    unknowns = [unknown for members in sample.inputs.values() for unknown in members]
+    bases = result.parts or (result,)
+    parts: list[Part] = []
+    samplings: list[Sampling] = []
+    for number, base in enumerate(bases):
+        own = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
+        scenes = SceneCache(base.irradiance, base.camera, base.study.display)
+        table = merge(own, {"paper": False, "resolution": base.study.resolution})
+        studies = [Study.model_validate(merge(table, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
+        ranges = [_common_range_um(studies, curve) for curve in base.curves]
+        few = {
+            curve.technology: few_pitches_um(
+                float(np.clip(curve.optimum.pitch_um, *range_um)), curve.optimum.interval_um, range_um, MOST_EVALUATIONS
+            )
+            for curve, range_um in zip(base.curves, ranges, strict=True)
+        }
+        for draw, one in enumerate(studies):
+            parts.append(Part(Case(one, {"case": number, "draw": draw}), scenes, stored=False))
+            samplings.append(few)
+    evaluations = Evaluations(parts, folder / TYPES_FILE, workers)
+    with evaluations.resumed():
+        rows = evaluations.rows(samplings, progress())
+        evaluations.finish(rows)
+    found = []
+    count = len(sample.draws)
+    for number, base in enumerate(bases):
+        own_rows = rows[number * count : (number + 1) * count]
+        own_parts = parts[number * count : (number + 1) * count]
+        curves = [
+            [curve_of(part.study, curve.technology, each) for curve in base.curves]
+            for part, each in zip(own_parts, own_rows, strict=True)
+        ]
+        for place, curve in enumerate(base.curves):
+            outcomes = [_outcome(of_type, place, base, asked) for of_type in curves]
+            found.append(summarise(sample, outcomes, asked.draws, study.seed, curve.label if len(result.curves) > 1 else ""))
+    return found
+
+
+def _common_range_um(studies: Sequence[Study], curve: Curve) -> tuple[float, float]:
+    """Return the smallest and the largest pitch that every sensor type allows."""
+    ends = [study_pitches_um(study, curve.technology)[[0, -1]] for study in studies]
+    return float(max(low for low, _ in ends)), float(min(high for _, high in ends))
+
+
+def _outcome(curves: Sequence[Curve], place: int, base: StudyResult, asked: Asked) -> Outcome:
+    """Return what is found for one sensor type and one of its technologies."""
+    curve = curves[place]
+    best = curve.optimum
+    verdicts = {f"the optimum is smaller than {size:g} µm": best.inside and best.pitch_um < size for size in asked.smaller_than_um}
+    labels = [each.label.removesuffix(f", {each.words}") if each.words else each.label for each in base.curves]
+    for other, name in enumerate(labels):
+        if other != place:
+            verdicts[f"{labels[place]} is better than {name}"] = best.mean_delta_e < curves[other].optimum.mean_delta_e
+    if base.study.paper or (len(curves) > 1 and not any(each.data_sheet for each in curves)):
+        verdicts |= {row.statement: row.agrees for row in scaling_rows(curves)}
+    tried = float(curve.pitch_um[0]), float(curve.pitch_um[-1])
+    pitch_um = float(np.clip(best.pitch_um, *tried))
+    return Outcome(pitch_um, best.interval_um, best.mean_delta_e, best.inside, tried, verdicts)
+
+
+def total_indices_of(result: UncertaintyResult) -> dict[str, Any]:
+    """Return first-order and total indices of the optimum and of the least ΔE, from the points of `Asked.total`."""
+    names = list(result.sample.inputs)
+    found = {}
+    for output in OUTPUTS:
+        first, total = total_indices(result.values(output), names, result.seed)
+        found[output] = {name: {"first": vars(first[name]), "total": vars(total[name])} for name in names}
+    return found
