@@ -120,8 +120,16 @@ def draw_types(
         ]
         for place, curve in enumerate(base.curves):
             outcomes = [_outcome(of_type, place, base, asked) for of_type in curves]
-            found.append(summarise(sample, outcomes, asked.draws, study.seed, curve.label if len(result.curves) > 1 else ""))
+            inputs = sample if asked.total else sample_of(sample, curve.technology)
+            found.append(summarise(inputs, outcomes, asked.draws, study.seed, curve.label if len(result.curves) > 1 else ""))
     return found
+
+
+def sample_of(sample: Sample, technology: str) -> Sample:
+    """Return the sensor types with the inputs of one technology only: the others do not move its optimum."""
+    kept = [any(unknown.technology in ("", technology) for unknown in members) for members in sample.inputs.values()]
+    inputs = {name: members for (name, members), keep in zip(sample.inputs.items(), kept, strict=True) if keep}
+    return Sample(inputs, sample.quantiles[:, kept])
 
 
 def _common_range_um(studies: Sequence[Study], curve: Curve) -> tuple[float, float]:

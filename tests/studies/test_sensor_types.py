@@ -1,0 +1,142 @@
+"""Sensor types of a study: each has the rows of a study of its own numbers, and what they say of the optimum is reported."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.tiny import TINY, toml_of
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Study, merge
+from pixsim.studies.engine import Workers
+from pixsim.studies.sensor_types import MOST_EVALUATIONS, TYPES_FILE, Asked, check_axes, draw_types, sample_of
+from pixsim.studies.uncertainty import settings_of
+
+SMALL = {name: value for name, value in TINY.items() if name not in ("scene", "pitch", "resolution")}
+SMALL |= {
+    "scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}},
+    "resolution": 192,
+    "technologies": ["0.35um", "0.25um"],
+}
+SMALL |= {"pitch": {"min_fill_factor": 0.05, "count": 6, "max_um": 15.0}, "camera": {"die_mm": 0.5}, "display": {"dots": 32}}
+DRAWS = 8
+
+
+def small(**over: Any) -> Study:
+    return Study.model_validate(merge(SMALL, over))
+
+
+def written(**over: Any) -> str:
+    return "".join(f"{name} = {toml_of(value)}\n" for name, value in merge(SMALL, over).items())
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, list[Any], Path]:
+    folder = tmp_path_factory.mktemp("types")
+    result = pixsim.study(small(), folder, jobs=1)
+    return result, draw_types(result, Asked(DRAWS, smaller_than_um=(1.0, 20.0)), folder, Workers(), lambda: None), folder
+
+
+def test_draw_types_rows_are_those_of_a_study_with_its_numbers(done: tuple[Any, list[Any], Path], tmp_path: Path) -> None:
+    """A draw's mean ΔE at a pitch is that of a study in which the technologies have its numbers, with the same random streams."""
+    result, found, folder = done
+    sample = Asked(DRAWS).sample(result.study)
+    unknowns = [unknown for members in sample.inputs.values() for unknown in members]
+    with (folder / TYPES_FILE).open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if (row["draw"], row["technology"]) == ("3", "0.25um")]
+    pitches = sorted({float(row["pitch_um"]) for row in rows})
+    assert len(rows) <= MOST_EVALUATIONS
+    own = {"pitch": {"values_um": [*pitches, 15.0]}, "technologies": ["0.25um"], "resolution": result.study.resolution}
+    settings = settings_of(result.study, unknowns, sample.draws[3])
+    table = merge(merge(SMALL, settings), own) | {"process": {"0.25um": settings["process"]["0.25um"]}}
+    curve = pixsim.study(Study.model_validate(table), tmp_path, jobs=1).curves[0]
+    expected = dict(zip(curve.pitch_um.tolist(), curve.delta_e.tolist(), strict=True))
+    for row in rows:
+        assert float(row["mean_delta_e"]) == pytest.approx(expected[float(row["pitch_um"])][int(row["repeat"])], rel=1e-9)
+    assert [each.label for each in found] == ["0.35um", "0.25um"]
+
+
+def test_draw_types_verdicts_are_complementary(done: tuple[Any, list[Any], Path]) -> None:
+    _, (first, second), _ = done
+    assert len(first.outcomes) == len(second.outcomes) == DRAWS
+    better = first.verdicts["0.35um is better than 0.25um"].probability, second.verdicts["0.25um is better than 0.35um"].probability
+    assert sum(better) == 1.0
+    assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
+    inside = np.mean([outcome.inside for outcome in first.outcomes])
+    assert first.verdicts["the optimum is smaller than 20 µm"].probability == inside
+    assert "The optimum shrinks with technology" in first.verdicts
+
+
+def test_draw_types_again_computes_nothing(done: tuple[Any, list[Any], Path], evaluations: list[Any]) -> None:
+    result, found, folder = done
+    before = (folder / TYPES_FILE).read_bytes()
+    again = draw_types(result, Asked(DRAWS, smaller_than_um=(1.0, 20.0)), folder, Workers(), lambda: None)
+    assert evaluations == []
+    assert (folder / TYPES_FILE).read_bytes() == before
+    assert [each.as_dict() for each in again] == [each.as_dict() for each in found]
+
+
+def test_sample_of_has_the_inputs_of_a_technology(done: tuple[Any, list[Any], Path]) -> None:
+    sample = Asked(DRAWS).sample(done[0].study)
+    own = sample_of(sample, "0.25um")
+    assert {name for name in sample.inputs if not name.startswith("0.35um ")} == set(own.inputs)
+    assert {"dsnu", "dark_current_na_per_cm2"} <= set(own.inputs), "both technologies share these draws"
+    assert own.quantiles.shape == (DRAWS, len(own.inputs))
+
+
+def test_check_axes_more_than_one_small_axis_raises() -> None:
+    axis = {"name": "lens", "set": "camera.f_number", "values": [2, 3, 4, 5, 6]}
+    check_axes(small(axis=[axis]))
+    for axes in (
+        [axis | {"values": [2, 3, 4, 5, 6, 7]}],
+        [axis, {"name": "b", "set": "pixel.prnu", "values": [0]}],
+        [axis | {"alone": True}],
+    ):
+        with pytest.raises(PixsimError, match=r"--uncertainty.*at most one axis of at most 5 values"):
+            check_axes(small(axis=axes))
+
+
+SHEET = {"pitch_um": 5.0, "full_well_e": 1e4, "read_noise_e": 20.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
+
+
+def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
+    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
+    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
+    code, out, err = command("study s.toml --config sheet.toml --uncertainty 8 --smaller-than 6 --jobs 1 --out out --json")
+    assert code == 0, err
+    assert "8 sensor types, at most 192 evaluations" in err
+    (own,) = json.loads(out)["uncertainty"]
+    assert list(own["inputs"]) == ["read_noise_e"]
+    assert own["verdicts"]["the optimum is smaller than 6 µm"]["draws"] == 8
+    assert json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"][0]["draws"] == 8
+    assert "The study itself" in Path("out/uncertainty.html").read_text(encoding="utf-8")
+    assert Path("out/sensor_types_1.csv").read_text(encoding="utf-8").startswith("draw,read_noise_e,optimum_um,")
+
+
+@pytest.mark.parametrize(
+    ("line", "texts"),
+    [
+        ("--uncertainty 8 --sobol 8", ["--uncertainty", "one of the two"]),
+        ("--smaller-than 6", ["--smaller-than", "--uncertainty N"]),
+        ("--uncertainty 0", ["at least"]),
+        ("--uncertainty 8", ["unknowns", "[pixel.uncertainty]"]),
+        ("--uncertainty 8 --axis camera.f_number=2,3,4,5,6,8", ["--uncertainty", "at most 5 values"]),
+    ],
+)
+def test_study_command_uncertainty_invalid_is_refused(
+    line: str, texts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
+    Path("sheet.toml").write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
+    assert_refused(*command(f"study s.toml --config sheet.toml --jobs 1 --out out {line}"), texts)
+    assert not Path("out").exists()
