@@ -121,6 +121,12 @@ class Unknown:
         return self.cut[1] - self.cut[0]
 
     @property
+    def value_quantile(self) -> float:
+        """Quantile of the stated value in the distribution within its bounds."""
+        low, _ = self.cut
+        return (self._share_below(self.value, 0.0) - low) / self.kept
+
+    @property
     def bounds_words(self) -> str:
         """The bounds, for readers."""
         low, high = ("no limit" if end is None else f"{end:g}" for end in self.allowed)
@@ -514,6 +520,11 @@ class UncertaintyResult:
             for unknown in unknowns
             if 1 - unknown.kept > WORTH_STATING
         ]
+        if lopsided := [f"{each.name} ({each.value_quantile:.0%})" for each in unknowns if abs(each.value_quantile - 0.5) > 0.25]:
+            lines.append(
+                f"Stated values outside the middle half of their distribution, with quantiles: {', '.join(lopsided)}. So the "
+                "base's optimum need not be near the median"
+            )
         if optimum.own_sd and optimum.scatter_sd:
             lines.append(
                 f"The optima have a standard deviation of {optimum.scatter_sd:.3g} µm. Less their own intervals' "

@@ -161,6 +161,16 @@ def test_unknown_at_matches_scipy(spread: Spread, reference: Any) -> None:
     assert cut.kept == pytest.approx(high - low, rel=1e-9)
 
 
+def test_value_quantile_is_inverse_of_at() -> None:
+    """And a value far from the middle of its range is stated, since the base's optimum is then not the median."""
+    for spread in (Spread(sd=0.5), Spread(range=(1.9, 4.0)), Spread(range=(1.9, 4.0), distribution="lognormal")):
+        unknown = Unknown("dsnu", 2.0, spread, allowed=(1.0, 3.9))
+        assert unknown.at(np.array([unknown.value_quantile])) == pytest.approx([2.0], rel=1e-12)
+    lines = propagate([replace(unknown, spread=Spread(range=(1.9, 4.0)))], sensor(lambda draw: draw["dsnu"]), 8).statements
+    assert any("dsnu (5%)" in line for line in lines)
+    assert not any("quantiles:" in line for line in propagate(NORMAL, sensor(linear), 8).statements)
+
+
 def test_unknown_lognormal_sd_is_about_its_value() -> None:
     share = (np.arange(1 << 16) + 0.5) / (1 << 16)
     values = Unknown("x_e", 2.0, Spread(sd=0.8, distribution="lognormal")).at(share)
