@@ -39,15 +39,24 @@ from pixsim.studies.result import NO_VISIBLE_DELTA_E
 
 JSON_FILE, PAGE = "compare.json", "report.html"
 SURE = 0.999  # probabilities beyond it are not shown in more digits
+MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
 
 
 # --- sentences ------------------------------------------------------------------------------------------------------------------
 
 
-def shown_difference(difference: float, half: float) -> str:
-    """Return a difference of ΔE and half of its 95 % interval as text, with two digits of the latter, but at most five decimals."""
-    decimals = 5 if half <= 0 else min(max(1 - math.floor(math.log10(half)), 2), 5)
-    return f"{difference:.{decimals}f} ± {half:.{decimals}f}"
+def shown_delta_e(value: float, half: float, film: float | None) -> str:
+    """Return a ΔE and its uncertainty as text: half of the 95 % interval and the film's error, to two digits, one above 0.01.
+
+    film : the film's error; None is stated as unknown
+
+    >>> shown_delta_e(0.12345, 0.0021, 0.0), shown_delta_e(0.12345, 0.001, 0.02)
+    ('0.1235 ± 0.0021 ΔE', '0.12 ± 0.02 ΔE')
+    """
+    error = half + (film or 0.0)
+    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
+    unknown = " and the film's error, which is unknown" if film is None else ""
+    return f"{value:.{decimals}f} ± {error:.{decimals}f} ΔE{unknown}"
 
 
 def shown_probability(probability: float) -> str:
@@ -66,21 +75,23 @@ def shown_probability(probability: float) -> str:
 def verdict(result: Comparison, other: str) -> str:
     """Return the answer for the first sensor and another: which is better, by how much, and how sure that is.
 
-    Neither is called better if the interval of the difference holds 0, or if the film's error may be larger than the difference.
+    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together.
     """
     first, difference = result.names[0], result.difference[other]
     low, high = result.interval_delta_e[other]
     better, worse = (first, other) if difference >= 0 else (other, first)
     probability = result.probability_a_better[other]
     of_better = shown_probability(probability if difference >= 0 else 1 - probability)
-    size, film = shown_difference(abs(difference), (high - low) / 2), result.film_delta_e[other]
-    error = "of unknown size" if film is None else f"at most {film:.2g} ΔE"
-    if low <= 0 <= high:
-        return f"{first} and {other} cannot be told apart: {better} is better by {size} ΔE (probability {of_better})"
-    if film is not None and abs(difference) <= film:
-        return f"{first} and {other} cannot be told apart: {better} is better by {size} ΔE, less than the film's error, {error}"
+    half, film = (high - low) / 2, result.film_delta_e[other]
+    size = shown_delta_e(abs(difference), half, film)
+    if difference == 0:
+        return f"{first} and {other} have the same mean ΔE in every pair of frames"
+    if abs(difference) <= half:
+        return f"{first} and {other} cannot be told apart: {better} is better by {size} (probability {of_better})"
+    if abs(difference) <= half + (film or 0.0):
+        return f"{first} and {other} cannot be told apart: {better} is better by {size}, within the error of the film"
     visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
-    return f"{better} is better than {worse} by {size} ΔE (probability {of_better}; the film's error is {error}){visible}"
+    return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
 
 
 def sensor_words(prepared: Prepared, number: int) -> str:
@@ -128,6 +139,7 @@ def conditions_line(prepared: Prepared) -> str:
         f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree; {columns} × {rows} are scored"
     )
     words += ["the same light", exposure_words(prepared), f"{prepared.repeats} pairs of frames with the same seeds"]
+    words.append("± is the 95 % interval and the film's error")
     return "; ".join(words)
 
 
@@ -141,7 +153,7 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
     for number, compared in enumerate(result.sensors):
         low, mean, high = result.scores[compared.name]
         time_ms = 1e3 * compared.score.frame.integration_s
-        delta_e = f"mean ΔE {shown_difference(mean, (high - low) / 2)}"
+        delta_e = f"mean {shown_delta_e(mean, (high - low) / 2, compared.film_delta_e)}"
         lines.append(f"  {compared.name:{width}}  {delta_e}  {sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms")
     lines.append(conditions_line(result.prepared))
     lines += [f"{compared.name}: {film_words(compared.film.as_dict())}" for compared in result.sensors if not compared.film.met]
@@ -317,7 +329,7 @@ def _row(result: Comparison, number: int) -> dict[str, Any]:
     rows, columns = compared.sensor.pixels
     return {
         "name": compared.name,
-        "delta_e": shown_difference(mean, (high - low) / 2),
+        "delta_e": shown_delta_e(mean, (high - low) / 2, compared.film_delta_e),
         "p99": f"{statistics['p99_delta_e']:.3g}",
         "pixels": f"{columns} × {rows}",
         "pitch_um": f"{compared.sensor.pixel.pitch_um:g}",

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -32,8 +32,9 @@ from pixsim.scene.plan import Plan, make_plan
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.pixel import derive, warn_of_disagreements
 from pixsim.sensor.technology import file_label, labels_of
+from pixsim.studies.budget import without_warnings
 from pixsim.studies.engine import results_of, workers_here
-from pixsim.studies.oversampling import FilmError, Rendered, render_and_measure
+from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
 from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
 from pixsim.viewer.display import dot_edges_um, white_header
 from pixsim.viewer.score import (
@@ -321,8 +322,6 @@ def prepare(
 
     sources = [str(file) for file in files]
     check_files(sources)
-    if match not in get_args(Match):
-        raise invalid("match", f"'{match}'", ", ".join(get_args(Match)), did_you_mean(match, get_args(Match)))
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
     runs = read_sensors(sources, config, options or {})
@@ -393,6 +392,7 @@ class Compared:
     score : of its first frame
     delta_e : (repeats,) mean ΔE of each frame
     dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
+    steps : on this film and on coarser ones, for the film's error of a difference
     """
 
     sensor: Contestant
@@ -402,6 +402,7 @@ class Compared:
     score: Score = field(repr=False)
     delta_e: Array = field(repr=False)
     dark: dict[str, float] = field(repr=False)
+    steps: FilmSteps = field(repr=False)
 
     @property
     def name(self) -> str:
@@ -460,10 +461,13 @@ class Comparison:
 
     @property
     def film_delta_e(self) -> dict[str, float | None]:
-        """Largest error of each difference that the film may cause, a's and b's together; None if it is unknown."""
+        """Largest error of each difference that the film may cause; None if it is unknown.
+
+        Both sensors see the same film, so that it is less than the errors of both together.
+        """
         first, *others = self.sensors
-        pairs = {other.name: (first.film_delta_e, other.film_delta_e) for other in others}
-        return {name: None if a is None or b is None else a + b for name, (a, b) in pairs.items()}
+        errors = {other.name: first.steps.error_of_difference(other.steps) for other in others}
+        return {name: None if math.isnan(error) else error for name, error in errors.items()}
 
     def as_dict(self) -> dict[str, Any]:
         """Return compare.json."""
@@ -566,19 +570,22 @@ def compare(
 
 def run_prepared(prepared: Prepared, *, jobs: int | None = None, progress: Stage | None = None) -> Comparison:
     """Run a prepared comparison; the arguments are those of `compare`."""
+    if jobs is not None and jobs < 1:
+        raise invalid("--jobs", jobs, "1 or more processes")
     stage = progress or (lambda _: lambda *_: None)
     with collected_notes() as notes:
         made, chains = render_all(prepared, stage)
         frames = stage("sense and score")
         scores = [chain.simulate(*stream_key(prepared, 0)) for chain in chains]
         delta_e = simulate_all(prepared, chains, scores, jobs, frames)
+        steps = [steps_of(prepared, sensor, light) for sensor, light in zip(prepared.sensors, made, strict=True)]
     compared, clips = [], []
-    for sensor, light, chain, score, values in zip(prepared.sensors, made, chains, scores, delta_e, strict=True):
+    for sensor, light, chain, score, values, step in zip(prepared.sensors, made, chains, scores, delta_e, steps, strict=True):
         time_s = score.frame.integration_s
         dark = dark_clip(score.physics, time_s, chain.white_e_per_s * time_s)
         clips += [f"{sensor.name}: {clip_words(dark, sensor.pixel.model_dump())}"] if clips_dark(dark) else []
         clips += [f"{sensor.name}: {sensor.pixel.assumption}"] if sensor.pixel.assumption else []
-        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark))
+        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, step))
     return Comparison(prepared, tuple(compared), (*notes, *clips))
 
 
@@ -632,6 +639,13 @@ def chain_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Im
         light = prepare_scene(image, sensor.camera, physics, prepared.settings.display, border_um=border_um)
         warn_of_clipping(light.beyond_white)
         return chain_at_pitch(light, physics, sensor.exposure)
+
+
+def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSteps:
+    """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
+    with without_warnings():  # the result itself warns
+        seen = light.image, sensor.camera, derive(sensor.pixel), sensor.exposure, prepared.settings.display
+        return film_steps(*seen, light.plan.chart, largest_um=prepared.border_um(sensor.camera))
 
 
 @dataclass(frozen=True)
