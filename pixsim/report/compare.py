@@ -18,7 +18,6 @@ from pixsim.base.machine import processors
 from pixsim.base.parameters import NO_TECHNOLOGY, CameraOptions, Record
 from pixsim.report.pictures import crops, picture_axes
 from pixsim.report.settings import LightLevel, record_rows, scene_rows
-from pixsim.report.wording import film_words
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.technology import label_of
 from pixsim.show.pages import write_page
@@ -156,7 +155,6 @@ def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> 
         delta_e = f"mean {shown_delta_e(mean, (high - low) / 2, compared.film_delta_e)}"
         lines.append(f"  {compared.name:{width}}  {delta_e}  {sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms")
     lines.append(conditions_line(result.prepared))
-    lines += [f"{compared.name}: {film_words(compared.film.as_dict())}" for compared in result.sensors if not compared.film.met]
     return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
 
 

@@ -242,7 +242,7 @@ def sensor_layer(file: str) -> Layer:
     if file not in known:
         path = Path(file)
         if path.suffix != ".toml":
-            got = f"'{file}'" if path.parent == Path() else missing(path)
+            got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
             raise invalid("sensor", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(file, known))
         layer = settings_layer(path)
         if "pixel" in layer.table:
@@ -420,7 +420,8 @@ class Compared:
 class Comparison:
     """Sensors in one scene. The first one is a, each later one is b.
 
-    sensors : in the order of their files
+    prepared : what was compared: scene, cameras, display and seeds
+    sensors : of each file, in their order
     notes : warnings, and black levels that clip dark noise
     """
 

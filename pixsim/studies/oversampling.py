@@ -36,6 +36,8 @@ TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 MIN_PIXELS, MIN_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
 STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of the picture
 WORTH_WIDENING = 1.2
+# Of 96 comparisons on coarse films of four charts, 90 % are within 0.35 of both errors together, and 95 % within 0.77.
+NOT_COMMON = 0.5
 
 
 @dataclass(frozen=True)
@@ -173,13 +175,17 @@ class FilmSteps:
     def error_of_difference(self, other: FilmSteps) -> float:
         """Return the error of the difference to another sensor's mean ΔE, with the same parts of the same film; NaN if unknown.
 
-        Most of a film's error is common to both. Detail that a coarse film misses may change either one alone.
+        Most of a film's error is common to both. But the changes of both may be alike by chance, or one of them may miss detail
+        alone: at least `NOT_COMMON` of the errors of both together is left. Equal sensors have no error.
         """
         if self.delta_e.shape != other.delta_e.shape or not self.delta_e.size:
             return math.nan
+        if np.array_equal(self.delta_e, other.delta_e):
+            return 0.0
         coarser = min((self.sampling, other.sampling), key=lambda sampling: (sampling.per_dot, sampling.per_detail))
-        missed = max(float(steps.delta_e[0].mean()) for steps in (self, other))
-        return film_error(*_step_sizes(other.delta_e - self.delta_e), missed, coarser)
+        (mean, error), (other_mean, other_error) = self.error(), other.error()
+        of_difference = film_error(*_step_sizes(other.delta_e - self.delta_e), max(mean, other_mean), coarser)
+        return max(of_difference, NOT_COMMON * (error + other_error))
 
 
 def _step_sizes(delta_e: Array) -> tuple[float, float]:
