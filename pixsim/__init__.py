@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pixsim.sensor.raw import read_frame as read_frame, write_frame as write_frame
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
+    from pixsim.studies.compare import compare as compare
     from pixsim.studies.study import study as study
     from pixsim.viewer import display as display, scielab as scielab
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
@@ -54,6 +55,7 @@ _NAMES_OF = {
     "viewer.scielab": "delta_e_map",
     "viewer.score": "evaluate",
     "studies.study": "study",
+    "studies.compare": "compare",
     "report.study": "write_report",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

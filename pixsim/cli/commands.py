@@ -394,6 +394,72 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
 
 
 @app.command
+def compare(
+    *sensors: Annotated[
+        str,
+        Parameter(
+            help="Two or more sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of "
+            "packaged ones. The first is the reference.",
+            completer=common.complete_technology,
+            metavar="SENSOR",
+        ),
+    ],
+    scene: Annotated[str, Parameter(help=SCENE_HELP, metavar="NAME|FILE", completer=common.complete_scene)] = "csf",
+    match: Annotated[
+        Literal["view", "lens", "own"],
+        Parameter(
+            help="Cameras: the field of view, f-number and object distance of the first file's; its focal length; or each file's "
+            "own. The central field that all have in common is compared."
+        ),
+    ] = "view",
+    repeats: Annotated[int, Parameter(help="Pairs of frames, with the same seeds.")] = 8,
+    options: SceneOptions = common.NO_OPTIONS,
+    display: common.DisplayTable = None,
+    seed: common.Seed = None,
+    tolerance_e: common.Tolerance = None,
+    render_noise: Annotated[str | None, common.field_option(Run, "render_noise")] = None,
+    resolution: Annotated[str | None, common.field_option(Run, "resolution")] = None,
+    window_mm: Annotated[str | None, common.field_option(Run, "window_mm"), Parameter(name="--window")] = None,
+    sensor: common.SensorId = None,
+    variant: common.Variant = None,
+    jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
+    dry_run: common.DryRun = False,
+    out: Out = None,
+    json: Json = False,
+) -> None:
+    """Compare sensors in one scene: mean ΔE of each, the differences from the first, and how sure they are.
+
+    Example: pixsim compare a.toml b.toml
+
+    Example: pixsim compare 0.35um 4t-bsi --pixel.pitch-um 5 -D luminance_cd_per_m2=10
+
+    Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes compare.json, pictures,
+    settings.toml, the settings of each sensor, and report.html.
+    """
+    from pixsim.report.compare import check_output, comparison_lines, outline, outline_lines, write_comparison
+    from pixsim.studies.compare import prepare, run_prepared
+
+    shared = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
+    tables = options.tables(**shared, resolution=resolution, window_mm=window_mm)
+    given_options: dict[str, Any] = {"config": options.config or [], "options": tables, "sensor": sensor, "variant": variant}
+    with collected_notes() as notes:
+        prepared = prepare(sensors, scene, match=match, repeats=repeats, **given_options)
+        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared.sensors)
+        if dry_run:
+            shown = outline(prepared)
+            show(shown, json, "\n".join(outline_lines(prepared, shown, folder)))
+            return
+        check_output(prepared, folder)
+        seconds: dict[str, float] = {}
+        with stages(seconds) as stage:
+            result = run_prepared(prepared, jobs=jobs, progress=stage)
+            stage("report")
+            report = write_comparison(result, folder, seconds)
+    left = [note for note in result.notes if note not in notes]  # the others are on stderr
+    show(result.as_dict(), json, "\n".join([*comparison_lines(result, left), f"report: {report}"]))
+
+
+@app.command
 def accuracy(
     scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
     *,

@@ -231,7 +231,7 @@ else:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class SceneOptions:
-    """Options of run, plan, study and accuracy: settings files, and options that override them."""
+    """Options of run, plan, study, compare and accuracy: settings files, and options that override them."""
 
     config: Config = None
     define: Define = None
@@ -242,12 +242,19 @@ class SceneOptions:
 
     def settings(self, **others: Any) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
-        values = {**vars(self), **others}
-        files = [settings_layer(path) for path in values.pop("config") or []]
-        options = given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
+        files = [settings_layer(path) for path in self.config or []]
         warn_of_mixed_sensors(files)
-        settings: Run = checked(Run, [*files, Layer(options)])
+        settings: Run = checked(Run, [*files, Layer(self.tables(**others))])
         return settings
+
+    def tables(self, **others: Any) -> dict[str, Any]:
+        """The options without the files, as tables of `Run`.
+
+        others : further tables and fields
+        """
+        values = {**vars(self), **others}
+        del values["config"]
+        return given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
 
     def study_tables(self, scene: str | None, **others: Any) -> dict[str, Any]:
         """The options as tables of a study, in place of those of its file.

@@ -2,6 +2,7 @@
 
 `study` runs a study: `evaluations` on the workers of `engine`; `optimum` fits the curve, `allocation` chooses further evaluations.
 `budget` estimates errors, `claims` checks the paper's statements, `sensitivity` varies one assumption at a time.
-`uncertainty` draws all unknown numbers together, and `indices` says which of them matter.
+`uncertainty` draws all unknown numbers together, and `indices` says which of them matter. `compare` compares sensors, as they
+are, in one field of view.
 May import: base, light, optics, sensor, scene, show, viewer.
 """

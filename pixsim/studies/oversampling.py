@@ -36,6 +36,8 @@ TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 MIN_PIXELS, MIN_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
 STANDARD_ERRORS = 2.0  # by which the mean over parts may differ from that of the picture
 WORTH_WIDENING = 1.2
+# Of 96 comparisons on coarse films of four charts, 90 % are within 0.35 of both errors together, and 95 % within 0.77.
+NOT_COMMON = 0.5
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ def measure_film(
     def measure() -> FilmError:
         with without_warnings():  # the run itself warns of the white
             shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
-        measured = [_error_of_pixel(shown, camera, physics, exposure, display, chart) for physics in pixels]
+        measured = [film_steps(shown, camera, physics, exposure, display, chart).error() for physics in pixels]
         if tolerance_delta_e is None:
             tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
         else:
@@ -153,22 +155,68 @@ def film_for_tolerance(
     return FilmError(image.shape, image.pitch_um, pitches, (calibrated_delta_e,) * count, (tolerance_delta_e,) * count)
 
 
-def _error_of_pixel(
-    image: SpectralImage, camera: Camera, physics: PixelPhysics, exposure: Exposure, display: Display, chart: Chart | None
-) -> tuple[float, float]:
-    """Return the mean ΔE of one sensor and its error by the film."""
-    parts = list(parts_of(image, physics.pitch_um, display))
-    if min(parts[0][0].shape) < BLOCK * MIN_CELLS:
-        return math.nan, math.nan
-    films = [parts]
-    for _ in range(int(math.log2(BLOCK))):
-        films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
-    delta_e = np.array([_mean_delta_e(film, camera, physics, exposure) for film in films])  # (films, parts)
+@dataclass(frozen=True)
+class FilmSteps:
+    """Mean ΔE of one sensor in the parts of a picture, on its film and on coarser ones.
+
+    delta_e : (films, parts), the film itself first, each next one of half the samples across; no films if it is too small to tell
+    """
+
+    delta_e: Array
+    sampling: FilmSampling
+
+    def error(self) -> tuple[float, float]:
+        """Return mean ΔE and its error by the film; NaN if the film is too small to tell."""
+        if not self.delta_e.size:
+            return math.nan, math.nan
+        mean = float(self.delta_e[0].mean())
+        return mean, film_error(*_step_sizes(self.delta_e), mean, self.sampling)
+
+    def error_of_difference(self, other: FilmSteps) -> float:
+        """Return the error of the difference to another sensor's mean ΔE, with the same parts of the same film; NaN if unknown.
+
+        Most of a film's error is common to both. But the changes of both may be alike by chance, or one of them may miss detail
+        alone: at least `NOT_COMMON` of the errors of both together is left. Equal sensors have no error.
+        """
+        if self.delta_e.shape != other.delta_e.shape or not self.delta_e.size:
+            return math.nan
+        if np.array_equal(self.delta_e, other.delta_e):
+            return 0.0
+        coarser = min((self.sampling, other.sampling), key=lambda sampling: (sampling.per_dot, sampling.per_detail))
+        (mean, error), (other_mean, other_error) = self.error(), other.error()
+        of_difference = film_error(*_step_sizes(other.delta_e - self.delta_e), max(mean, other_mean), coarser)
+        return max(of_difference, NOT_COMMON * (error + other_error))
+
+
+def _step_sizes(delta_e: Array) -> tuple[float, float]:
+    """Return the changes from the film to the next coarser one, and from there to the next, with their statistical error."""
     near, far = delta_e[1] - delta_e[0], delta_e[2] - delta_e[1]
     spread = STANDARD_ERRORS / math.sqrt(near.size) if near.size > 1 else 0.0
     sizes = [abs(float(step.mean())) + (spread * float(step.std(ddof=1)) if spread else 0.0) for step in (near, far)]
-    mean, sampling = float(delta_e[0].mean()), FilmSampling.of(image.shape[1], camera, physics, display, chart)
-    return mean, film_error(sizes[0], sizes[1], mean, sampling)
+    return sizes[0], sizes[1]
+
+
+def film_steps(
+    image: SpectralImage,
+    camera: Camera,
+    physics: PixelPhysics,
+    exposure: Exposure,
+    display: Display,
+    chart: Chart | None,
+    largest_um: float | None = None,
+) -> FilmSteps:
+    """Return the mean ΔE of one sensor in the parts of a picture, on its film and on coarser ones.
+
+    largest_um : pitch that sets the size of the parts; None means that of the pixel
+    """
+    parts = list(parts_of(image, largest_um or physics.pitch_um, display))
+    sampling = FilmSampling.of(image.shape[1], camera, physics, display, chart)
+    if min(parts[0][0].shape) < BLOCK * MIN_CELLS:
+        return FilmSteps(np.empty((0, 0)), sampling)
+    films = [parts]
+    for _ in range(int(math.log2(BLOCK))):
+        films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
+    return FilmSteps(np.array([_mean_delta_e(film, camera, physics, exposure) for film in films]), sampling)
 
 
 def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterator[tuple[SpectralImage, Display]]:

@@ -249,10 +249,14 @@ def sampled_pitches_um(study: Study) -> list[float]:
 
 def fitting_jobs(study: Study, camera: Camera) -> int:
     """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
-    largest = max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study))
+    return jobs_in_memory(max(frame_cost(camera, pitch, study.display).memory_bytes for pitch in sampled_pitches_um(study)))
+
+
+def jobs_in_memory(largest_bytes: float) -> int:
+    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
     usable = memory().usable
     cores = workers_here().jobs
-    return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest))))
+    return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest_bytes))))
 
 
 def study_cost(study: Study, camera: Camera, plan: Plan, cells: int, jobs: int | None = None) -> Cost:

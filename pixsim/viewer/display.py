@@ -127,7 +127,8 @@ def dot_edges_um(
     if display.raster == "one_to_one":
         rows, columns = (pixel_edges_um(um, count, pitch_um) for um, count in zip(size_um, pixels, strict=True))
         return rows, columns
-    counts = [max(1, round(display.dots * length_um / size_um[1])) for length_um in size_um]
+    # Half a dot is rounded down, whatever the rounding of lengths: other sensors with the same field then have the same dots.
+    counts = [max(1, round(display.dots * length_um / size_um[1] * (1 - 1e-9))) for length_um in size_um]
     if math.prod(counts) > MAX_PIXELS:
         got = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {math.prod(counts):.3g} dots"
         raise invalid("display.dots", got, f"at most {MAX_PIXELS:.3g} dots in all")

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+import unicodedata
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -110,14 +111,14 @@ def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
     return views
 
 
-def assert_sliders_move(views: list[SimpleNamespace], pictures: int) -> None:
-    """The ideal image is left of the border, the chosen output right of it."""
+def assert_sliders_move(views: list[SimpleNamespace], pictures: int, left: str = "the ideal image") -> None:
+    """The ideal image (or another picture, `left`) is left of the border, the chosen output right of it."""
     for view in views:
         assert view.sliders
         for slider in view.sliders:
             assert (slider["live"], slider["focusable"]) == (True, True)
             assert len(slider["results"]) == 3 * pictures
-            assert slider["spoken"] == [f"{value} % of the width is the ideal image" for value, *_ in slider["results"]]
+            assert slider["spoken"] == [f"{value} % of the width is {left}" for value, *_ in slider["results"]]
             for index, (value, *met) in enumerate(slider["results"]):
                 expected = ["ideal" if share < value else f"out out-{index // 3}" for share in (10, 30, 60, 90)]
                 assert met == expected, (view.width, value)
@@ -177,4 +178,5 @@ FOOT_PT = 70  # a margin of 0.4 inch (29 pt) and one or two lines
 
 
 def squeezed(text: str) -> str:
-    return re.sub(r"\s+", "", text)
+    """Text without spaces and ligatures."""
+    return re.sub(r"\s+", "", unicodedata.normalize("NFKC", text))

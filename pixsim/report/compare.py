@@ -1,0 +1,364 @@
+"""A comparison of sensors: its sentences, its output files (all of them, or none), and its report page."""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text, whole_path
+from pixsim.base.files import check_replaceable, output_folder, publishing, write_json
+from pixsim.base.machine import processors
+from pixsim.base.parameters import NO_TECHNOLOGY, CameraOptions, Record
+from pixsim.report.pictures import crops, picture_axes
+from pixsim.report.settings import LightLevel, record_rows, scene_rows
+from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.sensor.technology import label_of
+from pixsim.show.pages import write_page
+from pixsim.show.pictures import (
+    Picture,
+    factor_for,
+    grey_codes,
+    reduced,
+    save_delta_e_png,
+    save_png,
+    scale,
+    scale_end,
+    worst_window,
+)
+from pixsim.studies.compare import Compared, Comparison, Prepared
+from pixsim.studies.preparation import PAGE_S, Cost, frame_cost, render_cost
+from pixsim.studies.result import NO_VISIBLE_DELTA_E
+
+JSON_FILE, PAGE = "compare.json", "report.html"
+SURE = 0.999  # probabilities beyond it are not shown in more digits
+MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE that is shown; smaller uncertainties have two digits
+
+
+# --- sentences ------------------------------------------------------------------------------------------------------------------
+
+
+def shown_delta_e(value: float, half: float, film: float | None) -> str:
+    """Return a ΔE and its uncertainty as text: half of the 95 % interval and the film's error, to two digits, one above 0.01.
+
+    film : the film's error; None is stated as unknown
+
+    >>> shown_delta_e(0.12345, 0.0021, 0.0), shown_delta_e(0.12345, 0.001, 0.02)
+    ('0.1235 ± 0.0021 ΔE', '0.12 ± 0.02 ΔE')
+    """
+    error = half + (film or 0.0)
+    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
+    unknown = " and the film's error, which is unknown" if film is None else ""
+    return f"{value:.{decimals}f} ± {error:.{decimals}f} ΔE{unknown}"
+
+
+def shown_probability(probability: float) -> str:
+    """Return a probability as text: .93, > .999, < .001.
+
+    >>> [shown_probability(p) for p in (0.5, 0.93, 0.99961, 1.0, 0.0)]
+    ['.5', '.93', '> .999', '> .999', '< .001']
+    """
+    if probability > SURE:
+        return "> .999"
+    if probability < 1 - SURE:
+        return "< .001"
+    return f"{probability:.3f}".rstrip("0").removeprefix("0")
+
+
+def verdict(result: Comparison, other: str) -> str:
+    """Return the answer for the first sensor and another: which is better, by how much, and how sure that is.
+
+    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together.
+    """
+    first, difference = result.names[0], result.difference[other]
+    low, high = result.interval_delta_e[other]
+    better, worse = (first, other) if difference >= 0 else (other, first)
+    probability = result.probability_a_better[other]
+    of_better = shown_probability(probability if difference >= 0 else 1 - probability)
+    half, film = (high - low) / 2, result.film_delta_e[other]
+    size = shown_delta_e(abs(difference), half, film)
+    if difference == 0:
+        return f"{first} and {other} have the same mean ΔE in every pair of frames"
+    if abs(difference) <= half:
+        return f"{first} and {other} cannot be told apart: {better} is better by {size} (probability {of_better})"
+    if abs(difference) <= half + (film or 0.0):
+        return f"{first} and {other} cannot be told apart: {better} is better by {size}, within the error of the film"
+    visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
+    return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
+
+
+def sensor_words(prepared: Prepared, number: int) -> str:
+    """Return a sensor's pixels and lens in words."""
+    sensor = prepared.sensors[number]
+    rows, columns = sensor.pixels
+    technology = "" if sensor.pixel.technology == NO_TECHNOLOGY else f" ({label_of(sensor.pixel.technology)})"
+    lens = f"{sensor.camera.focal_length_mm:.4g} mm f/{sensor.camera.f_number:.3g}"
+    return f"{columns} × {rows} pixels of {sensor.pixel.pitch_um:g} µm{technology} behind {lens}"
+
+
+def exposure_words(prepared: Prepared) -> str:
+    """Return the exposure rule of the sensors in words."""
+    exposures = [sensor.exposure for sensor in prepared.sensors]
+    if any(exposure != exposures[0] for exposure in exposures):
+        return "each sensor's own exposure rule"
+    if exposures[0].integration_s is not None:
+        return f"each exposed for {1e3 * exposures[0].integration_s:.3g} ms"
+    target, longest_ms = exposures[0].well_target, 1e3 * exposures[0].max_integration_s
+    return f"each exposed to {100 * target:.3g} % of its own well, at most {longest_ms:.3g} ms"
+
+
+def conditions_line(prepared: Prepared) -> str:
+    """Return what all sensors of a comparison have in common, in one line."""
+    camera, display = prepared.sensors[0].camera, prepared.settings.display
+    first, v_mm = prepared.sensors[0].name, camera.image_distance_mm
+    across, down = (math.degrees(2 * math.atan(side / (2 * v_mm))) for side in (camera.die_mm, camera.height_mm))
+    field = f"the same field of {across:.3g}° × {down:.3g}°"
+    lens = {
+        "view": f"{field}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
+        "lens": f"one lens, that of {first} ({camera.focal_length_mm:.4g} mm f/{camera.f_number:.3g}), and {field}, which all have",
+        "own": f"each file's own lens, and {field}, which all have",
+    }[prepared.match]
+    words = [lens]
+    highest = prepared.sensors[0].scene.parameters.get(MAX_LP_PER_MM)
+    if highest is not None:
+        cycles = float(highest) * camera.die_mm
+        limit = prepared.view.limited_by
+        of = f", {limit.replace('the sensor', prepared.finest)}" if limit else ""
+        words.append(f"one chart, to {cycles:.4g} cycles across{of}")
+    else:
+        words.append("one scene")
+    rows, columns = prepared.scored_dots
+    words.append(
+        f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree; {columns} × {rows} are scored"
+    )
+    words += ["the same light", exposure_words(prepared), f"{prepared.repeats} pairs of frames with the same seeds"]
+    words.append("± is the 95 % interval and the film's error")
+    return "; ".join(words)
+
+
+def comparison_lines(result: Comparison, notes: Sequence[str] | None = None) -> list[str]:
+    """Return the answers, a line for each sensor, the common conditions, and notes, as lines of text.
+
+    notes : None for all of the result
+    """
+    lines = [verdict(result, other) for other in result.names[1:]]
+    width = max(map(len, result.names))
+    for number, compared in enumerate(result.sensors):
+        low, mean, high = result.scores[compared.name]
+        time_ms = 1e3 * compared.score.frame.integration_s
+        delta_e = f"mean {shown_delta_e(mean, (high - low) / 2, compared.film_delta_e)}"
+        lines.append(f"  {compared.name:{width}}  {delta_e}  {sensor_words(result.prepared, number)}, exposed for {time_ms:.3g} ms")
+    lines.append(conditions_line(result.prepared))
+    return lines + [f"note: {note}" for note in (result.notes if notes is None else notes)]
+
+
+def outline(prepared: Prepared) -> dict[str, Any]:
+    """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
+    first, width = prepared.sensors[0], prepared.film_width
+    seconds, largest = PAGE_S, 0.0
+    for sensor in prepared.sensors:
+        scene = sensor.scene.with_resolution(width)
+        height = scene.film_shape(sensor.camera, scene.for_camera(sensor.camera))[0]
+        render = render_cost(prepared.plan(sensor, scene), height * width, processors().usable)
+        frame = frame_cost(sensor.camera, sensor.pixel.pitch_um, prepared.settings.display)
+        seconds += render.seconds + prepared.repeats * frame.seconds / processors().usable
+        largest = max(largest, render.memory_bytes + frame.memory_bytes)
+    return {
+        "scene": prepared.scene,
+        "match": prepared.match,
+        "repeats": prepared.repeats,
+        "fov_deg": first.camera.fov_deg,
+        "film": {"samples": [height, width]},
+        "scored_dots": list(prepared.scored_dots),
+        "chosen": prepared.view.as_dict() | {"finest": prepared.finest},
+        "display": prepared.settings.display.model_dump(),
+        "sensors": {
+            sensor.name: {
+                "camera": sensor.camera.model_dump(),
+                "fov_deg": sensor.camera.fov_deg,
+                "pixels": list(sensor.pixels),
+                "pixel": sensor.pixel.model_dump(),
+            }
+            for sensor in prepared.sensors
+        },
+        "estimate": asdict(Cost(seconds, largest, 1)),
+    }
+
+
+def outline_lines(prepared: Prepared, shown: dict[str, Any], out: Path) -> list[str]:
+    """Return an outline as lines of text.
+
+    out : folder that would be written
+    """
+    width = max(len(sensor.name) for sensor in prepared.sensors)
+    lines = [f"{sensor.name:{width}}  {sensor_words(prepared, number)}" for number, sensor in enumerate(prepared.sensors)]
+    height, across = shown["film"]["samples"]
+    lines += [conditions_line(prepared), f"film of {across} × {height} samples for all"]
+    return [*lines, f"{out}: nothing is written now", f"cost: {Cost(**shown['estimate'])}"]
+
+
+# --- files ------------------------------------------------------------------------------------------------------------------------
+
+
+def comparison_files(prepared: Prepared) -> dict[str, str]:
+    """Return the names of all files of a comparison, with their descriptions; provenance.json comes with them."""
+    files = {
+        JSON_FILE: "all numbers and settings, for programs",
+        SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
+    }
+    for sensor in prepared.sensors:
+        files |= {
+            f"sensors/{sensor.name}.toml": f"pixel, camera and exposure of {sensor.name}, as compared",
+            f"pictures/image_{sensor.name}.png": f"image of {sensor.name}, as shown",
+            f"pictures/ideal_{sensor.name}.png": f"image of an ideal camera with the response of {sensor.name}",
+            f"pictures/delta_e_{sensor.name}.png": f"S-CIELAB ΔE map of {sensor.name}, with axes",
+        }
+    return files
+
+
+def check_output(prepared: Prepared, folder: str | os.PathLike[str]) -> None:
+    """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not write."""
+    check_replaceable(folder, {PAGE, *comparison_files(prepared)})
+
+
+def write_comparison(result: Comparison, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None) -> Path:
+    """Write compare.json, settings.toml, the sensors' settings and pictures, report.html and provenance.json.
+
+    seconds : stage -> wall time in s, for provenance.json
+
+    Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+    pixsim did not write.
+    """
+    prepared = result.prepared
+    with output_folder(folder) as path:
+        check_output(prepared, path)
+        keep = [Path(sensor.source) for sensor in prepared.sensors]
+        with publishing(path, "compare", {"seconds": seconds or {}}, keep) as partial:
+            for name in ("sensors", "pictures"):
+                (partial / name).mkdir()
+            end = scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
+            for compared in result.sensors:
+                _write_pictures(compared, partial / "pictures", end)
+            for name, text in settings_files(prepared).items():
+                (partial / name).write_text(text, encoding="utf-8")
+            write_json(partial / JSON_FILE, result.as_dict())
+            write_comparison_page(result, partial, end)
+        return path / PAGE
+
+
+def _write_pictures(compared: Compared, folder: Path, end: float) -> None:
+    score, name = compared.score, compared.name
+    save_png(folder / f"image_{name}.png", score.image)
+    save_png(folder / f"ideal_{name}.png", score.ideal)
+    save_delta_e_png(folder / f"delta_e_{name}.png", score.delta_e, picture_axes(compared.irradiance, score.border_um), end)
+
+
+def settings_files(prepared: Prepared) -> dict[str, str]:
+    """Return settings.toml and a file for each sensor, as name -> text; their command makes the same numbers again."""
+    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.sensors]
+    words = ["pixsim", "compare", *files, "--scene", whole_path(prepared.scene), "--match", "own"]
+    words += ["--repeats", str(prepared.repeats), "--config", SETTINGS_FILE]
+    for option, value in (("--sensor", prepared.sensor_id), ("--variant", prepared.variant)):
+        words += [option, value] if value else []
+    command = shlex.join(words)
+    scene = scene_table(prepared.sensors[0].scene.path.parent, prepared.settings.scene)
+    shared = prepared.settings.model_copy(update={"scene": scene, "window_mm": None})
+    texts = {SETTINGS_FILE: settings_text(shared, command, camera={}, pixel={}, exposure={})}
+    for file, sensor in zip(files, prepared.sensors, strict=True):
+        camera = CameraOptions.model_validate(sensor.camera.model_dump())
+        own = prepared.settings.model_copy(update={"camera": camera, "pixel": sensor.pixel, "exposure": sensor.exposure})
+        others: dict[str, Any] = {name: {} for name in type(own).model_fields if name not in ("camera", "pixel", "exposure")}
+        texts[file] = settings_text(own, f"(in the folder above) {command}", **others)
+    return texts
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------------------
+
+
+def write_comparison_page(result: Comparison, folder: Path, end: float) -> None:
+    """Write report.html next to the comparison's other files; it links to them and contains their pictures.
+
+    end : of the colour scale of the ΔE maps
+    """
+    prepared, first = result.prepared, result.sensors[0]
+    maps = [compared.score.delta_e for compared in result.sensors]
+    window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
+    pictures = [_picture(compared.score.image, compared.name) for compared in result.sensors]
+    light = LightLevel.of(first.irradiance, prepared.settings.display, [c.score.frame.integration_s for c in result.sensors])
+    parameters = first.irradiance.header.get("parameters")
+    common = scene_rows(first.irradiance, parameters if isinstance(parameters, dict) else {}, light)
+    page = {
+        "names": result.names,
+        "verdicts": [verdict(result, other) for other in result.names[1:]],
+        "conditions": conditions_line(prepared),
+        "rows": [_row(result, number) for number in range(len(result.sensors))],
+        "pairs": [_pair(result, other) for other in result.names[1:]],
+        "repeats": prepared.repeats,
+        "notes": result.notes,
+        "first": pictures[0],
+        "others": [*pictures[1:], _picture(first.score.ideal, "ideal image")],
+        "reduced": factor_for(first.score.image),
+        "display": prepared.settings.display,
+        "crops": [(c.name, crops(c.score, window, f"the picture of {c.name}", end)) for c in result.sensors],
+        "scale_bar": scale(end),
+        "maps": {c.name: (folder / f"pictures/delta_e_{c.name}.png").read_bytes() for c in result.sensors},
+        "settings": [("scene", common), *_records(result)],
+        "seed": prepared.settings.seed,
+        "files": comparison_files(prepared) | {"provenance.json": "versions and wall times"},
+    }
+    write_page(folder / PAGE, "compare.html.j2", page)
+
+
+def _picture(luminance: Any, name: str) -> Picture:
+    return Picture(grey_codes(reduced(luminance)), name)
+
+
+def _row(result: Comparison, number: int) -> dict[str, Any]:
+    """Return a sensor's row of the page's table of numbers."""
+    compared = result.sensors[number]
+    statistics = compared.score.statistics()
+    low, mean, high = result.scores[compared.name]
+    rows, columns = compared.sensor.pixels
+    return {
+        "name": compared.name,
+        "delta_e": shown_delta_e(mean, (high - low) / 2, compared.film_delta_e),
+        "p99": f"{statistics['p99_delta_e']:.3g}",
+        "pixels": f"{columns} × {rows}",
+        "pitch_um": f"{compared.sensor.pixel.pitch_um:g}",
+        "lens": f"{compared.sensor.camera.focal_length_mm:.4g} mm f/{compared.sensor.camera.f_number:.3g}",
+        "time_ms": f"{1e3 * statistics['integration_s']:.3g}",
+        "electrons": f"{statistics['mean_electrons_e']:.4g}",
+        "well": f"{statistics['full_well_e']:.4g}",
+        "saturated": f"{100 * statistics['saturated_fraction']:.2g} %",
+        "film": "unknown" if compared.film_delta_e is None else f"{compared.film_delta_e:.1g}",
+    }
+
+
+def _pair(result: Comparison, other: str) -> dict[str, str]:
+    """Return a row of the page's table of differences."""
+    low, high = result.interval_delta_e[other]
+    film = result.film_delta_e[other]
+    return {
+        "name": f"{other} − {result.names[0]}",
+        "difference": f"{result.difference[other]:+.4f}",
+        "interval": f"{low:+.4f} to {high:+.4f}",
+        "probability": shown_probability(result.probability_a_better[other]),
+        "film": "unknown" if film is None else f"{film:.2g}",
+    }
+
+
+def _records(result: Comparison) -> list[tuple[str, list[Any]]]:
+    """Return the tables of settings: the display of all, then each sensor's own."""
+    tables = [("display", record_rows("display", result.prepared.settings.display, False))]
+    for compared in result.sensors:
+        sensor = compared.sensor
+        sheet = sensor.pixel.technology == NO_TECHNOLOGY
+        records: dict[str, Record] = {"camera": sensor.camera, "pixel": sensor.pixel, "exposure": sensor.exposure}
+        tables += [(f"{sensor.name}: {name}", record_rows(name, record, sheet)) for name, record in records.items()]
+    return tables

@@ -1,0 +1,691 @@
+"""Compare image sensors in one scene: mean ΔE of each, the differences from the first, and how sure these are.
+
+All sensors see the same field, on one display, in the same light. Every pair of frames (the first sensor's and another's) has the
+random seeds of its number, so that what they share cancels in their difference.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.special import stdtr, stdtrit
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.config import checked, packaged, settings_layer, warn_of_mixed_sensors
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.files import missing
+from pixsim.base.notes import collected_notes, warn
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Exposure, Layer, Pixel, Run
+from pixsim.base.progress import Progress, Stage
+from pixsim.light.spectral import SpectralImage
+from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.scene.plan import Plan, make_plan
+from pixsim.sensor.integration import check_pixel_count, pixels_on
+from pixsim.sensor.pixel import derive, warn_of_disagreements
+from pixsim.sensor.technology import file_label, labels_of
+from pixsim.studies.budget import without_warnings
+from pixsim.studies.engine import results_of, workers_here
+from pixsim.studies.oversampling import FilmError, FilmSteps, Rendered, film_steps, render_and_measure
+from pixsim.studies.preparation import View, choose_view, frame_cost, jobs_in_memory
+from pixsim.viewer.display import dot_edges_um, white_header
+from pixsim.viewer.score import (
+    ImagingChain,
+    Score,
+    chain_at_pitch,
+    clip_words,
+    clips_dark,
+    dark_clip,
+    prepare_scene,
+    warn_of_clipping,
+)
+
+if TYPE_CHECKING:
+    from pixsim.scene.convergence import RenderNoise
+    from pixsim.scene.scene import Scene
+
+Match = Literal["view", "lens", "own"]
+CONFIDENCE = 0.95
+SENSORS = (2, 8)  # of a comparison; the page shows each in full
+REPEATS = (2, 10_000)
+OF_A_SENSOR = ("camera", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
+# Limits by the clock and calibrations differ between sensors: neither their film nor their noise would be the same.
+NOT_COMPARED = {
+    "tolerance_delta_e": "the film's error is measured and stated; --repeats and --render-noise make results surer",
+    "max_seconds": "a number of samples limits each render; --render-noise changes it",
+}
+ALIKE = 1e-9  # relative difference of two fields of view that is rounding
+DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
+FEW_SECONDS = 3.0  # of all frames: processes take a second to start
+
+
+# --- the statistics of paired frames ----------------------------------------------------------------------------------------
+
+
+@checks_arguments
+def mean_interval(values: Array) -> tuple[float, float, float]:
+    """Return the lower end, the mean and the upper end of the 95 % interval of an expected value, from values (n,), n > 1.
+
+    Student's t; for paired frames the values are their differences.
+
+    >>> mean_interval(np.array([1.0, 2.0, 3.0]))  # 2 ± 4.303/√3
+    (-0.48..., 2.0, 4.48...)
+    """
+    mean, error = _mean_and_error(values)
+    half = float(stdtrit(values.size - 1, (1 + CONFIDENCE) / 2)) * error
+    return mean - half, mean, mean + half
+
+
+@checks_arguments
+def probability_above_zero(differences: Array) -> float:
+    """Return the probability that the expected difference is above 0, from differences (n,), n > 1, of paired frames.
+
+    It is that of Student's t: F(t; n - 1), with t the mean over its standard error. It is the posterior probability for normal
+    differences of unknown mean and variance (uniform in mean and in log σ), and above 0.975 exactly where the 95 % interval is
+    above 0. It tells how sure the simulation is of the means. It is not the share of frames that one sensor wins. Without any
+    scatter it is 0, 0.5 or 1.
+
+    >>> round(probability_above_zero(np.array([1.0, 2.0, 3.0])), 3)  # t = 3.46 with 2 degrees of freedom
+    0.963
+    """
+    mean, error = _mean_and_error(differences)
+    if error == 0.0:
+        return 0.5 * (1.0 + float(np.sign(mean)))
+    return float(stdtr(differences.size - 1, mean / error))
+
+
+def _mean_and_error(values: Array) -> tuple[float, float]:
+    """Return the mean of values (n,) and its standard error."""
+    if values.ndim != 1 or values.size < REPEATS[0]:
+        raise invalid("values", f"an array of shape {values.shape}", "a list of at least 2 numbers")
+    mean = float(values.mean())
+    return mean, float(values.std(ddof=1)) / math.sqrt(values.size)
+
+
+# --- the cameras: one field of view for all ----------------------------------------------------------------------------------
+
+
+@checks_arguments
+def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | None = None) -> tuple[Camera, ...]:
+    """Return cameras that see one field: the central part that all have in common, after `match`.
+
+    cameras : of each sensor, with its whole die; the first is the reference
+    match : 'view': the lens of the reference, its focal length scaled such that the image distance v = f(1 + |m|) goes with the
+        width of the die: equal field of view, f-number and object distance; 'lens': the lens of the reference; 'own': each its own
+    window_mm : width of a central part of the reference's die that limits the field; None takes all of it
+
+    Raises PixsimError if a camera forms no image.
+
+    >>> wide, tall = Camera(die_mm=8.0, die_height_mm=6.0, focal_length_mm=8.0), Camera(die_mm=4.0)
+    >>> first, second = matched_cameras([wide, tall], "view")
+    >>> [round(camera.fov_deg, 9) for camera in (first, second)], second.die_height_mm
+    ([52.765926..., 52.765926...], 3.0)
+    """
+    reference = cameras[0]
+    if match == "view":
+        seen = [reference, *(_with_view_of(reference, camera) for camera in cameras[1:])]
+    elif match == "lens":
+        dies = ({"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm} for camera in cameras)
+        seen = [Camera(**reference.model_dump() | die) for die in dies]
+    else:
+        seen = list(cameras)
+    seen[0] = seen[0].window(window_mm)
+    width = min(camera.die_mm / camera.image_distance_mm for camera in seen)
+    height = min(camera.height_mm / camera.image_distance_mm for camera in seen)
+    return tuple(_cropped(camera, width, height) for camera in seen)
+
+
+def _with_view_of(reference: Camera, camera: Camera) -> Camera:
+    """Return a camera with the die of `camera` and the field of view of `reference`: 1/f = 1/u + 1/v, with v as the width."""
+    v_mm, u_mm = reference.image_distance_mm * camera.die_mm / reference.die_mm, 1e3 * reference.object_distance_m
+    lens = {"focal_length_mm": u_mm * v_mm / (u_mm + v_mm)}
+    if camera.die_mm == reference.die_mm:  # without rounding
+        lens = {}
+    die = {"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm}
+    return Camera(**reference.model_dump() | lens | die)
+
+
+def _cropped(camera: Camera, width: float, height: float) -> Camera:
+    """Return the lens on a central part of the die, whose sides are given as multiples of the image distance."""
+    v_mm = camera.image_distance_mm
+    if camera.die_mm <= width * v_mm * (1 + ALIKE) and camera.height_mm <= height * v_mm * (1 + ALIKE):
+        return camera
+    die = {"die_mm": min(camera.die_mm, width * v_mm), "die_height_mm": min(camera.height_mm, height * v_mm)}
+    return Camera(**camera.model_dump() | die)
+
+
+# --- what is compared, before anything is rendered -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A sensor of a comparison, with the camera through which it sees the common field.
+
+    name : stem of its file, unique in the comparison
+    source : its file, or the name of a packaged technology
+    scene : with its chart, whose frequencies on the sensor go with the die
+    """
+
+    name: str
+    source: str
+    camera: Camera
+    pixel: Pixel
+    exposure: Exposure
+    scene: Scene
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Rows and columns of pixels that see the common field."""
+        return pixels_on(self.camera.die_um, self.pixel.pitch_um)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A comparison with everything that it left open, found and checked before anything is rendered.
+
+    scene : file, or name of a packaged scene
+    settings : what all sensors share, and the first one's camera, pixel and exposure
+    view : display and chart that pixsim chose for data sheets, from the sensor with the most pixels
+    finest : name of that sensor
+    border : width of the border that is not scored, as a fraction of the width of the field
+    """
+
+    scene: str
+    settings: Run
+    match: Match
+    repeats: int
+    sensors: tuple[Contestant, ...]
+    view: View
+    finest: str
+    border: float
+    sensor_id: str | None = None
+    variant: str | None = None
+
+    def plan(self, sensor: Contestant, scene: Scene) -> Plan:
+        """Return the plan of a sensor's render on the film of `scene`."""
+        options: dict[str, Any] = {"display": self.settings.display, "tolerance_e": self.settings.tolerance_e}
+        return make_plan(scene, sensor.camera, sensor.pixel, exposure=sensor.exposure, **options)
+
+    @cached_property
+    def film_width(self) -> int:
+        """Samples across the first film, the most that any of the sensors needs: with one film, all see the same picture."""
+        widths = []
+        for sensor in self.sensors:
+            plan = self.plan(sensor, sensor.scene)
+            shape = sensor.scene.film_shape(sensor.camera, sensor.scene.for_camera(sensor.camera))
+            widths.append(plan.resolution or shape[1])
+        return max(widths)
+
+    @property
+    def scored_dots(self) -> tuple[int, int]:
+        """Rows and columns of the display's dots that are shown and scored."""
+        camera = self.sensors[0].camera
+        rows, columns = dot_edges_um(camera.die_um, self.sensors[0].pixel.pitch_um, self.settings.display, self.border_um(camera))
+        return rows.size - 1, columns.size - 1
+
+    def border_um(self, camera: Camera) -> float:
+        """Return the width of the border on a camera's die."""
+        return self.border * camera.die_um[1]
+
+
+def sensor_layer(file: str) -> Layer:
+    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet; or a technology, by its file or name."""
+    known = packaged("data/technologies")
+    if file not in known:
+        path = Path(file)
+        if path.suffix != ".toml":
+            got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
+            raise invalid("sensor", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(file, known))
+        layer = settings_layer(path)
+        if "pixel" in layer.table:
+            return layer
+        if tables := [name for name in layer.table if name in Run.model_fields]:
+            got = f"'{file}' with {', '.join(tables)}, but no table [pixel]"
+            hint = "`pixsim template sensor -o my_sensor.toml` writes one with every field."
+            raise invalid("sensor", got, "the file of a data sheet, or of a technology", hint)
+    return Layer({"pixel": {"technology": file}}, file)
+
+
+def read_sensors(files: Sequence[str], config: Sequence[Path], options: dict[str, Any]) -> list[Run]:
+    """Return the settings of each file, with those of all sensors over them.
+
+    config, options : for all sensors; they take precedence over a sensor's own file
+
+    Raises PixsimError that lists every problem of a file.
+    """
+    shared = [*map(settings_layer, config), Layer(options)]
+    runs: list[Run] = []
+    for file in files:
+        own = sensor_layer(file)
+        warn_of_mixed_sensors([own, *shared[:-1]])
+        run: Run = checked(Run, [own, *shared])
+        for name, reason in NOT_COMPARED.items():
+            if getattr(run, name) is not None:
+                raise invalid(name, f"{getattr(run, name):g}", f"no value for a comparison: {reason}")
+        first = runs[0] if runs else run
+        if unused := [n for n in own.table if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)]:
+            warn(
+                f"{file}: only {', '.join(f'[{name}]' for name in OF_A_SENSOR)} are used, not {', '.join(unused)}: the first file's"
+            )
+        runs.append(run)
+    return runs
+
+
+def check_files(files: Sequence[str]) -> None:
+    """Raise PixsimError for too few or too many sensors, and for one that is given twice."""
+    low, high = SENSORS
+    if not low <= len(files) <= high:
+        hint = "" if files else "For example: pixsim compare a.toml b.toml"
+        raise invalid("sensors", f"{len(files)} ({', '.join(files)})" if files else "none", f"{low} to {high} files", hint)
+    real = [os.path.realpath(file) if Path(file).is_file() else file for file in files]
+    for number, file in enumerate(real):
+        if file in real[:number]:
+            got = f"'{files[number]}' twice"
+            raise invalid("sensors", got, "different files", "A copy of the file may have other numbers, or the same.")
+
+
+@contextmanager
+def named(sensor: str) -> Iterator[None]:
+    """Name the sensor in an error about its settings."""
+    try:
+        yield
+    except PixsimError as error:
+        raise PixsimError(f"{sensor}: {error}") from None
+
+
+def prepare(
+    files: Sequence[str | os.PathLike[str]],
+    scene: str | os.PathLike[str],
+    *,
+    match: Match,
+    repeats: int,
+    config: Sequence[Path] = (),
+    options: dict[str, Any] | None = None,
+    sensor: str | None = None,
+    variant: str | None = None,
+) -> Prepared:
+    """Choose what a comparison leaves open, and check everything that can be checked before a render.
+
+    config, options : settings for all sensors, as tables
+
+    Raises PixsimError for invalid input.
+    """
+    from pixsim.scene.scene import load_scene
+
+    sources = [str(file) for file in files]
+    check_files(sources)
+    if not REPEATS[0] <= repeats <= REPEATS[1]:
+        raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
+    runs = read_sensors(sources, config, options or {})
+    names = labels_of([file_label(source) for source in sources])
+    settings = runs[0]
+    if settings.display.raster != "fixed_size":
+        got = f"'{settings.display.raster}', which gives each sensor a display of its own"
+        raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
+    if Path(scene).suffix.lower() in (".exr", ".npz", ".hdr"):
+        raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
+    loaded = load_scene(scene, variant=variant, sensor=sensor, **settings.scene)
+    loaded = loaded.with_resolution(settings.resolution) if settings.resolution else loaded
+    whole = _whole_cameras(names, loaded, [run.camera for run in runs])
+    if settings.window_mm is not None:
+        whole[0].window(settings.window_mm)
+    cameras = matched_cameras(whole, match, settings.window_mm)
+    for name, camera, run in zip(names, cameras, runs, strict=True):
+        with named(name):
+            derive(run.pixel)
+            check_pixel_count(pixels_on(camera.die_um, run.pixel.pitch_um), run.pixel.pitch_um)
+    sizes = [math.prod(pixels_on(camera.die_um, run.pixel.pitch_um)) for camera, run in zip(cameras, runs, strict=True)]
+    finest = int(np.argmax(sizes))
+    view = View()
+    if any(run.pixel.technology == NO_TECHNOLOGY for run in runs):
+        view = choose_view(runs[finest].pixel.pitch_um, cameras[finest], settings.display, loaded)
+    parameters = dict(settings.scene)
+    if view.max_lp_per_mm is not None:
+        parameters[MAX_LP_PER_MM] = on_other_die(view.max_lp_per_mm, cameras[finest], cameras[0])
+    settings = settings.model_copy(update={"display": view.display(settings.display), "scene": parameters})
+    border = max(run.pixel.pitch_um / camera.die_um[1] for camera, run in zip(cameras, runs, strict=True))
+    given = parameters.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
+    contestants = []
+    for name, source, camera, run in zip(names, sources, cameras, runs, strict=True):
+        of_sensor = loaded
+        if given is not None:
+            highest = on_other_die(float(given), cameras[0], camera)
+            of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(highest)})
+        with named(name):
+            dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
+        contestants.append(Contestant(name, source, camera, run.pixel, run.exposure, of_sensor))
+    return Prepared(str(scene), settings, match, repeats, tuple(contestants), view, names[finest], border, sensor, variant)
+
+
+def _whole_cameras(names: Sequence[str], scene: Scene, options: Sequence[CameraOptions]) -> list[Camera]:
+    """Return each file's own camera. A file without a die, such as a technology's, has that of the first file which states one."""
+    die = next((each.model_dump(include={"die_mm", "die_height_mm"}) for each in options if each.die_mm is not None), None)
+    cameras = []
+    for name, each in zip(names, options, strict=True):
+        own = each if die is None or each.die_mm is not None else CameraOptions(**die | each.model_dump(exclude_none=True))
+        with named(name):
+            cameras.append(scene.camera(own))
+    return cameras
+
+
+def on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
+    """Return the frequency on another sensor of detail that has `lp_per_mm` on the first, in the same field of view."""
+    return lp_per_mm if camera.die_mm == other.die_mm else float(f"{lp_per_mm * camera.die_mm / other.die_mm:.{DIGITS}g}")
+
+
+# --- the result ------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A sensor's part of a comparison.
+
+    irradiance : light on the sensor, before diffraction
+    score : of its first frame
+    delta_e : (repeats,) mean ΔE of each frame
+    dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
+    steps : on this film and on coarser ones, for the film's error of a difference
+    """
+
+    sensor: Contestant
+    irradiance: SpectralImage = field(repr=False)
+    noise: RenderNoise
+    film: FilmError
+    score: Score = field(repr=False)
+    delta_e: Array = field(repr=False)
+    dark: dict[str, float] = field(repr=False)
+    steps: FilmSteps = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the sensor."""
+        return self.sensor.name
+
+    @property
+    def film_delta_e(self) -> float | None:
+        """Largest error of mean ΔE that the film may cause; None if it is unknown."""
+        error = self.film.largest_delta_e
+        return None if math.isnan(error) else error
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Sensors in one scene. The first one is a, each later one is b.
+
+    prepared : what was compared: scene, cameras, display and seeds
+    sensors : of each file, in their order
+    notes : warnings, and black levels that clip dark noise
+    """
+
+    prepared: Prepared = field(repr=False)
+    sensors: tuple[Compared, ...] = field(repr=False)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sensors, in the order of their files."""
+        return tuple(sensor.name for sensor in self.sensors)
+
+    @property
+    def scores(self) -> dict[str, tuple[float, float, float]]:
+        """Mean ΔE of each sensor between the ends of its 95 % interval: (low, mean, high)."""
+        return {sensor.name: mean_interval(sensor.delta_e) for sensor in self.sensors}
+
+    @property
+    def differences(self) -> dict[str, Array]:
+        """ΔE(b) - ΔE(a) of each pair of frames, (repeats,), of each later sensor."""
+        first, *others = self.sensors
+        return {other.name: other.delta_e - first.delta_e for other in others}
+
+    @property
+    def difference(self) -> dict[str, float]:
+        """Mean ΔE(b) - ΔE(a) of each later sensor: above 0, a is better."""
+        return {name: float(values.mean()) for name, values in self.differences.items()}
+
+    @property
+    def interval_delta_e(self) -> dict[str, tuple[float, float]]:
+        """95 % interval of each difference, from its pairs of frames; the film's error is not in it (`film_delta_e`)."""
+        return {name: mean_interval(values)[::2] for name, values in self.differences.items()}
+
+    @property
+    def probability_a_better(self) -> dict[str, float]:
+        """Probability that the expected ΔE of a is below that of b: `probability_above_zero`."""
+        return {name: probability_above_zero(values) for name, values in self.differences.items()}
+
+    @property
+    def film_delta_e(self) -> dict[str, float | None]:
+        """Largest error of each difference that the film may cause; None if it is unknown.
+
+        Both sensors see the same film, so that it is less than the errors of both together.
+        """
+        first, *others = self.sensors
+        errors = {other.name: first.steps.error_of_difference(other.steps) for other in others}
+        return {name: None if math.isnan(error) else error for name, error in errors.items()}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return compare.json."""
+        prepared, first = self.prepared, self.sensors[0]
+        settings = prepared.settings
+        return {
+            "names": list(self.names),
+            "scores": {name: list(score) for name, score in self.scores.items()},
+            "difference": self.difference,
+            "interval_delta_e": {name: list(ends) for name, ends in self.interval_delta_e.items()},
+            "probability_a_better": self.probability_a_better,
+            "film_delta_e": self.film_delta_e,
+            "match": prepared.match,
+            "repeats": prepared.repeats,
+            "scene": prepared.scene,
+            "scored_dots": list(first.score.delta_e.shape),
+            "fov_deg": first.sensor.camera.fov_deg,
+            "chosen": prepared.view.as_dict() | {"finest": prepared.finest},
+            "display": settings.display.model_dump(),
+            "seed": settings.seed,
+            "notes": list(self.notes),
+            "sensors": {sensor.name: _summary_of(sensor) for sensor in self.sensors},
+        }
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name} {mean:.3f}" for name, (_, mean, _) in self.scores.items())
+        return f"<Comparison mean ΔE {shown}, {self.prepared.repeats} pairs>"
+
+
+def _summary_of(compared: Compared) -> dict[str, Any]:
+    """Return a sensor's entry of compare.json; `statistics` are those of its first frame, as in score.json."""
+    sensor, score = compared.sensor, compared.score
+    return {
+        "file": sensor.source,
+        "delta_e": compared.delta_e.tolist(),
+        "pixels": list(sensor.pixels),
+        "statistics": score.statistics(),
+        "camera": sensor.camera.model_dump(),
+        "fov_deg": sensor.camera.fov_deg,
+        "pixel": sensor.pixel.model_dump(),
+        "assumption": sensor.pixel.assumption,
+        "exposure": sensor.exposure.model_dump(),
+        "border_um": list(score.border_um),
+        "film": compared.film.as_dict(),
+        "render_noise": asdict(compared.noise),
+        "dark": compared.dark,
+        "irradiance": compared.irradiance.header,
+    }
+
+
+# --- the way from the files to the result ---------------------------------------------------------------------------------------
+
+
+@checks_arguments
+def compare(
+    files: Sequence[str | os.PathLike[str]],
+    scene: str | os.PathLike[str] = "csf",
+    *,
+    match: Match = "view",
+    repeats: int = 8,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    parameters: Mapping[str, float | int | str] | None = None,
+    sensor: str | None = None,
+    variant: str | None = None,
+    jobs: int | None = None,
+    progress: Stage | None = None,
+    **settings: Any,
+) -> Comparison:
+    """Compare two or more sensors in one scene, by the mean ΔE of their pictures on one display.
+
+    files : of the sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of packaged ones.
+        The first is the reference
+    scene : XML file or name of a packaged scene
+    match : 'view': the same field of view, f-number and object distance, those of the first file's camera; 'lens': the same focal
+        length; 'own': each file's own camera. Only the central field that all have in common is compared
+    repeats : pairs of frames; frames of one number have the same seeds
+    config : one or more TOML files with settings of all sensors, which take precedence over the sensors' own files
+    parameters : of the scene, each in its unit
+    sensor : id of the scene's sensor, if it has several
+    variant : Mitsuba variant; None means the fastest that works
+    jobs : processes; None means one per core, where they are worth it. The results do not depend on it
+    progress : returns a callback for each named stage
+    settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3
+
+    Raises PixsimError for invalid input, before anything is rendered.
+
+    >>> small = {"display": {"dots": 32}, "resolution": 64, "pixel": {"pitch_um": 60.0}}
+    >>> result = compare(["0.35um", "4t-bsi"], repeats=2, jobs=1, camera={"die_mm": 2.7}, **small)
+    >>> sorted(result.scores), result.difference["4t-bsi"] < 0  # a quieter pixel
+    (['0.35um', '4t-bsi'], True)
+    """
+    paths = [config] if isinstance(config, str | os.PathLike) else config
+    options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    options |= {"scene": dict(parameters)} if parameters else {}
+    given: dict[str, Any] = {"config": [Path(path) for path in paths], "options": options}
+    with collected_notes():  # also of what is found before the comparison begins
+        prepared = prepare(files, scene, match=match, repeats=repeats, sensor=sensor, variant=variant, **given)
+        return run_prepared(prepared, jobs=jobs, progress=progress)
+
+
+def run_prepared(prepared: Prepared, *, jobs: int | None = None, progress: Stage | None = None) -> Comparison:
+    """Run a prepared comparison; the arguments are those of `compare`."""
+    if jobs is not None and jobs < 1:
+        raise invalid("--jobs", jobs, "1 or more processes")
+    stage = progress or (lambda _: lambda *_: None)
+    with collected_notes() as notes:
+        made, chains = render_all(prepared, stage)
+        frames = stage("sense and score")
+        scores = [chain.simulate(*stream_key(prepared, 0)) for chain in chains]
+        delta_e = simulate_all(prepared, chains, scores, jobs, frames)
+        steps = [steps_of(prepared, sensor, light) for sensor, light in zip(prepared.sensors, made, strict=True)]
+    compared, clips = [], []
+    for sensor, light, chain, score, values, step in zip(prepared.sensors, made, chains, scores, delta_e, steps, strict=True):
+        time_s = score.frame.integration_s
+        dark = dark_clip(score.physics, time_s, chain.white_e_per_s * time_s)
+        clips += [f"{sensor.name}: {clip_words(dark, sensor.pixel.model_dump())}"] if clips_dark(dark) else []
+        clips += [f"{sensor.name}: {sensor.pixel.assumption}"] if sensor.pixel.assumption else []
+        compared.append(Compared(sensor, light.image, light.noise, light.film, score, values, dark, step))
+    return Comparison(prepared, tuple(compared), (*notes, *clips))
+
+
+def stream_key(prepared: Prepared, repeat: int) -> tuple[object, ...]:
+    """Return the random-stream key of a pair of frames. It does not name the sensor, so that equal sensors give equal frames."""
+    return "compare", prepared.settings.seed, repeat
+
+
+def render_all(prepared: Prepared, stage: Stage) -> tuple[list[Rendered], list[ImagingChain]]:
+    """Return the light of every sensor on one film, fine enough for all, and the imaging chains."""
+    width = prepared.film_width
+    while True:
+        made: list[Rendered] = []
+        chains: list[ImagingChain] = []
+        for sensor in prepared.sensors:
+            light = render_one(prepared, sensor, width, stage(f"render {sensor.name}"))
+            if light.image.shape[1] > width:  # its film had to be finer: the others take that one too
+                width = light.image.shape[1]
+                break
+            if not made:
+                white = white_header(light.image, sensor.camera, prepared.settings.display)
+            light.image.header |= white
+            made.append(light)
+            chains.append(chain_of(prepared, sensor, light.image))
+        else:
+            return made, chains
+
+
+def render_one(prepared: Prepared, sensor: Contestant, width: int, progress: Progress) -> Rendered:
+    """Return the light of a sensor on a film of so many samples across, or more if the film's error asks for them."""
+    scene = sensor.scene.with_resolution(width)
+    with named(sensor.name):
+        plan = prepared.plan(sensor, scene)
+        for note in plan.warnings:
+            warn(note)
+        own = {"camera": CameraOptions(**sensor.camera.model_dump()), "pixel": sensor.pixel, "exposure": sensor.exposure}
+        settings, physics = prepared.settings.model_copy(update=own), derive(sensor.pixel)
+
+        def plan_of(scene: Scene) -> Plan:
+            return prepared.plan(sensor, scene)
+
+        options: dict[str, Any] = {"plan_of": plan_of, "progress": progress}
+        return render_and_measure(scene, sensor.camera, plan, settings, [sensor.pixel], [physics], **options)
+
+
+def chain_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> ImagingChain:
+    """Return the imaging chain of a sensor, which shows and scores the same part of the scene as those of the others."""
+    with named(sensor.name):
+        physics, border_um = derive(sensor.pixel), prepared.border_um(sensor.camera)
+        warn_of_disagreements(sensor.pixel)
+        light = prepare_scene(image, sensor.camera, physics, prepared.settings.display, border_um=border_um)
+        warn_of_clipping(light.beyond_white)
+        return chain_at_pitch(light, physics, sensor.exposure)
+
+
+def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSteps:
+    """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
+    with without_warnings():  # the result itself warns
+        seen = light.image, sensor.camera, derive(sensor.pixel), sensor.exposure, prepared.settings.display
+        return film_steps(*seen, light.plan.chart, largest_um=prepared.border_um(sensor.camera))
+
+
+@dataclass(frozen=True)
+class Task:
+    """A frame to simulate: the number and the name of its sensor, its own number, and the key of its random streams."""
+
+    sensor: int
+    name: str
+    repeat: int
+    key: tuple[object, ...]
+
+    def __str__(self) -> str:
+        return f"frame {self.repeat} of {self.name}"
+
+
+def simulate_task(task: Task, chain: ImagingChain) -> tuple[Task, float]:
+    """Return a task with the mean ΔE of its frame."""
+    return task, chain.simulate(*task.key).mean_delta_e
+
+
+def simulate_all(
+    prepared: Prepared, chains: Sequence[ImagingChain], first: Sequence[Score], jobs: int | None, progress: Progress
+) -> list[Array]:
+    """Return the mean ΔE of all frames of each sensor, (repeats,); `first` are the scores of the first frames."""
+    costs = [frame_cost(sensor.camera, sensor.pixel.pitch_um, prepared.settings.display) for sensor in prepared.sensors]
+    if jobs is None:
+        in_all_s = (prepared.repeats - 1) * sum(cost.seconds for cost in costs)
+        jobs = 1 if in_all_s < FEW_SECONDS else jobs_in_memory(max(cost.memory_bytes for cost in costs))
+    delta_e = [np.full(prepared.repeats, score.mean_delta_e) for score in first]
+    calls = []
+    for number, (sensor, chain) in enumerate(zip(prepared.sensors, chains, strict=True)):
+        shared = partial(_same, chain)  # one function for all calls of a sensor, so that workers share its chain
+        tasks = (Task(number, sensor.name, repeat, stream_key(prepared, repeat)) for repeat in range(1, prepared.repeats))
+        calls += [(task, shared) for task in tasks]
+    for done, (task, value) in enumerate(results_of(simulate_task, calls, workers_here(jobs)), 1):
+        delta_e[task.sensor][task.repeat] = value
+        progress(done / len(calls))
+    return delta_e
+
+
+def _same(chain: ImagingChain) -> ImagingChain:
+    return chain

@@ -1,0 +1,237 @@
+"""`pixsim compare` by the command line: its answer, its files, and its self-contained page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
+from helpers.commands import assert_refused, command
+from helpers.looks import text_of
+
+from pixsim.report.compare import shown_delta_e, verdict
+from pixsim.studies.compare import Comparison
+
+SMALL = "--display.dots 120 --resolution 256 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
+SHEET = """\
+[camera]
+pixels = [64, {rows}]
+[pixel]
+pitch_um = {pitch_um}
+full_well_e = 10000
+read_noise_e = {noise_e}
+dark_current_e_per_s = 5
+quantum_efficiency = 0.6
+black_level_dn = 100
+bits = 12
+"""
+
+
+def write_sheets(folder: Path) -> list[Path]:
+    files = [folder / "quiet.toml", folder / "noisy one.toml"]
+    for file, noise_e, pitch_um, rows in zip(files, (3.0, 100.0), (20.0, 15.0), (64, 48), strict=True):
+        file.write_text(SHEET.format(noise_e=noise_e, pitch_um=pitch_um, rows=rows), encoding="utf-8")
+    return files
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """A comparison's folder, what it printed, and its notes on stderr."""
+    folder = tmp_path_factory.mktemp("compared")
+    code, out, err = command(f"compare {SMALL}", *write_sheets(folder), "--out", folder / "out")
+    assert code == 0, err
+    return folder / "out", out, err
+
+
+def test_compare_prints_answer(compared: tuple[Path, str, str]) -> None:
+    folder, out, err = compared
+    found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    lines = out.splitlines()
+    answer = r"quiet is better than noisy_one by (\d\.\d+) ± (\d\.\d+) ΔE \(probability ([> ]*\.\d+)\)"
+    size, error, probability = re.fullmatch(answer, lines[0]).groups()
+    half = np.subtract(*found["interval_delta_e"]["noisy_one"][::-1]) / 2
+    assert float(size) == pytest.approx(found["difference"]["noisy_one"], abs=10.0 ** -len(size.partition(".")[2]))
+    assert float(error) == pytest.approx(half + found["film_delta_e"]["noisy_one"], rel=0.5)
+    assert float(probability.strip("> ")) - 0.0005 <= found["probability_a_better"]["noisy_one"]
+    assert lines[1].startswith("  quiet      mean ")
+    assert "64 × 48 pixels of 20 µm behind 3.86 mm f/4" in lines[1]  # the common field is that of the wider picture
+    assert "64 × 48 pixels of 15 µm behind 2.89" in lines[2]
+    assert lines[3].startswith("the same field of 18.8° × 14.1°, f/4 and focus at 1 m, as quiet; one chart, to 32 cycles across, ")
+    for words in ("one display of 120 dots across, 23 per degree", "each exposed to 95 % of its own well", "3 pairs of frames"):
+        assert words in lines[3]
+    assert lines[-1] == f"report: {folder / 'report.html'}"
+    assert err == ""
+
+
+def test_compare_json_has_the_names_of_the_issue(compared: tuple[Path, str, str]) -> None:
+    found = json.loads((compared[0] / "compare.json").read_text(encoding="utf-8"))
+    a, b = found["names"]
+    values = {name: np.array(found["sensors"][name]["delta_e"]) for name in (a, b)}
+    assert set(found["scores"]) == {a, b}
+    assert set(found["difference"]) == set(found["interval_delta_e"]) == set(found["probability_a_better"]) == {b}
+    for name in (a, b):
+        low, mean, high = found["scores"][name]
+        assert mean == pytest.approx(values[name].mean(), rel=1e-12)
+        assert low < mean < high
+    assert found["difference"][b] == pytest.approx((values[b] - values[a]).mean(), rel=1e-12)
+    low, high = found["interval_delta_e"][b]
+    assert 0 < low < found["difference"][b] < high
+    assert found["probability_a_better"][b] > 0.975
+    assert {sensor["irradiance"]["film"][1] for sensor in found["sensors"].values()} == {256}
+
+
+def test_compare_settings_make_the_same_numbers(compared: tuple[Path, str, str], tmp_path: Path, monkeypatch: Any) -> None:
+    """The command in settings.toml, in its folder, gives every number again, bit for bit."""
+    folder = compared[0]
+    line = (folder / "settings.toml").read_text(encoding="utf-8").splitlines()[1]
+    assert line.startswith("# pixsim compare sensors/quiet.toml sensors/noisy_one.toml --scene csf --match own")
+    monkeypatch.chdir(folder)
+    code, out, err = command(line.removeprefix("# pixsim "), "--json", "--out", tmp_path / "again")
+    assert code == 0, err
+    again, before = json.loads(out), json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    for name in ("scores", "difference", "interval_delta_e", "probability_a_better", "film_delta_e", "scored_dots", "display"):
+        assert again[name] == before[name], name
+    for name in again["names"]:
+        assert again["sensors"][name]["camera"] == before["sensors"][name]["camera"]
+    again_line = (tmp_path / "again/settings.toml").read_text(encoding="utf-8").splitlines()[1]
+    assert again_line == line
+
+
+def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
+    files = write_sheets(tmp_path)
+    code, out, err = command(f"compare {SMALL} --dry-run --out {tmp_path / 'out'}", *files)
+    assert (code, err) == (0, "")
+    assert [path for path in tmp_path.iterdir() if path not in files] == []
+    assert "64 × 48 pixels of 15 µm behind 2.89" in out
+    assert "film of 256 × 192 samples for all" in out
+    code, out, _ = command(f"compare {SMALL} --dry-run --json --match lens", *files)
+    cameras = [sensor["camera"]["focal_length_mm"] for sensor in json.loads(out)["sensors"].values()]
+    assert cameras == [3.86, 3.86]
+
+
+@pytest.mark.parametrize(
+    ("line", "texts"),
+    [
+        ("compare", ["sensors", "none", "pixsim compare a.toml b.toml"]),
+        ("compare {0}", ["sensors", "1 (", "2 to 8"]),
+        ("compare {0} {0}", ["twice"]),
+        ("compare {0} {1} --match same", ["match", "view"]),
+        ("compare {0} {1} --repeats many", ["repeats", "many"]),
+        ("compare {0} {1} --repeats 1", ["repeats", "2 to 10000"]),
+        ("compare {0} {1} --jobs 0 --repeats 2", ["jobs"]),
+        ("compare {0} {1} --display.raster one_to_one", ["display.raster", "fixed_size"]),
+        ("compare {0} {1} --scene nothing", ["nothing", "csf"]),
+        ("compare {0} {1} -D colour=1", ["colour"]),
+        ("compare {0} {1} --pixel.full-well-e -5", ["full_well_e", "-5"]),
+        ("compare {0} {1} --max-seconds 3", ["max-seconds"]),
+    ],
+)
+def test_compare_invalid_input_raises(line: str, texts: list[str], tmp_path: Path) -> None:
+    files = [f"'{path}'" for path in write_sheets(tmp_path)]
+    assert_refused(*command(f"{line.format(*files)} --out '{tmp_path / 'out'}'"), texts)
+    assert not (tmp_path / "out").exists()
+
+
+def test_compare_other_file_of_the_same_name_raises(tmp_path: Path) -> None:
+    """Before anything is rendered."""
+    (tmp_path / "out/pictures").mkdir(parents=True)
+    (tmp_path / "out/pictures/image_quiet.png").write_text("my own")
+    done = command(f"compare {SMALL}", *write_sheets(tmp_path), "--out", tmp_path / "out")
+    assert_refused(*done, ["image_quiet.png", "not written by pixsim", "--out"])
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["pictures"]
+
+
+# --- the words of an answer ------------------------------------------------------------------------------------------------
+
+
+def result_of(first: list[float], other: list[float], film: float | None) -> Comparison:
+    """A comparison of these ΔE, with this error of the film."""
+
+    result = Comparison.__new__(Comparison)
+    values = {"names": ("a", "b"), "film_delta_e": {"b": film}, "differences": {"b": np.array(other) - np.array(first)}}
+    kind = type("Given", (Comparison,), values)
+    object.__setattr__(result, "__class__", kind)
+    return result
+
+
+CERTAIN = " (probability > .999)"
+
+
+@pytest.mark.parametrize(
+    ("first", "other", "film", "words"),
+    [
+        ([1.0, 1.01], [1.2, 1.211], 0.0, "a is better than b by 0.2005 ± 0.0064 ΔE (probability > .999)"),
+        ([1.2, 1.21], [1.0, 1.011], 0.0, "b is better than a by 0.1995 ± 0.0064 ΔE (probability > .999)"),
+        ([1.0, 1.0], [1.2, 1.2], 0.0, "a is better than b by 0.2000 ± 0.0000 ΔE (probability > .999)"),
+        ([1.0, 1.0], [1.2, 1.2], 0.05, "a is better than b by 0.20 ± 0.05 ΔE (probability > .999)"),
+        ([1.0, 1.0], [1.2, 1.2], 0.3, "a and b cannot be told apart: a is better by 0.2 ± 0.3 ΔE, within the error of the film"),
+        ([1, 1], [1.2, 1.2], None, "a is better than b by 0.2000 ± 0.0000 ΔE and the film's error, which is unknown" + CERTAIN),
+        ([1.0, 1.2], [1.1, 1.2], 0.0, "a and b cannot be told apart: a is better by 0.1 ± 0.6 ΔE (probability .75)"),
+        ([1, 1], [1.02, 1.02], 0.0, "a is better than b by 0.0200 ± 0.0000 ΔE" + CERTAIN + ", no visible difference (< 0.05 ΔE)"),
+        ([1.0, 1.1], [1.0, 1.1], 0.01, "a and b have the same mean ΔE in every pair of frames"),
+    ],
+)  # fmt: skip
+def test_verdict_is_as_sure_as_its_numbers(first: list[float], other: list[float], film: float | None, words: str) -> None:
+    assert verdict(result_of(first, other, film), "b") == words
+
+
+def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:
+    rng = np.random.default_rng(4)
+    for half, film in zip(10 ** rng.uniform(-5, 1, 200), 10 ** rng.uniform(-5, 1, 200), strict=True):
+        value, _, error, _ = shown_delta_e(1.23456, half, film).split()
+        last = 10.0 ** -len(value.partition(".")[2])
+        assert last >= 1e-4
+        assert last <= 0.1
+        assert abs(float(error) - half - film) <= 0.5001 * last
+        assert last == pytest.approx(1e-4) or last >= (half + film) / 110 or last == pytest.approx(0.1)
+
+
+# --- the page --------------------------------------------------------------------------------------------------------------
+
+
+def test_compare_page_matches_json(compared: tuple[Path, str, str]) -> None:
+    folder, out, _ = compared
+    page = " ".join(text_of(folder).split())
+    answer, _, _, conditions, *_ = out.splitlines()
+    assert answer.replace(">", "&gt;") in page
+    assert conditions.replace("'", "&#39;") in page
+    found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    assert f"<td>{found['difference']['noisy_one']:+.4f}</td>" in page
+    links = set(re.findall(r'<li><a href="([^"]+)"', text_of(folder)))
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert links == files - {"report.html"}
+    assert all(item.startswith("data:") for item in re.findall(r'src="([^"]+)"', page))
+    assert "<script" not in page
+    assert str(folder.parent) not in page
+
+
+def test_compare_lines_state_notes_once(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    """A black level of 0 DN clips noise, which each sensor's note says, on the page and in the terminal."""
+    files = write_sheets(tmp_path)
+    code, out, err = command(f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}", *files)
+    assert code == 0
+    notes = [line for line in out.splitlines() if line.startswith("note: ")]
+    assert [note.split()[1] for note in notes] == ["quiet:", "noisy_one:"]
+    assert all("clips dark noise" in note for note in notes)
+    assert err == ""
+    assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [note[6:] for note in notes]
+
+
+@needs_browser
+def test_compare_page_fits_screens(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    views = assert_fits(compared[0] / "report.html", tmp_path)
+    assert_sliders_move(views, pictures=2, left="the picture of quiet")
+    for view in views:
+        assert len(view.tiles) == 6
+
+
+@needs_browser
+def test_compare_page_prints(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    headings = re.findall(r"<h2>(.*?)</h2>", text_of(compared[0]))
+    assert len(headings) == 6
+    texts = ["quiet is better than noisy_one", "compare.json", "64 × 48"]
+    assert_prints(compared[0] / "report.html", tmp_path, range(3, 9), texts, headings, [*headings[:2], headings[3]])

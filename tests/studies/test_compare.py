@@ -1,0 +1,362 @@
+"""Comparisons of sensors: matched cameras, one scored frame, paired frames, and the statistics of their differences."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy import stats
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.base.parameters import Camera
+from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.sensor.integration import pixels_on
+from pixsim.studies.compare import (
+    Comparison,
+    Prepared,
+    Task,
+    chain_of,
+    matched_cameras,
+    mean_interval,
+    prepare,
+    probability_above_zero,
+    simulate_task,
+    stream_key,
+)
+
+SHEETS = Path(__file__).parents[1] / "data/sheets"
+# A chart without samples, few pixels and dots: a comparison takes 0.2 s.
+SMALL: dict[str, Any] = {"display": {"dots": 48}, "resolution": 128}
+DIM = {"luminance_cd_per_m2": 1.0}
+
+
+def sheet(path: Path, read_noise_e: float = 3.0, pitch_um: float = 20.0, pixels: str = "[64, 64]", more: str = "") -> Path:
+    path.write_text(
+        f"[camera]\npixels = {pixels}\n{more}[pixel]\npitch_um = {pitch_um}\nfull_well_e = 10000\nread_noise_e = {read_noise_e}\n"
+        "dark_current_e_per_s = 5\nquantum_efficiency = 0.6\nprnu = 0.01\nbits = 12\nblack_level_dn = 100\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
+    """A sensor, a copy of its file, and one with ten times the read noise, in dim light."""
+    folder = tmp_path_factory.mktemp("noisy")
+    (folder / "other").mkdir()
+    files = [sheet(folder / "a.toml"), sheet(folder / "other/a.toml"), sheet(folder / "noisy.toml", 30.0)]
+    return pixsim.compare(files, parameters=DIM, repeats=8, jobs=1, **SMALL)
+
+
+# --- cameras ----------------------------------------------------------------------------------------------------------
+
+SIDES = st.floats(1.0, 40.0)
+CAMERAS = st.builds(
+    lambda f, die, height, n, u: Camera(focal_length_mm=f, die_mm=die, die_height_mm=height, f_number=n, object_distance_m=u),
+    st.floats(2.0, 100.0), SIDES, SIDES, st.floats(1.0, 16.0), st.floats(0.5, 100.0),
+)  # fmt: skip
+
+
+@given(st.lists(CAMERAS, min_size=2, max_size=4), st.sampled_from(["view", "lens", "own"]))
+@settings(max_examples=100, deadline=None)
+def test_matched_cameras_see_one_field(cameras: list[Camera], match: str) -> None:
+    matched = matched_cameras(cameras, match)  # type: ignore[arg-type]
+    first = matched[0]
+    for whole, camera in zip(cameras, matched, strict=True):
+        assert camera.fov_deg == pytest.approx(first.fov_deg, rel=1e-9)
+        assert camera.height_mm / camera.die_mm == pytest.approx(first.height_mm / first.die_mm, rel=1e-8)
+        assert camera.die_mm <= whole.die_mm * (1 + 1e-12)  # a part of the die
+        assert camera.height_mm <= whole.height_mm * (1 + 1e-12)
+    # The field is the largest that all have: a die is used to its edge across, and one down.
+    for side in ("die_mm", "height_mm"):
+        assert any(
+            getattr(part, side) == pytest.approx(getattr(whole, side), rel=1e-8)
+            for whole, part in zip(cameras, matched, strict=True)
+        )
+    again = matched_cameras(matched, "own")
+    assert again == matched  # what settings.toml repeats
+
+
+@given(st.lists(CAMERAS, min_size=2, max_size=4))
+@settings(max_examples=100, deadline=None)
+def test_matched_view_scales_image_distance_with_die(cameras: list[Camera]) -> None:
+    """v = f(1 + |m|) over the width of the die is that of the first camera, to 1e-12: fov = 2 atan(die/2v)."""
+    first = cameras[0]
+    for whole, camera in zip(cameras, matched_cameras(cameras, "view"), strict=True):
+        assert camera.image_distance_mm / whole.die_mm == pytest.approx(first.image_distance_mm / first.die_mm, rel=1e-12)
+        thin_lens = 1 / camera.image_distance_mm + 1 / (1e3 * first.object_distance_m)
+        assert 1 / camera.focal_length_mm == pytest.approx(thin_lens, rel=1e-12)
+        assert (camera.f_number, camera.object_distance_m, camera.transmittance) == (first.f_number, first.object_distance_m, 1.0)
+        # Detail of the scene is as large on every die, as a fraction of it: chart_half_width_m is the die's in object space.
+        assert camera.chart_half_width_m == pytest.approx(first.chart_half_width_m, rel=1e-12)
+
+
+def test_matched_lens_and_own_keep_their_lenses() -> None:
+    wide = Camera(focal_length_mm=10.0, die_mm=8.0, die_height_mm=6.0)
+    tall = Camera(focal_length_mm=20.0, die_mm=6.0, die_height_mm=7.0, f_number=2.0)
+    lens = matched_cameras([wide, tall], "lens")
+    assert [(each.focal_length_mm, each.f_number) for each in lens] == [(10.0, 4.0), (10.0, 4.0)]
+    assert [(each.die_mm, each.height_mm) for each in lens] == [pytest.approx((6.0, 6.0))] * 2
+    own = matched_cameras([wide, tall], "own")
+    assert [(each.focal_length_mm, each.f_number) for each in own] == [(10.0, 4.0), (20.0, 2.0)]
+    scale = wide.image_distance_mm / tall.image_distance_mm  # the longer lens has the smaller field
+    assert (own[0].die_mm, own[0].height_mm) == pytest.approx((6.0 * scale, 7.0 * scale), rel=1e-12)
+
+
+def test_matched_window_is_of_the_first_die() -> None:
+    cameras = Camera(die_mm=8.0, focal_length_mm=8.0), Camera(die_mm=4.0)
+    first, second = matched_cameras(cameras, "view", 2.0)
+    assert (first.die_mm, second.die_mm) == pytest.approx((2.0, 1.0), rel=1e-12)
+    assert first.focal_length_mm == 8.0
+
+
+# --- one scene, one display, one scored frame -------------------------------------------------------------------------
+
+
+def prepared(files: list[Path], **options: Any) -> Prepared:
+    match = options.pop("match", "view")
+    scene = options.pop("scene_file", "csf")
+    return prepare(files, scene, match=match, repeats=2, options=options)
+
+
+@pytest.mark.parametrize("match", ["view", "lens", "own"])
+def test_prepare_scores_one_part_of_the_scene(match: str, tmp_path: Path) -> None:
+    """Dots, borders and charts are the same fractions of every field, whatever the pixels."""
+    lens = "focal_length_mm = 15.0\n" if match == "own" else ""
+    files = [
+        sheet(tmp_path / "coarse.toml", pitch_um=21.3, pixels="[64, 48]"),
+        sheet(tmp_path / "fine.toml", pitch_um=7.7, pixels="[150, 151]", more=lens),
+    ]
+    made = prepared(files, match=match)
+    coarse, fine = made.sensors
+    assert made.finest == "fine"
+    assert made.settings.display.dots == fine.pixels[1]  # those of the common field
+    assert made.border == max(sensor.pixel.pitch_um / (1e3 * sensor.camera.die_mm) for sensor in made.sensors)
+    cycles = [float(sensor.scene.parameters[MAX_LP_PER_MM]) * sensor.camera.die_mm for sensor in made.sensors]
+    assert cycles[0] == pytest.approx(cycles[1], rel=1e-11)
+    assert cycles[1] == pytest.approx(fine.camera.die_mm * 1e3 / (2 * 7.7), rel=1e-11)  # its Nyquist frequency
+    assert coarse.pixels == pixels_on(coarse.camera.die_um, 21.3)
+
+
+def test_compare_scores_same_dots(noisy: Comparison, tmp_path: Path) -> None:
+    """Other pixels, dies and lenses: the ideal images show the same scene, dot by dot."""
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", pitch_um=9.1, pixels="[100, 90]")]
+    result = pixsim.compare(files, repeats=2, jobs=1, **SMALL)
+    first, second = (sensor.score for sensor in result.sensors)
+    assert first.delta_e.shape == second.delta_e.shape
+    assert result.sensors[0].irradiance.shape == result.sensors[1].irradiance.shape
+    assert first.ideal == pytest.approx(second.ideal, abs=0.02)  # two steps of 8 bits at white: magnification changes the fall-off
+    assert first.border_um[1] / 1280 == pytest.approx(second.border_um[1] / 910, rel=1e-9)
+    assert noisy.sensors[0].score.delta_e.shape == noisy.sensors[2].score.delta_e.shape
+
+
+def test_half_a_dot_has_the_same_rows_on_every_die() -> None:
+    """A field of 20 × 40 has 47.5 rows of 95 dots across: the rounding of its sides in µm must not decide."""
+    display = pixsim.Display(dots=95)
+    scales = [1.0 + number / 7 for number in range(30)]
+    assert len({round(95 * (20 * scale) / (40 * scale)) for scale in scales}) == 2, "rounding would decide"
+    rows = {pixsim.display.dot_edges_um((20 * scale, 40 * scale), scale, display, scale)[0].size for scale in scales}
+    assert len(rows) == 1
+
+
+def test_technology_without_die_has_that_of_the_sheet(tmp_path: Path) -> None:
+    made = prepared([Path("4t-bsi"), sheet(tmp_path / "a.toml", pixels="[100, 60]"), Path("0.35um")], match="lens")
+    assert [each.camera.die_mm for each in made.sensors] == pytest.approx([2.0] * 3)
+    assert [each.camera.height_mm for each in made.sensors] == pytest.approx([1.2] * 3)
+    assert [each.name for each in made.sensors] == ["4t-bsi", "a", "0.35um"]
+
+
+def test_technologies_keep_the_view_of_run() -> None:
+    """Without a data sheet display and chart are those of `pixsim run`."""
+    made = prepared([Path("0.35um"), Path("0.18um")])
+    assert made.view.as_dict() == {}
+    assert made.settings.display == pixsim.Display()
+    assert MAX_LP_PER_MM not in made.sensors[1].scene.parameters
+
+
+def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
+    """[exposure] is each sensor's own; display and light are the first file's, with a warning about another's."""
+    a = sheet(tmp_path / "a.toml")
+    b = sheet(
+        tmp_path / "b.toml", more="[exposure]\nmax_integration_s = 0.01\n[display]\ngamma = 1.0\n[scene]\nspp = 4\n[camera.x]\n"
+    )
+    b.write_text(b.read_text().replace("[camera.x]\n", ""), encoding="utf-8")
+    with pytest.warns(UserWarning, match=r"b\.toml: only \[camera\], \[pixel\], \[exposure\] are used, not display, scene"):
+        made = prepared([a, b])
+    assert [each.exposure.max_integration_s for each in made.sensors] == [0.1, 0.01]
+    assert made.settings.display.gamma == 2.2
+
+
+# --- frames and their statistics --------------------------------------------------------------------------------------
+
+
+def test_copy_of_a_sensor_has_no_difference(noisy: Comparison) -> None:
+    """Equal sensors with equal seeds give equal frames: the difference is exactly 0, and either is as likely the better one."""
+    assert noisy.names == ("a", "a-2", "noisy")
+    assert noisy.difference["a-2"] == 0.0
+    assert noisy.interval_delta_e["a-2"] == (0.0, 0.0)
+    assert noisy.probability_a_better["a-2"] == 0.5
+    assert noisy.film_delta_e["a-2"] == 0.0
+    assert np.std(noisy.sensors[0].delta_e) > 0  # frames differ
+
+
+def test_copy_with_other_streams_agrees_within_interval(noisy: Comparison) -> None:
+    """Independent frames of one sensor: |t| < 5.4 with 7 degrees of freedom fails once in 1000 seeds, and the seed is fixed."""
+    files = [sensor.sensor.source for sensor in noisy.sensors[1:]]
+    other = pixsim.compare(files, parameters=DIM, repeats=8, jobs=1, seed=99, **SMALL)
+    differences = other.sensors[0].delta_e - noisy.sensors[0].delta_e
+    assert np.all(differences != 0)
+    assert abs(differences.mean()) < 5.4 * differences.std(ddof=1) / math.sqrt(8)
+    assert 0.0005 < probability_above_zero(differences) < 0.9995
+
+
+def test_more_read_noise_is_worse(noisy: Comparison) -> None:
+    assert noisy.difference["noisy"] > 0
+    assert noisy.interval_delta_e["noisy"][0] > 0
+    assert noisy.probability_a_better["noisy"] > 0.99
+    low, mean, high = noisy.scores["noisy"]
+    assert low < mean < high
+    assert mean - noisy.scores["a"][1] == pytest.approx(noisy.difference["noisy"], rel=1e-12)
+
+
+def test_pairing_reduces_variance(tmp_path: Path) -> None:
+    """Sensors that differ little share their noise. Without that, 31 degrees of freedom allow a ratio of 1 ± 0.5, not 1/20."""
+    files = [sheet(tmp_path / "a.toml", 10.0), sheet(tmp_path / "b.toml", 10.5)]
+    result = pixsim.compare(files, parameters=DIM, repeats=32, jobs=1, **SMALL)
+    paired = result.differences["b"].var(ddof=1)
+    independent = sum(sensor.delta_e.var(ddof=1) for sensor in result.sensors)
+    print(paired / independent)
+    assert 0 < paired < independent / 4
+
+
+def test_frame_of_another_process_is_the_same(noisy: Comparison) -> None:
+    """A chain that was sent to a worker gives the same frames, bit for bit."""
+    compared = noisy.sensors[2]
+    chain = pickle.loads(pickle.dumps(chain_of(noisy.prepared, compared.sensor, compared.irradiance)))
+    for repeat in (0, 7):
+        task = Task(2, compared.name, repeat, stream_key(noisy.prepared, repeat))
+        assert simulate_task(task, chain) == (task, compared.delta_e[repeat])
+
+
+def test_mean_interval_is_student_t() -> None:
+    values = np.random.default_rng(1).normal(3.0, 2.0, 9)
+    low, mean, high = mean_interval(values)
+    assert (low, high) == pytest.approx(stats.t.interval(0.95, 8, mean, stats.sem(values)), rel=1e-12)
+    assert mean == values.mean()
+
+
+def test_probability_is_student_t() -> None:
+    values = np.random.default_rng(2).normal(0.5, 1.0, 9)
+    assert probability_above_zero(values) == pytest.approx(
+        1 - stats.ttest_1samp(values, 0, alternative="greater").pvalue, rel=1e-12
+    )
+    assert probability_above_zero(-values) == pytest.approx(1 - probability_above_zero(values), rel=1e-12)
+    assert [probability_above_zero(np.full(4, value)) for value in (-1.0, 0.0, 2.0)] == [0.0, 0.5, 1.0]
+
+
+def test_interval_above_zero_exactly_if_probability_is_above_975() -> None:
+    rng = np.random.default_rng(3)
+    draws = rng.normal(0.0, 1.0, (400, 8)) + rng.normal(0.0, 1.0, (400, 1))
+    above = [(mean_interval(each)[0] > 0, probability_above_zero(each) > 0.975) for each in draws]
+    assert all(one == other for one, other in above)
+    assert 20 < sum(one for one, _ in above) < 380
+
+
+@pytest.mark.parametrize("repeats", [2, 8])
+def test_interval_covers_and_probability_is_calibrated(repeats: int) -> None:
+    """4000 sets of pairs of correlated normals: 95 % of the intervals hold the difference, and P is uniform where there is none.
+
+    The share of intervals has a standard deviation of 0.0034; four of them fail once in 16 000 seeds. The seed is fixed.
+    """
+    rng = np.random.default_rng(repeats)
+    shared, own = rng.normal(size=(4000, repeats)), rng.normal(size=(2, 4000, repeats))
+    differences = (shared + 0.3 * own[1] + 0.1) - (shared + 0.3 * own[0])
+    inside = [low <= 0.1 <= high for low, _, high in map(mean_interval, differences)]
+    assert np.mean(inside) == pytest.approx(0.95, abs=4 * 0.0034)
+    uniform = stats.kstest([probability_above_zero(each - 0.1) for each in differences], "uniform")
+    assert uniform.pvalue > 1e-4
+
+
+# --- the film's error -------------------------------------------------------------------------------------------------
+
+
+def test_film_error_of_difference_holds(tmp_path: Path) -> None:
+    """The difference on a coarse film is off by less than its stated error, against a film of four times the samples.
+
+    Both are differences of one pair with the same noise, as the film's error is measured.
+    """
+    files = [sheet(tmp_path / "a.toml", pitch_um=10.0), sheet(tmp_path / "b.toml", pitch_um=14.0, pixels="[46, 46]")]
+    options: dict[str, Any] = {"display": {"dots": 48}, "parameters": {MAX_LP_PER_MM: 40.0}, "repeats": 2, "jobs": 1}
+
+    def compared(resolution: int) -> tuple[float, Comparison]:
+        result = pixsim.compare(files, resolution=resolution, **options)
+        first, second = (sensor.steps.delta_e[0].mean() for sensor in result.sensors)
+        return float(second - first), result
+
+    fine, _ = compared(512)
+    for resolution in (64, 128):
+        coarse, result = compared(resolution)
+        error, own = result.film_delta_e["b"], [sensor.film_delta_e or math.nan for sensor in result.sensors]
+        assert error is not None
+        assert 0 < abs(coarse - fine) < error
+        assert 0.5 * sum(own) <= error < 1.5 * sum(own)
+
+
+def test_film_is_fine_enough_for_each(tmp_path: Path) -> None:
+    few = sheet(tmp_path / "few.toml", pixels="[32, 32]"), sheet(tmp_path / "copy.toml", pixels="[32, 32]")
+    many = sheet(tmp_path / "many.toml", pitch_um=2.0, pixels="[600, 600]")
+    coarse, fine = prepared([*few]), prepared([few[0], many])
+    assert (coarse.film_width, fine.film_width) == (1024, 1200)  # that of the scene; two samples for each of 600 pixels
+
+
+# --- invalid input ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("files", "options", "texts"),
+    [
+        ([], {}, ["sensors", "none", "2 to 8"]),
+        (["a.toml"], {}, ["sensors", "1 (", "2 to 8"]),
+        (["a.toml"] * 9, {}, ["9 (", "2 to 8"]),
+        (["a.toml", "./a.toml"], {}, ["'./a.toml' twice", "different files"]),
+        (["0.35um", "0.35um"], {}, ["'0.35um' twice"]),
+        (["a.toml", "none.toml"], {}, ["none.toml", "does not exist"]),
+        (["a.toml", "0.36um"], {}, ["'0.36um'", "Did you mean '0.35um'?"]),
+        (["a.toml", "."], {}, ["sensor", "'.'", "a TOML file"]),
+        (["a.toml", "scene.toml"], {}, ["scene.toml", "no table [pixel]", "pixsim template sensor"]),
+        (["a.toml", "wrong.toml"], {}, ["wrong.toml", "pixel.full_wel_e", "full_well_e"]),
+        (["a.toml", "b.toml"], {"match": "field"}, ["match", "'field'", "'view', 'lens', 'own'"]),
+        (["a.toml", "b.toml"], {"repeats": 1}, ["repeats", "2 to 10000"]),
+        (["a.toml", "b.toml"], {"repeats": 10**9}, ["repeats", "2 to 10000"]),
+        (["a.toml", "b.toml"], {"scene": "cfs"}, ["cfs", "csf"]),
+        (["a.toml", "b.toml"], {"scene": "picture.exr"}, ["--scene", "picture.exr", "own lens"]),
+        (["a.toml", "b.toml"], {"tolerance_delta_e": 0.1}, ["tolerance_delta_e", "--repeats"]),
+        (["a.toml", "b.toml"], {"max_seconds": 3}, ["max_seconds"]),
+        (["a.toml", "b.toml"], {"display": {"raster": "one_to_one"}}, ["display.raster", "one_to_one", "fixed_size"]),
+        (["a.toml", "b.toml"], {"display": {"dot": 3}}, ["display.dot", "dots"]),
+        (["a.toml", "b.toml"], {"window_mm": 50.0}, ["window_mm", "at most the width of the die"]),
+        (["a.toml", "b.toml"], {"window_mm": 0.02}, ["a: pixel.pitch_um"]),
+        (["a.toml", "tiny.toml"], {"match": "lens"}, ["pixel.pitch_um", "at most"]),
+        (["a.toml", "b.toml"], {"parameters": {"max_lp_per_mm": 0.1}}, ["max_lp_per_mm", "at least"]),
+        (["a.toml", "b.toml"], {"camera": {"focal_length_mm": 2000.0}}, ["focal_length_mm", "no real image"]),
+        (["a.toml", "b.toml"], {"config": "gone.toml"}, ["gone.toml"]),
+    ],
+)
+def test_compare_invalid_raises(
+    files: list[str], options: dict[str, Any], texts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before anything is rendered."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pixsim.studies.compare.render_and_measure", lambda *_, **__: pytest.fail("rendered"))
+    sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml"), sheet(tmp_path / "tiny.toml", pitch_um=0.5, pixels="[30, 30]")
+    (tmp_path / "scene.toml").write_text("[scene]\nspp = 4\n", encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text("[pixel]\nfull_wel_e = 4\n", encoding="utf-8")
+    with pytest.raises(PixsimError) as error:
+        pixsim.compare(files, **options)
+    assert not [text for text in texts if text not in str(error.value)], str(error.value)
