@@ -137,6 +137,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 }  # fmt: skip
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 NOT_CALLED = {
+    "pixsim.compare": "its own tests", "pixsim.studies.compare.Comparison": "a whole comparison",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
     "pixsim.PixsimError": "takes any text",
