@@ -142,7 +142,9 @@ def _outcome(curves: Sequence[Curve], place: int, base: StudyResult, asked: Aske
     """Return what is found for one sensor type and one of its technologies."""
     curve = curves[place]
     best = curve.optimum
-    verdicts = {f"the optimum is smaller than {size:g} µm": best.inside and best.pitch_um < size for size in asked.smaller_than_um}
+    # One at the smallest size tried is there or below; of one at the largest size nothing is known above it.
+    is_known = best.inside or best.pitch_um == curve.pitch_um[0]
+    verdicts = {f"the optimum is smaller than {size:g} µm": is_known and best.pitch_um < size for size in asked.smaller_than_um}
     labels = [each.label.removesuffix(f", {each.words}") if each.words else each.label for each in base.curves]
     for other, name in enumerate(labels):
         if other != place:

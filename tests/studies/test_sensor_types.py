@@ -69,8 +69,8 @@ def test_draw_types_verdicts_are_complementary(done: tuple[Any, list[Any], Path]
     better = first.verdicts["0.35um is better than 0.25um"].probability, second.verdicts["0.25um is better than 0.35um"].probability
     assert sum(better) == 1.0
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
-    inside = np.mean([outcome.inside for outcome in first.outcomes])
-    assert first.verdicts["the optimum is smaller than 20 µm"].probability == inside
+    known = np.mean([outcome.censored < 1 for outcome in first.outcomes])
+    assert first.verdicts["the optimum is smaller than 20 µm"].probability == known
     assert "The optimum shrinks with technology" in first.verdicts
 
 
