@@ -503,6 +503,9 @@ class Evaluations:
                 missing -= len(rows)
                 if progress:
                     progress(1 - missing / total)
+            if len(pending) > capacity:  # the next lights need the memory
+                for part in self.parts:
+                    part.scenes.clear()
         return [
             [
                 self._done[key] | part.case.columns

@@ -298,6 +298,10 @@ class SceneCache:
             self._scenes[key] = prepare_scene(self.irradiance, self.camera, physics, self.display, border_um=border_um)
         return self._scenes[key]
 
+    def clear(self) -> None:
+        """Drop all prepared scenes; they are made again when needed."""
+        self._scenes.clear()
+
     @property
     def capacity(self) -> int:
         """Number of prepared scenes that are stored at once."""
