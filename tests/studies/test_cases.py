@@ -297,16 +297,16 @@ def test_axes_of_bad_text_raises(texts: list[str], message: str) -> None:
 
 def test_study_command_with_axis_writes_page_maps_and_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(small_toml(condition=[DAY, NIGHT]), encoding="utf-8")
+    Path("s.toml").write_text(small_toml(condition=[NIGHT]), encoding="utf-8")
     code, out, err = command("study s.toml --axis pixel.prnu=0.01,0.03 --jobs 1 --out out --json")
     assert code == 0, err
     summary = json.loads(out)
-    assert summary["counts"]["evaluations_made"] == 2 * 2 * 10
+    assert summary["counts"]["evaluations_made"] == 2 * 10
     written = json.loads(Path("out/summary.json").read_text(encoding="utf-8"))
-    assert [curve["at"] for curve in written["curves"]] == [{"pixel.prnu": 0.01}] * 2 + [{"pixel.prnu": 0.03}] * 2
+    assert [curve["at"] for curve in written["curves"]] == [{"pixel.prnu": 0.01}, {"pixel.prnu": 0.03}]
     names = {str(path.relative_to("out")) for path in Path("out").rglob("*") if path.is_file()}
     assert names >= {"report.html", "optima.csv", "conditions.csv", "settings.toml", "figures/conditions_1.svg"}
-    assert names >= {"pixel.prnu_0.01_day/report.html", "pixel.prnu_0.01_night/report.html"}
+    assert "pixel.prnu_0.01_night/report.html" in names
     assert {"figures/optimum_by_pixel.prnu.svg"} <= names or any(name.startswith("figures/optimum_by") for name in names)
     page = Path("out/report.html").read_text(encoding="utf-8")
     assert "One pixel for all conditions" in page

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from pixsim.base.parameters import Study
+from pixsim.report.axes import conditions_plate, conditions_table
+from pixsim.report.wording import compromise_lines
 from pixsim.studies.conditions import compromise, compromises_of, weighted_mean
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve
@@ -137,3 +139,23 @@ def test_regret_interval_coverage() -> None:
         low, high = regret.interval_um
         held += (low or 0.0) <= truth <= (high or np.inf)
     assert held >= 0.88 * STUDIES
+
+
+def test_conditions_plate_and_tables_have_the_numbers() -> None:
+    (found,) = compromises_of(STUDY, exact())
+    assert found.best is not None
+    assert found.regret is not None
+    plate = conditions_plate(found, 1)
+    assert plate.name == "conditions_1"
+    assert plate.caption.startswith("Which pixel suits day, night, never together (data sheet)?")
+    for size in (found.best.pitch_um, found.regret.pitch_um, found.curves[0].optimum.pitch_um):
+        assert f"{size:.2f} µm" in plate.caption
+    assert plate.table["condition"] == ["day"] * 9 + ["night"] * 9 + ["never"] * 9
+    table = conditions_table([found])
+    assert table["pixel_of"] == ["day", "night", "never", "least weighted mean ΔE", "least worst regret"]
+    assert table["pitch_um"][3:] == [found.best.pitch_um, found.regret.pitch_um]
+    assert table["worst_regret_delta_e"][4] == found.regret.delta_e
+    (line,) = compromise_lines(found)
+    assert (
+        f"least worst regret {found.regret.delta_e:.3f} ΔE, in {found.regret.condition}, at {found.regret.pitch_um:.2f} µm" in line
+    )
