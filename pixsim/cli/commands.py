@@ -296,7 +296,7 @@ def study(
             from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
             from pixsim.studies.cases import check_number
             from pixsim.studies.conditions import compromises_of
-            from pixsim.studies.sensor_types import Asked, check_axes, draw_types, number_of_evaluations
+            from pixsim.studies.sensor_types import Asked, check_types
 
             plan = sweep.checked_study(layers)
             folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
@@ -311,12 +311,10 @@ def study(
             if uncertainty is not None or sobol is not None:
                 if uncertainty is not None and sobol is not None:
                     raise invalid("--uncertainty", "with --sobol", "one of the two")
-                check_axes(prepared.study)
                 spreads = sweep.uncertainty_of(study, options.config or [])
                 asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
-                types, evaluations = number_of_evaluations(prepared.parts[0][0].study, asked, len(prepared.parts))
+                types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes)
                 common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
-                check_number(types, evaluations, yes)
                 names = names | uncertainty_files()
             elif smaller_than:
                 raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
@@ -338,18 +336,13 @@ def study(
                     report = write_sensitivity_report(outcome, folder, seconds)
                 summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
             else:
-                from pixsim.studies.engine import Workers, workers_for, workers_here
+                from pixsim.studies.engine import Workers, workers_here
                 from pixsim.studies.preparation import fitting_jobs
 
                 with said_what_is_kept(folder):
-                    result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, **run_options)
-                    unknown: list[Any] = []
-                    if asked is not None:
-                        with workers_for(jobs, scheduler) as workers, output_folder(folder) as path:
-                            unknown = draw_types(result, asked, path, workers, lambda: stage("sensor types"))
-                    more = (
-                        partial(write_uncertainty, found=unknown, study=result.study, total=sobol is not None) if unknown else None
-                    )
+                    result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, asked=asked, **run_options)
+                    total = sobol is not None
+                    more = partial(write_uncertainty, result=result, total=total) if result.uncertainty else None
                     stage("report")
                     first = result.parts[0] if result.parts else result
                     drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
@@ -363,8 +356,8 @@ def study(
                     summary |= {"counts": asdict(result.counts), "compromises": [each.as_dict() for each in found]}
                     lines = axes_lines(result, found)
                     common.verbosity.note(str(result.counts))
-                lines += uncertainty_lines(unknown)
-                summary |= {"uncertainty": [each.as_dict() for each in unknown]} if unknown else {}
+                lines += uncertainty_lines(result.uncertainty)
+                summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
                 lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.base.files import write_json
-from pixsim.base.parameters import Study
 from pixsim.show.pages import Drawn, write_figures, write_page
+from pixsim.studies.result import StudyResult
 from pixsim.studies.sensor_types import total_indices_of
 from pixsim.studies.uncertainty import UncertaintyResult, distribution_plate, indices_plate
 
@@ -24,11 +24,12 @@ def uncertainty_files() -> set[str]:
     return {PAGE, "uncertainty.json", *figures, *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
 
 
-def write_uncertainty(folder: Path, found: Sequence[UncertaintyResult], study: Study, total: bool = False) -> None:
+def write_uncertainty(folder: Path, result: StudyResult, total: bool = False) -> None:
     """Write uncertainty.html, uncertainty.json, a table of the sensor types and the figures of each optimum to a new folder."""
     sections: list[tuple[UncertaintyResult, Sequence[Drawn], list[tuple[str, str]]]] = []
     summary: list[dict[str, Any]] = []
-    for number, each in enumerate(found[:MOST_RESULTS], 1):
+    study = result.study
+    for number, each in enumerate(result.uncertainty[:MOST_RESULTS], 1):
         plates = [distribution_plate(each)] if total else [distribution_plate(each), indices_plate(each)]
         drawn = write_figures(folder, [replace(plate, name=f"{plate.name}_{number}").drawn() for plate in plates])
         each.to_csv(folder / f"sensor_types_{number}.csv")

@@ -177,6 +177,7 @@ class StudyResult:
     warned : warnings while it was computed
     parts : of a study with axes or conditions, the result of each case; irradiance, camera and film are then those of the first
     counts : what was made and what was reused, in a study with axes or conditions
+    uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for
     """
 
     study: Study
@@ -190,6 +191,7 @@ class StudyResult:
     warned: tuple[str, ...] = ()
     parts: tuple[StudyResult, ...] = field(default=(), repr=False)
     counts: Counts | None = None
+    uncertainty: tuple[Any, ...] = ()
 
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))

@@ -15,13 +15,15 @@ import numpy as np
 from pixsim.base.errors import invalid
 from pixsim.base.parameters import Spread, Study, merge
 from pixsim.base.progress import Progress
-from pixsim.studies.cases import Case
+from pixsim.studies.cases import Case, check_number
 from pixsim.studies.claims import scaling_rows
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluations import Evaluations, Part, Sampling, study_pitches_um
 from pixsim.studies.indices import total_indices
 from pixsim.studies.result import Curve, StudyResult, curve_of
 from pixsim.studies.uncertainty import (
+    LEAST_DRAWS,
+    MOST_DRAWS,
     OUTPUTS,
     Outcome,
     Sample,
@@ -55,6 +57,10 @@ class Asked:
     smaller_than_um: tuple[float, ...] = ()
     uncertainty: Mapping[str, Spread] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if not LEAST_DRAWS <= self.draws <= MOST_DRAWS:
+            raise invalid("uncertainty", self.draws, f"{LEAST_DRAWS} to {MOST_DRAWS} sensor types")
+
     def sample(self, study: Study) -> Sample:
         """Return the sensor types. Raises PixsimError if nothing is unknown."""
         make = sobol_points if self.total else sample_types
@@ -68,10 +74,19 @@ def check_axes(study: Study) -> None:
         raise invalid("--uncertainty", f"a study with the axes {got}", f"at most one axis of at most {MOST_VALUES} values")
 
 
-def number_of_evaluations(study: Study, asked: Asked, cases: int) -> tuple[int, int]:
-    """Return the number of sensor types, and that of their evaluations at most."""
-    types = len(asked.sample(study).quantiles)
-    return types, types * MOST_EVALUATIONS * len(study.technologies) * cases
+def check_types(study: Study, cases: Sequence[Study], asked: Asked, agreed: bool) -> tuple[int, int]:
+    """Return the number of sensor types of a study and of their evaluations at most.
+
+    cases : of the study
+    agreed : whether they may be very many
+
+    Raises PixsimError for axes with which types cannot be drawn, if nothing is unknown, and for too many evaluations.
+    """
+    check_axes(study)
+    types = len(asked.sample(cases[0]).quantiles)
+    evaluations = types * MOST_EVALUATIONS * sum(len(case.technologies) for case in cases)
+    check_number(types, evaluations, agreed)
+    return types, evaluations
 
 
 def draw_types(

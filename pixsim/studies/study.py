@@ -54,6 +54,7 @@ from pixsim.viewer.score import SceneCache
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
     from pixsim.studies.budget import Settled
+    from pixsim.studies.sensor_types import Asked
 
 Light = tuple[SpectralImage, Camera, FilmError]
 
@@ -452,6 +453,8 @@ def study(
     variant: str | None = None,
     progress: Stage | None = None,
     agreed: bool = False,
+    uncertainty: int | None = None,
+    smaller_than_um: Sequence[float] = (),
     **settings: Any,
 ) -> StudyResult:
     """Run a study, or resume an interrupted one, with its rows in `out`/results.csv.
@@ -469,7 +472,10 @@ def study(
         on the same kind of processor their results are bitwise equal
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage
-    agreed : whether a study with axes may take more than 100 000 evaluations
+    agreed : whether a study with axes or sensor types may take more than 100 000 evaluations
+    uncertainty : number of sensor types to draw from the ranges of technologies and [pixel.uncertainty] of `config`, for the
+        result's `uncertainty`; None means none
+    smaller_than_um : sizes; the probability that the optimum is smaller is reported
     settings : other fields of `Study`, which override a named study's; tables as dicts: camera={"f_number": 2.8},
         pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3, window_mm=1.0, axis=[{"name": "lens", "set":
         "camera.f_number", "values": [2.0, 4.0]}], condition=[…]
@@ -490,9 +496,16 @@ def study(
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
         chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
-        return run_prepared(
-            prepare(chosen, variant, quick=quick), out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed
-        )
+        asked = None
+        if uncertainty is not None:
+            from pixsim.studies.sensor_types import Asked
+
+            files = [config] if isinstance(config, str | os.PathLike) else config
+            spreads = uncertainty_of(plan, files) if isinstance(plan, str | os.PathLike) else {}
+            asked = Asked(uncertainty, smaller_than_um=tuple(smaller_than_um), uncertainty=spreads)
+        prepared = prepare(chosen, variant, quick=quick)
+        options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "progress": progress, "agreed": agreed}
+        return run_prepared(prepared, out, asked=asked, **options)
 
 
 def run_prepared(
@@ -503,11 +516,19 @@ def run_prepared(
     scheduler: Any = None,
     progress: Stage | None = None,
     agreed: bool = False,
+    asked: Asked | None = None,
 ) -> StudyResult:
-    """Run a prepared study; the arguments are those of `study`."""
+    """Run a prepared study; the other arguments are those of `study`.
+
+    asked : about its unknown numbers
+    """
     from pixsim.scene.convergence import RenderNoise
 
     check_number(len(prepared.cases), prepared.evaluations, agreed)
+    if asked is not None:
+        from pixsim.studies.sensor_types import check_types
+
+        check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, agreed)
 
     chosen, variant = prepared.study, prepared.variant
     stage = progress or (lambda _: lambda *_: None)
@@ -544,4 +565,12 @@ def run_prepared(
         changes["budget"] = settled.budget(RenderNoise(**noise), irradiance.header["bound_e"], sensors)
     final = replace(result, **changes)
     final.__dict__["scenes"] = result.scenes  # expensive to prepare again
-    return final
+    if asked is None:
+        return final
+    from pixsim.studies.sensor_types import draw_types
+
+    with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
+        unknown = draw_types(final, asked, folder, workers, lambda: stage("sensor types"))
+    known = replace(final, uncertainty=tuple(unknown))
+    known.__dict__["scenes"] = result.scenes
+    return known

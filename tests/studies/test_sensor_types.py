@@ -40,8 +40,8 @@ def written(**over: Any) -> str:
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, list[Any], Path]:
     folder = tmp_path_factory.mktemp("types")
-    result = pixsim.study(small(), folder, jobs=1)
-    return result, draw_types(result, Asked(DRAWS, smaller_than_um=(1.0, 20.0)), folder, Workers(), lambda: None), folder
+    result = pixsim.study(small(), folder, jobs=1, uncertainty=DRAWS, smaller_than_um=(1.0, 20.0))
+    return result, list(result.uncertainty), folder
 
 
 def test_draw_types_rows_are_those_of_a_study_with_its_numbers(done: tuple[Any, list[Any], Path], tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
     [
         ("--uncertainty 8 --sobol 8", ["--uncertainty", "one of the two"]),
         ("--smaller-than 6", ["--smaller-than", "--uncertainty N"]),
-        ("--uncertainty 0", ["at least"]),
+        ("--uncertainty 0", ["uncertainty", "8 to 65536"]),
         ("--uncertainty 8", ["unknowns", "[pixel.uncertainty]"]),
         ("--uncertainty 8 --axis camera.f_number=2,3,4,5,6,8", ["--uncertainty", "at most 5 values"]),
     ],
