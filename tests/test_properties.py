@@ -282,7 +282,7 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
 
     scored()
     # Most of the other chains have a white that fills no well, or pixels larger than the die.
-    assert outcomes["accepted"] > 0.55 * outcomes.total(), outcomes
+    assert outcomes["accepted"] > 0.4 * outcomes.total(), outcomes
 
 
 def any_technology() -> st.SearchStrategy[Technology]:
@@ -315,7 +315,7 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
             assert_possible(capture_from_rates(rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)))
 
     captured()
-    assert outcomes["accepted"] > 0.5 * outcomes.total(), outcomes
+    assert outcomes["accepted"] > 0.4 * outcomes.total(), outcomes
 
 
 @settings(max_examples=60, **REPEATABLE)

@@ -120,7 +120,7 @@ INVALID = {
     "run": ["SCENE"],
     "run cfs": ["Did you mean 'csf'?"],
     "run csf --pixel.technology 0.35": ["Did you mean '0.35um'?"],
-    "look": ["look", "run, plan, study, accuracy, datasheet, sfr, chart"],
+    "look": ["look", "run, plan, study, compare, accuracy, datasheet, sfr, chart"],
     "study nowhere": ["nowhere", "chen2000"],
     "study chen200": ["Did you mean 'chen2000'?"],
     "study sheet.toml": ["the file of a sensor", "pixsim study pixel-size --config"],
