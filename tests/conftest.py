@@ -5,8 +5,9 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
-# Before NumPy: threads of BLAS make the small matrices of a fit several times slower, and the workers share the cores.
+# Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a run share the cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 # A shell starts what runs in the background with Ctrl-C ignored, which commands under test would inherit.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -638,6 +638,7 @@ def test_command_full_disk_leaves_no_partial_file(tmp_path, line, max_bytes):
 ESCAPES = "\x1b[2J\x07\x9b31m\u202e\x7f"
 
 
+@pytest.mark.slow
 def test_commands_print_no_control_characters(tmp_path, monkeypatch):
     """Names of files and texts of their headers, in results, tables, messages, warnings and lines of progress."""
     monkeypatch.chdir(tmp_path)

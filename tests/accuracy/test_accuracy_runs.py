@@ -304,6 +304,7 @@ def test_run_meets_tolerance_and_looser_is_cheaper(chart, tmp_path, monkeypatch)
     assert len(list((tmp_path / "cache/calibration").iterdir())) == 1  # the second run used the first one's calibration
 
 
+@pytest.mark.slow
 def test_run_fixed_film_reports_unmet_tolerance(tmp_path):
     result = run("csf", "--resolution 64 --tolerance-delta-e 0.001 --max-seconds 5", tmp_path / "out")
     budget = result["error_budget"]

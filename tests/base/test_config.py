@@ -104,6 +104,7 @@ def test_study_incomplete_data_sheet_raises() -> None:
         Study.model_validate(table | {"technologies": ["none", "0.35um"]})
 
 
+@pytest.mark.slow
 def test_study_command_with_data_sheet_runs(tmp_path: Path) -> None:
     """With a scene parameter, and --quick for a study without a [quick] table."""
     study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\n[pitch]\ncount = 5\n')

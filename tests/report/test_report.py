@@ -106,6 +106,7 @@ def test_write_report_has_pictures_per_technology(made: tuple[StudyResult, Path]
     assert text_of(made[1]).count('src="data:image/svg+xml;') == len(figures(made[1]))
 
 
+@pytest.mark.slow
 def test_write_report_equal_file_names_are_numbered(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     paths = [tmp_path / folder / "mine.toml" for folder in ("first", "second")]
@@ -142,6 +143,7 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
     assert names == ["delta_e_against_pitch", "delta_e_against_pitch_all"]
 
 
+@pytest.mark.slow
 def test_write_report_states_light_level(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     result = made[0]
     times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in result.curves])
@@ -183,6 +185,7 @@ SHEET = {"data_sheet_pitch_um": 2.0, "full_well_e": 8000.0, "read_noise_e": 5.0,
 SHEET |= {"quantum_efficiency": [[400.0, 0.3], [550.0, 0.6], [700.0, 0.4]]}
 
 
+@pytest.mark.slow
 def test_write_report_data_sheet_omits_process(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
     result = pixsim.study(tiny(**more), tmp_path, jobs=1)
@@ -222,6 +225,7 @@ def test_study_page_fits_screens(made: tuple[StudyResult, Path], tmp_path: Path)
         assert seen.headings[0][1] == TITLE
 
 
+@pytest.mark.slow
 @needs_browser
 def test_study_page_prints(made: tuple[StudyResult, Path], tmp_path: Path) -> None:
     best = made[0].curves[0].optimum

@@ -147,6 +147,7 @@ def test_render_until_lower_target_renders_more(monkeypatch):
     assert spent == sorted(set(spent))
 
 
+@pytest.mark.slow
 def test_render_until_pairs_grow_far_from_target(monkeypatch):
     renders = Noisy(monkeypatch, 0.1)
     first = until(LOOSE)[1].fraction

@@ -286,6 +286,7 @@ def test_interval_covers_and_probability_is_calibrated(repeats: int) -> None:
 # --- the film's error -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_film_error_of_difference_holds(tmp_path: Path) -> None:
     """The difference on a coarse film is off by less than its stated error, against a film of four times the samples.
 

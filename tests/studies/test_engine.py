@@ -289,6 +289,7 @@ def test_study_on_cluster_same_bytes(by: str, cluster: str, toml: Path, expected
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_results_of_single_thread_cluster(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """joblib takes a cluster of one thread for none, and would compute here."""
     monkeypatch.setattr(ImagingChain, "score_frame", lambda *_: pytest.fail("computed here"))
@@ -297,6 +298,7 @@ def test_results_of_single_thread_cluster(toml: Path, expected: bytes, tmp_path:
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They need not have its file, and one that is edited counts at once."""
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
@@ -314,6 +316,7 @@ def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: P
     assert actual[0] != actual[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "pattern"),
     [

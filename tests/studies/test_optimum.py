@@ -292,6 +292,7 @@ COVERED = [pytest.param("chen2000_0.35um", 2, marks=pytest.mark.slow), ("evening
 COVERED += [pytest.param("near_an_end", 3, marks=pytest.mark.slow)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("curve", "repeats"), COVERED)
 def test_fit_curve_interval_coverage(curve: str, repeats: int) -> None:
     """In 90 to 99 % of the studies, whose numbers are drawn from fixed seeds.

@@ -349,6 +349,7 @@ def test_dry_run_renders_and_writes_nothing(line: str, tmp_path: Path, monkeypat
         assert outline["chosen"]["dots"] == math.floor(1e3 * outline["camera"]["die_mm"] / 3.45)
 
 
+@pytest.mark.slow
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
     line = f"study pixel-size --config {sheet_toml(tmp_path)} --resolution 64 -D spp=4 --window 0.2 --pitch.count 5 --quick"
     with quiet():

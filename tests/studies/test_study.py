@@ -300,6 +300,7 @@ def test_load_study_invalid_pixel_option_raises(pixel: dict[str, object], messag
         pixsim.study(tiny(), "out", pixel=pixel)
 
 
+@pytest.mark.slow
 def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[Frame]) -> None:
     chart = tmp_path / "chart.exr"
     scene = {"parameters": {"chart": str(chart)}}
@@ -428,6 +429,7 @@ def test_study_interrupt_keeps_finished_rows(done: tuple[StudyResult, Path], tmp
     assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_study_interrupt_counts_rows_of_its_settings_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C before and after the first row of a study, in the folder of a study with another seed."""
     toml, out = tmp_path / "tiny.toml", tmp_path / "out"
