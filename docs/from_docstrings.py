@@ -127,7 +127,7 @@ def attribute(name: str, owner: type, told: str) -> list[str]:
     """A field as an entry of its own: type, default, what it is, unit and range."""
     head, body = [f".. py:attribute:: {name}"], told
     if issubclass(owner, Record):
-        schema = owner.model_json_schema()["properties"][name]
+        schema = owner.model_json_schema(by_alias=False)["properties"][name]
         kind = owner.model_fields[name].annotation
         if inspect.isclass(kind) and issubclass(kind, Record):
             head.append(f"   :type: {kind.__name__}")

@@ -543,9 +543,9 @@ class Pixel(PixelOptions):
         return self
 
     @property
-    def given(self) -> set[str]:
+    def given(self) -> frozenset[str]:
         """Names of the fields that were set, to a value other than None."""
-        return {name for name in self.model_fields_set if getattr(self, name) is not None}
+        return frozenset(name for name in self.model_fields_set if getattr(self, name) is not None)
 
     @property
     def assumption(self) -> str:
@@ -919,8 +919,8 @@ class AxisPoint:
 class Axis(Record):
     """Something that a study varies beside the pixel size: settings and their values.
 
-    Either `set` names settings that take each value together, with `values`, or `from`, `to` and `count`; or each of `values` has
-    a label and settings of its own.
+    Either the field set names settings that take each value together, with `values`, or `from`, `to` and `count`; or each of
+    `values` has a label and settings of its own.
     """
 
     name: CaseName = Field(description="name in columns and for --axis")
