@@ -287,15 +287,12 @@ def in_use(folder: Path) -> Iterator[None]:
         thread.join()
 
 
-@pytest.mark.parametrize("line", [*LINES.values(), "study vary.toml --out out", "sfr edge.npy --out out"])
+@pytest.mark.parametrize("line", [*LINES.values(), "sfr edge.npy --out out"])
 def test_command_refuses_folder_in_use(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import numpy as np
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
-    (tmp_path / "vary.toml").write_text(
-        'name = "v"\nbase = "tiny.toml"\n[[vary]]\nname = "n"\n[[vary.settings]]\nlabel = "a"\nset = { seed = 2 }\n'
-    )
     np.save("edge.npy", 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128))))
     with in_use(tmp_path / "out"):
         before = sorted(path.name for path in (tmp_path / "out").rglob("*"))

@@ -920,11 +920,11 @@ class Axis(Record):
     """Something that a study varies beside the pixel size: settings and their values.
 
     Either the field set names settings that take each value together, with `values`, or `from`, `to` and `count`; or each of
-    `values` has a label and settings of its own.
+    `values` has a label and settings of its own; or `range_of` names a number of technologies, which a study replaces by values.
     """
 
     name: CaseName = Field(description="name in columns and for --axis")
-    set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths)] = Field(
+    set: Annotated[tuple[DottedSetting, ...], BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...])] = Field(
         (), description="dotted settings that take each value together"
     )
     values: tuple[AxisValue | AxisNumber, ...] | None = Field(None, description="numbers or names, or tables of label and set")
@@ -932,6 +932,13 @@ class Axis(Record):
     to: float | None = Field(None, description="last value")
     count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
     spacing: Literal["linear", "log"] = Field("linear", description="'linear': equal steps; 'log': equal ratios")
+    range_of: str | None = Field(
+        None,
+        description=(
+            "a number of the technologies, as dark_current_na_per_cm2; its values are the ends of its range, in all technologies "
+            "together and in each alone"
+        ),
+    )
     alone: bool = Field(False, description="vary this axis alone, about the values of the study, not with each value of the others")
     quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
 
@@ -943,6 +950,12 @@ class Axis(Record):
             raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name")
         ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
         given = [name for name, value in ends.items() if value is not None]
+        if self.range_of is not None:
+            if others := [*(["set"] if self.set else []), *(["values"] if self.values is not None else []), *given]:
+                raise ValueError(f"range_of and {', '.join(others)} both state the values; give one")
+            if not self.alone:
+                raise ValueError("range_of without alone = true; allowed: ranges of technologies one at a time, with alone = true")
+            return self
         given += ["spacing"] * ("spacing" in self.model_fields_set and self.values is not None)
         if self.values is not None and given:
             raise ValueError(f"values and {', '.join(given)} both state the values; give one")
@@ -970,7 +983,9 @@ class Axis(Record):
 
     @cached_property
     def points(self) -> tuple[AxisPoint, ...]:
-        """The values in order."""
+        """The values in order; none of a range that no study has replaced by values."""
+        if self.range_of is not None:
+            return ()
         values: Sequence[AxisValue | AxisNumber] = self.values or _spaced(
             self.first or 0.0, self.to or 0.0, self.count or 2, self.spacing
         )
@@ -1024,6 +1039,9 @@ class Study(Effort):
     """Settings of a study: mean ΔE of many pitches, technologies and sensors."""
 
     name: StudyName = Field(description="name: letters, digits, dots and dashes; the random streams depend on it")
+    streams: StudyName | None = Field(
+        None, description="name of the study whose random streams this one has; absent: its own, or that of its base"
+    )
     title: str = Field("", description="title of the report")
     seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the render, the sensors and their noise")
     technologies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
@@ -1131,6 +1149,11 @@ class Study(Effort):
             if missing := [*(["data_sheet_pitch_um"] if "data_sheet_pitch_um" not in given else []), *missing_of_data_sheet(given)]:
                 raise ValueError(f"technologies = ['{NO_TECHNOLOGY}'] needs a data sheet in [pixel]; missing: {', '.join(missing)}")
         return self
+
+    @property
+    def stream_name(self) -> str:
+        """Name on which its random streams depend."""
+        return self.streams or self.name
 
     @property
     def own_pitches_um(self) -> tuple[float, ...]:

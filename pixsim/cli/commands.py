@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from cyclopts import Parameter
 
-from pixsim.base.config import checked, read_toml, study_layers
+from pixsim.base.config import read_toml, study_layers
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.files import MIB, check_replaceable, output_folder
 from pixsim.base.notes import collected_notes
@@ -273,92 +273,71 @@ def study(
     Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
     command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
-    from pixsim.report.wording import budget_lines, film_words, optimum_line, sensitivity_lines, study_view_line
+    from pixsim.report.axes import axes_files, axes_lines, axes_summary, write_axes_report
+    from pixsim.report.outline import long_lines, outline_lines, study_outline
+    from pixsim.report.study import report_files, write_report
+    from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
+    from pixsim.report.wording import budget_lines, film_words, optimum_line, study_view_line
     from pixsim.studies import study as sweep
+    from pixsim.studies.cases import check_number
+    from pixsim.studies.conditions import compromises_of
+    from pixsim.studies.engine import Workers, workers_here
+    from pixsim.studies.preparation import fitting_jobs
+    from pixsim.studies.sensor_types import Asked, check_types
 
     table = sweep.read_study(study)
     tables = options.study_tables(scene, display=display, pitch=pitch, seed=seed, tolerance_e=tolerance_e, **vars(effort))
     if axis:
         tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
-    if "vary" in table.table and (tables or options.config):
-        hint = "Copy the study that it varies, set them there, and name the copy as its base."
-        got = f"{', '.join(tables) or '--config'}, with {study}, which varies another study"
-        raise invalid("options of settings", got, "studies of pixel sizes", hint)
     with collected_notes():  # also of what is found before the study begins
         layers = study_layers(table, options.config or [], tables)
         seconds: dict[str, float] = {}
         suffix = "-quick" if quick else ""
         run_options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler}
-        if "vary" not in table.table:
-            from pixsim.report.axes import axes_files, axes_lines, write_axes_report
-            from pixsim.report.outline import long_lines, outline_lines, study_outline
-            from pixsim.report.study import report_files, write_report
-            from pixsim.report.uncertainty import uncertainty_files, uncertainty_lines, write_uncertainty
-            from pixsim.studies.cases import check_number
-            from pixsim.studies.conditions import compromises_of
-            from pixsim.studies.sensor_types import Asked, check_types
-
-            plan = sweep.checked_study(layers)
-            folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-            prepared = sweep.prepare(plan, variant, quick)
-            outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
-            if dry_run:
-                show(outline, json, "\n".join(outline_lines(outline, folder)))
-                return
-            check_number(len(prepared.cases), prepared.evaluations, yes)
-            names = (axes_files if prepared.cases else report_files)(prepared.study)
-            asked = None
-            if uncertainty is not None or sobol is not None:
-                if uncertainty is not None and sobol is not None:
-                    raise invalid("--uncertainty", "with --sobol", "one of the two")
-                spreads = sweep.uncertainty_of(study, options.config or [])
-                asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
-                types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes)
-                common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
-                names = names | uncertainty_files()
-            elif smaller_than:
-                raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
-            check_replaceable(folder, names)
-            for line in long_lines(outline):
-                common.verbosity.note(line)
-        elif dry_run:
-            raise invalid("--dry-run", f"with {study}, which varies another study", "studies of pixel sizes")
+        plan = sweep.checked_study(layers)
+        folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
+        prepared = sweep.prepare(plan, variant, quick)
+        outline = study_outline(prepared, jobs, plan.quickened if quick else plan)
+        if dry_run:
+            show(outline, json, "\n".join(outline_lines(outline, folder)))
+            return
+        check_number(len(prepared.cases), prepared.evaluations, yes)
+        names = (axes_files if prepared.cases else report_files)(prepared.study)
+        asked = None
+        if uncertainty is not None or sobol is not None:
+            if uncertainty is not None and sobol is not None:
+                raise invalid("--uncertainty", "with --sobol", "one of the two")
+            spreads = sweep.uncertainty_of(study, options.config or [])
+            asked = Asked(uncertainty or sobol or 0, sobol is not None, tuple(smaller_than or ()), spreads)
+            types, evaluations = check_types(prepared.study, [case.study for case, _ in prepared.parts], asked, yes)
+            common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
+            names = names | uncertainty_files()
+        elif smaller_than:
+            raise invalid("--smaller-than", "without --uncertainty", "--uncertainty N beside it")
+        check_replaceable(folder, names)
+        for line in long_lines(outline):
+            common.verbosity.note(line)
         with stages(seconds) as stage:
-            if "vary" in table.table:
-                from pixsim.studies.sensitivity import FILES, Sensitivity, run_sensitivity, write_sensitivity_report
-
-                sensitivity: Sensitivity = checked(Sensitivity, layers)
-                folder = out or DEFAULT_OUT / f"{sensitivity.name}{suffix}"
-                check_replaceable(folder, FILES)
-                with said_what_is_kept(folder):
-                    outcome = run_sensitivity(sensitivity, folder, progress=stage, quick=quick, variant=variant, **run_options)
-                    stage("report")
-                    report = write_sensitivity_report(outcome, folder, seconds)
-                summary, lines = outcome.as_dict(), sensitivity_lines(outcome)
-            else:
-                from pixsim.studies.engine import Workers, workers_here
-                from pixsim.studies.preparation import fitting_jobs
-
-                with said_what_is_kept(folder):
-                    result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, asked=asked, **run_options)
-                    total = sobol is not None
-                    more = partial(write_uncertainty, result=result, total=total) if result.uncertainty else None
-                    stage("report")
-                    first = result.parts[0] if result.parts else result
-                    drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-                    report = (write_axes_report if result.parts else write_report)(result, folder, seconds, drawing, more)
-                summary = result.as_dict()
-                warned = set(result.warned)  # they are on stderr
-                lines = [*map(optimum_line, result.curves), *study_view_line(result)]
-                lines += [film_words(summary["film"])] if "film" in summary else []
-                if result.counts:
-                    found = compromises_of(result.study, result.curves)
-                    summary |= {"counts": asdict(result.counts), "compromises": [each.as_dict() for each in found]}
-                    lines = axes_lines(result, found)
-                    common.verbosity.note(str(result.counts))
-                lines += uncertainty_lines(result.uncertainty)
-                summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
-                lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
+            with said_what_is_kept(folder):
+                result = sweep.run_prepared(prepared, folder, progress=stage, agreed=yes, asked=asked, **run_options)
+                total = sobol is not None
+                more = partial(write_uncertainty, result=result, total=total) if result.uncertainty else None
+                stage("report")
+                first = result.parts[0] if result.parts else result
+                drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
+                report = (write_axes_report if result.parts else write_report)(result, folder, seconds, drawing, more)
+            summary = result.as_dict()
+            warned = set(result.warned)  # they are on stderr
+            lines = [*map(optimum_line, result.curves), *study_view_line(result)]
+            lines += [film_words(summary["film"])] if "film" in summary else []
+            if result.counts:
+                found = compromises_of(result.study, result.curves)
+                summary = axes_summary(result, found) | {"counts": asdict(result.counts)}
+                lines = axes_lines(result, found)
+                common.verbosity.note(str(result.counts))
+            lines += uncertainty_lines(result.uncertainty)
+            summary |= {"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}
+            lines += [*(f"note: {note}" for note in result.notes if note not in warned), *budget_lines(summary)]
     show(summary, json, "\n".join([*lines, f"report: {report}"]))
 
 
@@ -372,8 +351,8 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
     from pixsim.studies.evaluations import ResultsFile
 
     def files() -> dict[Path, int]:
-        paths = [folder / "results.csv", *folder.glob("cases/*.csv")]
-        return {path: path.stat().st_mtime_ns for path in paths if path.is_file()}
+        path = folder / "results.csv"
+        return {path: path.stat().st_mtime_ns} if path.is_file() else {}
 
     before = files()
     try:

@@ -16,7 +16,7 @@ KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}
 WIDTH = 110
 # Plausible values for fields without a default.
 EXAMPLES: dict[str, Any] = Camera().model_dump() | {
-    "name": "my-study", "title": "How small should my pixel be?",
+    "name": "my-study", "streams": "chen2000", "title": "How small should my pixel be?",
     "technologies": ["0.35um", "4t-bsi"], "process": {"0.35um": {"dark_current_na_per_cm2": 3.0}},
     "values_um": [4.0, 5.0, 6.0, 8.0, 12.0], "pitch_um": 3.75, "data_sheet_pitch_um": 3.75, "min_um": 2.0, "own_um": 3.75,
     "window_mm": 1.0,
@@ -51,6 +51,7 @@ A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are exam
 UNCERTAINTY = (
     "how far numbers of the data sheet may be wrong, each by its standard deviation or its range; frames do not depend on it"
 )
+BASE = "a packaged study, or a TOML file, whose values hold where this file gives none; it shares that study's random streams"
 UNCERTAINTY_EXAMPLE = """
 ##   [pixel.uncertainty]
 ##   read_noise_e = { sd = 0.2 }
@@ -66,6 +67,9 @@ def template(kind: str) -> str:
     order = ["pixel", *(name for name in tables if name != "pixel")] if kind == "sensor" else list(tables)
     top = {name: field for name, field in schema["properties"].items() if name not in tables}
     lines += ["", *_fields(top, shown, "")]
+    lines += textwrap.wrap(f'{BASE}; optional: base = "chen2000"', WIDTH, initial_indent="## ", subsequent_indent="##   ") * (
+        kind == "study"
+    )
     for name in order:
         properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
         first = [key for dotted in shown if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
@@ -95,6 +99,8 @@ def json_schema(kind: str) -> dict[str, Any]:
             "propertyNames": {"enum": list(MAY_BE_UNCERTAIN)},
             "additionalProperties": {"$ref": "#/$defs/Spread"},
         }
+    else:  # read with the file
+        schema["properties"]["base"] = {"type": "string", "description": BASE}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

@@ -10,12 +10,13 @@ from typing import Any
 from pixsim.base.config import SETTINGS_FILE
 from pixsim.base.files import check_replaceable, output_folder, publishing, versions, write_json
 from pixsim.base.parameters import Study
-from pixsim.report.maps import alone_plate, axis_plates, plate_names
+from pixsim.report.maps import alone_groups, alone_plate, axis_plates, plate_names
 from pixsim.report.study import report_files, write_pages
 from pixsim.report.wording import compromise_lines, film_words, interval_text, no_difference_words, optimum_line, study_view_line
 from pixsim.show.figures import LOOKS, literal, new_figure
 from pixsim.show.pages import Column, Plate, csv_text, write_figures, write_page
 from pixsim.studies.cases import Case, cases_of
+from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret, compromises_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.optimum import Optimum, mean_and_ci95
@@ -115,13 +116,37 @@ def optima_table(result: StudyResult) -> dict[str, Column]:
 
 
 def axes_lines(result: StudyResult, compromises: Sequence[Compromise]) -> list[str]:
-    """Return the result as lines of text: compromises and optima, of very many the first ones."""
+    """Return the result as lines of text: compromises and optima, of very many the first ones, then axes that are moved alone."""
     lines = [line for found in compromises for line in compromise_lines(found)]
-    lines += [optimum_line(curve) for curve in result.curves]
+    lines += [optimum_line(curve) for curve in result.curves if not curve.alone]
     if len(lines) > LINES_SHOWN:
         lines = [*lines[:LINES_SHOWN], f"and {len(lines) - LINES_SHOWN} more: optima.csv"]
+    lines += alone_lines(result)
     lines += [*study_view_line(result), *film_lines(result)]
     return lines
+
+
+def alone_lines(result: StudyResult) -> list[str]:
+    """Return how far each axis that is moved alone moves the optimum, widest first, for the panels of its figure."""
+    names = [axis.name for axis in result.study.axis if axis.alone]
+    groups = alone_groups(result, names)[0] if names else []
+    lines = []
+    for group in groups:
+        found = []
+        for name in names:
+            optima = [group.base.optimum, *(curve.optimum for curve in group.moved[name])]
+            sizes, least = [best.pitch_um for best in optima], [best.mean_delta_e for best in optima]
+            end = "" if all(best.inside for best in optima) else " (an end of the sizes tried)"
+            text = f"{min(sizes):.2f} to {max(sizes):.2f} µm{end}, least mean ΔE {min(least):.3f} to {max(least):.3f}"
+            found.append((max(sizes) - min(sizes), f"{', '.join(filter(None, (group.label, name)))} alone: {text}"))
+        lines += [line for _, line in sorted(found, key=lambda each: -each[0])]
+    return lines
+
+
+def axes_summary(result: StudyResult, compromises: Sequence[Compromise]) -> dict[str, Any]:
+    """Return the result as in summary.json."""
+    more = {"compromises": [found.as_dict() for found in compromises], "claims": [each.as_dict() for each in verdicts(result)]}
+    return result.as_dict() | {name: values for name, values in more.items() if values}
 
 
 def film_lines(result: StudyResult) -> list[str]:
@@ -159,7 +184,7 @@ def write_axes_report(
         [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
     )
     parts = result.parts[: len(shown)]
-    summary = result.as_dict() | ({"compromises": [found.as_dict() for found in compromises]} if compromises else {})
+    summary = axes_summary(result, compromises)
     with output_folder(folder):
         check_replaceable(folder, axes_files(study))
         with publishing(folder, "study", {"seconds": seconds}) as unfinished:
@@ -185,9 +210,11 @@ def write_axes_report(
                 "no_difference": no_difference_words,
                 "within": within_words,
                 "alike": alike_words,
+                "first": [optimum_line(curve) for curve in result.parts[0].curves],
                 "curves": result.curves,
                 "compromises": compromises,
                 "plates": drawn,
+                "claims": [(each.finding, len(each.turned_by), each.words) for each in verdicts(result)],
                 "cases": [(case, optimum_line(part.curves[0])) for case, part in zip(shown, parts, strict=True)],
                 "shown": study_view_line(result),
                 "films": film_lines(result),

@@ -16,14 +16,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Axis, Camera, Study, setting_path
+from pixsim.base.parameters import Axis, Camera, Study, content_hash, setting_path
 from pixsim.base.units import unit_of
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.technology import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Column, Plate
-from pixsim.studies.cases import BASE
+from pixsim.studies.cases import BASE, of_technology
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.result import Curve, StudyResult, interval_columns, with_ends
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ Item = TypeVar("Item")
 MAX_LINES = 6  # of a figure: as many looks that a reader tells apart
 MAX_PANELS = 6
 MAX_ROWS = 3  # of two maps each
+MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
 MAX_VALUES = 50  # of an axis in a figure
 LOG_SPAN = 10.0  # of values whose ratios are more even than their steps, above which their scale is logarithmic
 MAP_STEP = 20  # of the fitted curve's 801 places: its table has a row for each 41st part
@@ -936,18 +938,37 @@ def alone_groups(result: StudyResult, names: Sequence[str]) -> tuple[list[Group]
     for part in result.parts:
         moved.setdefault((part.curves[0].condition, part.curves[0].alone), []).append(part)
     first = next(iter(bases.values()))
-    labels = labels_of([curve.technology for curve in first.curves])
+    technologies = [curve.technology for curve in first.curves]
+    labels = labels_of(technologies)
     sizes = [len(labels), len(bases)]
-    counts = fewer(sizes, MAX_ROWS)
+    counts = fewer(sizes, max(1, min(MAX_ROWS, MAX_BARS // len(names))))
+    places = evenly(range(len(labels)), counts[0])
+    if result.study.paper and REFERENCE_TECHNOLOGY in technologies and len(places) == 1:
+        places = [technologies.index(REFERENCE_TECHNOLOGY)]
+    of_process = {axis.name for axis in result.study.axis if all(set(point.table) == {"process"} for point in axis.points)}
     groups = []
-    for place, condition in product(evenly(range(len(labels)), counts[0]), evenly(list(bases), counts[1])):
+    for place, condition in product(places, evenly(list(bases), counts[1])):
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
-        # An axis over technologies has one curve in a case.
-        own = {name: [part.curves[min(place, len(part.curves) - 1)] for part in moved[condition, name]] for name in names}
-        groups.append(Group(", ".join(words), bases[condition].curves[place], own))
+        base, own = bases[condition], {}
+        for name in names:
+            parts = moved[condition, name]
+            parts = touching(parts, base, technologies[place]) if name in of_process else parts
+            own[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
+        groups.append(Group(", ".join(words), base.curves[place], own))
     total = math.prod(sizes)
-    return groups, f"{len(groups)} of {total} panels are shown, evenly chosen." if len(groups) < total else ""
+    one = "One of {} technologies is shown." if len(bases) == 1 else "One of {} panels is shown."
+    left_out = one.format(total) if len(groups) == 1 else f"{len(groups)} of {total} panels are shown, evenly chosen."
+    return groups, left_out if len(groups) < total else ""
+
+
+def touching(parts: Sequence[StudyResult], base: StudyResult, technology: str) -> list[StudyResult]:
+    """Return the cases that change a technology's numbers, each of its changes once."""
+    kept: dict[str, StudyResult] = {}
+    for part in parts:
+        kept.setdefault(content_hash(of_technology(part.study, technology)), part)
+    kept.pop(content_hash(of_technology(base.study, technology)), None)
+    return list(kept.values())
 
 
 def draw_moves(axes: Axes, row: int, group: Group, name: str, seen: Callable[[Curve], Seen]) -> None:

@@ -13,18 +13,6 @@ from pixsim.viewer.score import clip_words, clips_dark
 SATURATED_SHOWN = 0.01
 
 
-def sensitivity_lines(outcome: Any) -> list[str]:
-    """Return the base, then the range of the optimum for each assumption, widest first."""
-    base = outcome.base_case.reference
-    lines = ["base: " + optimum_line(base)]
-    for name, cases in outcome.by_variation().items():
-        optima = [base.optimum, *(case.reference.optimum for case in cases)]
-        sizes, best = ([getattr(optimum, number) for optimum in optima] for number in ("pitch_um", "mean_delta_e"))
-        end = "" if all(optimum.inside for optimum in optima[1:]) else " (limited by the range of sizes tried)"
-        lines.append(f"{name}: {min(sizes):.2f} to {max(sizes):.2f} µm{end}, best mean ΔE {min(best):.3f} to {max(best):.3f}")
-    return lines
-
-
 def optimum_line(curve: Any) -> str:
     """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
 

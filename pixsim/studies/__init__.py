@@ -1,7 +1,7 @@
 """Mean ΔE against pixel size: `Study` in, `result.StudyResult` out, with optima, their intervals and an error budget.
 
-`study` runs a study: `evaluations` on the workers of `engine`; `optimum` fits the curve, `allocation` chooses further evaluations.
-`budget` estimates errors, `claims` checks the paper's statements, `sensitivity` varies one assumption at a time.
+`study` runs a study: `cases` of its axes and conditions, `evaluations` on the workers of `engine`; `optimum` fits the curve,
+`allocation` chooses further evaluations. `budget` estimates errors, `claims` checks the paper's statements in each case.
 `uncertainty` draws all unknown numbers together, and `indices` says which of them matter. `compare` compares sensors, as they
 are, in one field of view.
 May import: base, light, optics, sensor, scene, show, viewer.

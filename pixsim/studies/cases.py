@@ -14,8 +14,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.notes import warn
 from pixsim.base.parameters import Axis, AxisPoint, Study, explain, merge
+from pixsim.sensor.technology import labels_of, technology_of
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -54,8 +56,11 @@ class Case:
 
 def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) -> str:
     """Return the values of axes and the condition of a case as text; without those where the study's own settings hold."""
-    moved = {alone: at[alone]} if alone else at
-    values = [f"{name} {value:.4g}" if not isinstance(value, str) else value for name, value in moved.items()]
+    if alone:
+        value = at[alone]
+        values = [f"{alone}: {value if isinstance(value, str) else f'{value:.4g}'}"]  # since 'all low' says nothing by itself
+    else:
+        values = [f"{name} {value:.4g}" if not isinstance(value, str) else value for name, value in at.items()]
     return ", ".join([*(value for value in values if value != BASE), *([condition] if condition else [])])
 
 
@@ -84,6 +89,50 @@ def cases_of(study: Study) -> tuple[Case, ...]:
             own = _study(merge(table, condition.set), [*where, f"condition {condition.name}"])
             cases.append(Case(own, at, condition.name, alone))
     return tuple(cases)
+
+
+def with_range_ends(study: Study) -> Study:
+    """Return a study whose axes over ranges of technologies have values: the ends, in all technologies and in each alone.
+
+    A technology whose number has no range, or lies at that end already, keeps it. An axis without values is left out, with a
+    warning. Raises PixsimError for a number that no technology of the study has.
+    """
+    if not any(axis.range_of for axis in study.axis):
+        return study
+    processes = {name: technology_of(study, name) for name in study.technologies}
+    labels = dict(zip(processes, labels_of(list(processes)), strict=True))
+    axes = []
+    for axis in study.axis:
+        number = axis.range_of
+        if number is None:
+            axes.append(axis)
+            continue
+        known = dict.fromkeys(name for process in processes.values() for name in process.numbers)
+        if number not in known:
+            raise invalid(f"axis {axis.name}: range_of", f"'{number}'", ", ".join(known), did_you_mean(number, known))
+        values: list[tuple[str, dict[str, dict[str, float]]]] = []
+        for end, word in enumerate(("all low", "all high")):
+            moved = {
+                name: {number: process.ranges[number][end]}
+                for name, process in processes.items()
+                if number in process.ranges and process.ranges[number][end] != process.numbers[number]
+            }
+            if len(moved) > 1:
+                values.append((word, moved))
+            values += [(f"{labels[name]} {value[number]:g}", {name: value}) for name, value in moved.items()]
+        if not values:
+            warn(f"axis {axis.name}: no technology of the study has a range for {number}; it is left out")
+            continue
+        points = [{"label": label, "set": {"process": moved}} for label, moved in values]
+        axes.append(Axis.model_validate({"name": axis.name, "values": points, "alone": True}))
+    return study.model_copy(update={"axis": tuple(axes)})
+
+
+def of_technology(study: Study, technology: str) -> dict[str, Any]:
+    """Return the settings of a case that one technology depends on: without the other ones and their numbers."""
+    table = study.model_dump(mode="json", exclude={"quick", "axis", "condition", "title", "sources"})
+    kept = {"technologies": [technology]}
+    return table | kept | {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
 
 
 def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], str]]:

@@ -6,19 +6,23 @@ A row that does not agree is kept, with its reason.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from pixsim.base.arrays import Array
-from pixsim.base.parameters import Pixel, Study
+from pixsim.base.parameters import Pixel, Study, content_hash
+from pixsim.base.progress import Progress
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.pixel import derive, fill_factor_law, physics_of
 from pixsim.sensor.technology import Technology, technology_of, with_fill_factor_law
+from pixsim.studies.cases import BASE, of_technology
+from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.result import Curve, StudyResult, interval_words
 from pixsim.viewer.display import picture_size_um
 
@@ -203,6 +207,85 @@ def reference_rows(evidence: Evidence) -> list[Finding]:
     if REFERENCE_TECHNOLOGY in evidence.curves:
         checks += [_optimum_rows, _iso_rows, _map_rows]
     return [finding for check in checks for finding in check(evidence)]
+
+
+def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: Progress) -> tuple[tuple[Finding, ...], ...]:
+    """Return the statements compared with each case of a study with axes or conditions; none where a case lacks the process.
+
+    The rows of the paper's process are computed once for cases that differ in other processes only.
+    """
+    keys = [
+        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.fingerprints.imaging])
+        if REFERENCE_TECHNOLOGY in part.study.technologies
+        else ""
+        for part in parts
+    ]
+    first = {key: part for key, part in zip(keys, parts, strict=True) if key}
+    # Each call has its own `make`, since the calls share no data.
+    calls = [(key, partial(StudyResult, part.study, part.curves, part.irradiance, part.camera)) for key, part in first.items()]
+    rows: dict[str, list[Finding]] = {"": []}
+    for done, (key, own) in enumerate(results_of(_reference_task, calls, workers), 1):
+        rows[key] = own
+        progress(done / len(calls))
+    return tuple((*rows[key], *scaling_rows(part.curves)) if key else () for key, part in zip(keys, parts, strict=True))
+
+
+def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
+    """Return the key of a case and the rows of the paper's process in it."""
+    return key, reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves}))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A statement compared with the first case of a study, and the cases with the opposite verdict.
+
+    turned_by : their curves of the first technology, which name them
+    """
+
+    finding: Finding
+    turned_by: tuple[Curve, ...] = field(repr=False)
+
+    @property
+    def words(self) -> str:
+        """The cases with the opposite verdict as text."""
+        return turned_words(
+            (curve.alone, curve.at[curve.alone], curve.condition) if curve.alone else ("", curve.words, "")
+            for curve in self.turned_by
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the verdict as in summary.json."""
+        cases = [{"at": curve.at, "condition": curve.condition, "alone": curve.alone} for curve in self.turned_by]
+        return asdict(self.finding) | {"turned_by": [{key: value for key, value in case.items() if value} for case in cases]}
+
+
+def verdicts(result: StudyResult) -> list[Verdict]:
+    """Return each statement compared with the first case, and the cases that turn it.
+
+    A setting may change the statement itself, such as its iso level: such a case is not counted.
+    """
+    if not result.findings:
+        return []
+    agrees = [{row.statement: row.agrees for row in rows} for rows in result.findings]
+    cases = [part.curves[0] for part in result.parts]
+    return [
+        Verdict(
+            row, tuple(curve for curve, own in zip(cases, agrees, strict=True) if own.get(row.statement, row.agrees) != row.agrees)
+        )
+        for row in result.findings[0]
+    ]
+
+
+def turned_words(cases: Iterable[tuple[str, float | int | str, str]]) -> str:
+    """Return cases as text, the values of each axis that is moved alone together: bits (8, 12); f/8, night.
+
+    cases : (the axis that is moved alone, or empty; its value, or the words of the case; the condition) of each
+    """
+    groups: dict[str, list[str]] = {}
+    for axis, value, condition in cases:
+        text = value if isinstance(value, str) else f"{value:.4g}"
+        groups.setdefault(axis, []).append(", ".join(filter(None, (text, condition))) or BASE)
+    return "; ".join(f"{axis} ({', '.join(values)})" if axis else "; ".join(values) for axis, values in groups.items()) or "none"
 
 
 def reference_process(study: Study) -> Technology:

@@ -221,7 +221,7 @@ def warn_of_clipped_white(study: Study, irradiance: SpectralImage, camera: Camer
 
 def stream_key(study: Study, technology: str, pitch_um: float, repeat: int) -> tuple[object, ...]:
     """Return the random-stream key of a frame. It holds the technology's name, not its path, which is no part of a result."""
-    return study.name, study.seed, technology, pitch_um, repeat
+    return study.stream_name, study.seed, technology, pitch_um, repeat
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ class Fingerprints:
         light = [self.irradiance.header, self.camera.model_dump()]
         # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
         version_fingerprint = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
-        return content_hash([*light, study.exposure.model_dump(), study.name, study.seed, version_fingerprint])
+        return content_hash([*light, study.exposure.model_dump(), study.stream_name, study.seed, version_fingerprint])
 
     @cached_property
     def display(self) -> str:

@@ -178,6 +178,8 @@ class StudyResult:
     parts : of a study with axes or conditions, the result of each case; irradiance, camera and film are then those of the first
     counts : what was made and what was reused, in a study with axes or conditions
     uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for
+    findings : of a study with axes or conditions that compares with the paper, for each case its statements
+        (`pixsim.studies.claims.Finding`)
     """
 
     study: Study
@@ -192,6 +194,7 @@ class StudyResult:
     parts: tuple[StudyResult, ...] = field(default=(), repr=False)
     counts: Counts | None = None
     uncertainty: tuple[Any, ...] = ()
+    findings: tuple[tuple[Any, ...], ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
@@ -265,10 +268,11 @@ class StudyResult:
 
     def _cases_as_dict(self) -> dict[str, Any]:
         """Return the result of a study with axes or conditions as in summary.json."""
-        cases = []
+        cases: list[dict[str, Any]] = []
         for part in self.parts:
             first = part.curves[0]
             own = {"at": first.at, "condition": first.condition, "alone": first.alone, "film": part.film and part.film.as_dict()}
+            own["agrees"] = {row.statement: row.agrees for row in self.findings[len(cases)]} if self.findings else {}
             cases.append({name: value for name, value in own.items() if value} | {"irradiance": part.irradiance.header})
         return {
             "study": self.study.model_dump(mode="json", exclude={"quick"}),

@@ -26,14 +26,14 @@ from pixsim.base.config import (
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing, output_folder
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, pixel_of
+from pixsim.base.parameters import Camera, Layer, Spread, Study, content_hash, merge, pixel_of
 from pixsim.base.progress import Progress, Stage
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import physics_of, warn_of_disagreements
 from pixsim.sensor.technology import technology_of
 from pixsim.studies.allocation import next_sensors
-from pixsim.studies.cases import Case, cases_of, check_number
+from pixsim.studies.cases import Case, cases_of, check_number, with_range_ends
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluations import (
     Counts,
@@ -60,28 +60,76 @@ Light = tuple[SpectralImage, Camera, FilmError]
 
 
 def read_study(name: str | os.PathLike[str]) -> Layer:
-    """Return the table of a packaged study by name, or of a TOML file; the files that it names may lie next to it."""
+    """Return the table of a packaged study by name, or of a TOML file; the files that it names may lie next to it.
+
+    A file with a `base` has all values of that study but those that it sets itself, and its random streams.
+    """
+    path = study_path(name)
+    table: dict[str, Any] = {}
+    for file in with_bases(path):
+        own = {key: value for key, value in _study_table(file).items() if key != "base"}
+        if table:
+            if "name" not in own:
+                raise invalid("name", f"none in '{file}'", "a name of its own for a study with a base", 'Write name = "my-study".')
+            own.setdefault("streams", table.get("streams", table.get("name")))
+        table = merge(table, own)
+    return Layer(table, str(path))
+
+
+def study_path(name: str | os.PathLike[str]) -> Path:
+    """Return the file of a study: of a packaged one by its name. Raises PixsimError for another name."""
     known = packaged("data/studies")
     path = known.get(str(name)) or Path(name)
     if path.suffix != ".toml" and not path.is_file():
         got = f"'{name}'" if path.parent == Path() else missing(path)
         raise invalid("study", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(str(name), known))
+    return path
+
+
+def with_bases(path: Path) -> list[Path]:
+    """Return the files of a study: the base of its base and so on, then its own. Raises PixsimError for a circle of bases."""
+    files = [path]
+    while "base" in (table := read_toml(files[0])):
+        base = table["base"]
+        if not isinstance(base, str):
+            raise invalid("base", repr(base), "the name of a packaged study, or a TOML file", f"Change it in '{files[0]}'.")
+        above = study_path(resolve_file(files[0], base))
+        if above.resolve() in [file.resolve() for file in files]:
+            raise invalid("base", f"'{above}', which is based on itself", "a study without such a circle", f"See '{files[0]}'.")
+        files.insert(0, above)
+    return files
+
+
+def _study_table(path: Path) -> dict[str, Any]:
+    """Return the table of one file, with whole paths of the files next to it. Raises PixsimError if it is no study."""
     table = read_toml(path)
     if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
         hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
         raise invalid("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", hint)
+    if old := [name for name in ("vary", "ranges") if name in table]:
+        raise invalid(
+            old[0], f"'{path}', with the spelling of an earlier version", "[[axis]] with alone = true", new_spelling(table)
+        )
     for part in (table, table.get("quick", {})):
         if isinstance(part, dict):
             _resolve_files(part, path)
     if isinstance(pixel := table.get("pixel"), dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
-    return Layer(table, str(path))
+    return table
+
+
+def new_spelling(table: Mapping[str, Any]) -> str:
+    """Return how a [[vary]] or an entry of [ranges], the first of a table, is written as an axis."""
+    vary, ranges = table.get("vary"), table.get("ranges")
+    if isinstance(vary, list) and vary and isinstance(vary[0], dict):
+        return f'Write [[axis]] name = "{vary[0].get("name", "")}", alone = true, values = [...], with the entries of settings.'
+    name, number = next(iter(ranges.items())) if isinstance(ranges, dict) and ranges else ("name", "dark_current_na_per_cm2")
+    return f'Write [[axis]] name = "{name}", range_of = "{number}", alone = true.'
 
 
 def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = ()) -> dict[str, Spread]:
     """Return [pixel.uncertainty] of a study's file and of sensor files, of which later ones take precedence."""
-    known = packaged("data/studies")
-    paths = [known.get(str(name)) or Path(name), *map(Path, config)]
+    paths = [*with_bases(study_path(name)), *map(Path, config)]
     return {number: spread for path in paths for number, spread in sheet_uncertainty(path).items()}
 
 
@@ -266,7 +314,7 @@ def prepare(study: Study, variant: str | None = None, quick: bool = False) -> Pr
     has_quick = study.quick or any(axis.quick for axis in study.axis)
     if quick and not has_quick:
         warn(f"the study {study.name} has no [quick] table: running it in full")
-    study = study.quickened if quick else study
+    study = with_range_ends(study.quickened if quick else study)
     if not (study.axis or study.condition):
         return _prepare(study, variant)
     # Display and chart are those of the study itself, so that all of its cases are comparable.
@@ -551,13 +599,18 @@ def run_prepared(
         ]
         results = folder / "results.csv"
         found, counts = evaluate_cases(cases, lights, prepared.view, results, workers, lambda: stage("evaluate"))
+        findings: tuple[tuple[Any, ...], ...] = ()
+        if prepared.cases and chosen.paper:
+            from pixsim.studies.claims import findings_of_cases
+
+            findings = findings_of_cases(found, workers, stage("paper's statements"))
     result, (irradiance, _, film) = found[0], lights[0]
     noise = irradiance.header["render_noise"]
     changes: dict[str, Any] = {"warned": tuple(notes), "film": film}
     if prepared.cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         curves = tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name)
-        changes |= {"study": chosen, "curves": curves, "parts": tuple(found), "counts": counts}
+        changes |= {"study": chosen, "curves": curves, "parts": tuple(found), "counts": counts, "findings": findings}
     kept = _with_view(chosen, prepared.view) if prepared.cases else result.study
     changes["settings_toml"] = repeated_settings(prepared, kept, irradiance)
     if settled is not None:

@@ -12,55 +12,50 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.sensitivity import turned_words
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY, turned_words
 
 
 def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
-    """The claims table; with cases, it lists those that change each verdict."""
+    """The claims table; with cases, of which the first is the study's own, it lists those that change each verdict."""
     ends = ("settings that change the verdict |", "---|") if cases else ("", "")
     lines = ["| the paper says | given | pixsim finds | agrees |" + f" {ends[0]}".rstrip(), "|---|---|---|---|" + ends[1]]
     for row in rows:
         verdict = "yes" if row["agrees"] else f"**does not agree**: {row['why']}"
         cells = [row["statement"], row["given"], row["found"], verdict]
         if cases:
-            turning = [case for case in cases if case["agrees"][row["statement"]] != row["agrees"]]
-            words = turned_words([(case["variation"], case["label"]) for case in turning])
-            cells.append(f"{len(turning)} of {len(cases)}" + (f": {words}" if turning else ""))
+            turning = [case for case in cases[1:] if case["agrees"].get(row["statement"], row["agrees"]) != row["agrees"]]
+            words = turned_words([(case["alone"], case["at"][case["alone"]], "") for case in turning])
+            cells.append(f"{len(turning)} of {len(cases) - 1}" + (f": {words}" if turning else ""))
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 
 
-def tornado_table(base: dict[str, Any], cases: list[dict[str, Any]]) -> list[str]:
-    """Range of the reference's optimum and minimum mean ΔE for each assumption, including the base case, widest first."""
+def tornado_table(curves: list[dict[str, Any]]) -> list[str]:
+    """Range of the reference's optimum and least mean ΔE for each axis, including the base, widest first."""
+    own = [curve for curve in curves if curve["technology"] == REFERENCE_TECHNOLOGY]
+    base, ranges = own[0]["optimum"], {}
+    for curve in own[1:]:
+        ranges.setdefault(curve["alone"], [base]).append(curve["optimum"])
 
-    def optimum(technologies: list[dict[str, Any]]) -> tuple[float, float]:
-        (optimum_,) = [technology["optimum"] for technology in technologies if technology["technology"] == REFERENCE_TECHNOLOGY]
-        return optimum_["pitch_um"], optimum_["mean_delta_e"]
+    def ends(optima: list[dict[str, Any]], number: str) -> tuple[float, float]:
+        values = [best[number] for best in optima]
+        return min(values), max(values)
 
-    ranges: dict[str, list[tuple[float, float]]] = {}
-    for case in cases:
-        if not case["alone"]:
-            ranges.setdefault(case["variation"], [optimum(base["curves"])]).append(optimum(case["technologies"]))
-    ends = {name: [(min(values), max(values)) for values in zip(*optima, strict=True)] for name, optima in ranges.items()}
-    widest_first = sorted(ends.items(), key=lambda item: item[1][0][0] - item[1][0][1])
-    every = [(case["variation"], technology) for case in cases for technology in case["technologies"]]
-    reference = [(name, technology["optimum"]) for name, technology in every if technology["technology"] == REFERENCE_TECHNOLOGY]
-    at_the_end = {name for name, optimum_ in reference if not optimum_["inside"]}
-    lines = [
-        f"| {name} | {size[0]:.2f} to {size[1]:.2f}{' (largest or smallest tried)' if name in at_the_end else ''} | "
-        f"{least[0]:.3f} to {least[1]:.3f} |"
-        for name, (size, least) in widest_first
-    ]
+    sizes = {name: ends(optima, "pitch_um") for name, optima in ranges.items()}
+    lines = []
+    for name in sorted(sizes, key=lambda name: sizes[name][0] - sizes[name][1]):
+        (low_um, high_um), (least, most) = sizes[name], ends(ranges[name], "mean_delta_e")
+        at_the_end = "" if all(best["inside"] for best in ranges[name]) else " (largest or smallest tried)"
+        lines.append(f"| {name} | {low_um:.2f} to {high_um:.2f}{at_the_end} | {least:.3f} to {most:.3f} |")
     return ["| assumption | optimum (µm) | best mean ΔE |", "|---|---|---|", *lines]
 
 
 def counts(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
-    """Number of cases that agree with each statement, and that have every verdict of the table."""
-    verdicts = {row["statement"]: row["agrees"] for row in rows}
-    same = sum(case["agrees"] == verdicts for case in cases)
-    lines = [f"{sum(case['agrees'][name] for case in cases)} of {len(cases)} agree: {name}" for name in verdicts]
-    return [*lines, f"{same} of {len(cases)} have every verdict of the table"]
+    """Number of cases, without the study's own, that agree with each statement, and that have every verdict of the table."""
+    verdicts, moved = {row["statement"]: row["agrees"] for row in rows}, cases[1:]
+    same = sum(case["agrees"] == verdicts for case in moved)
+    lines = [f"{sum(case['agrees'][name] for case in moved)} of {len(moved)} agree: {name}" for name in verdicts]
+    return [*lines, f"{same} of {len(moved)} have every verdict of the table"]
 
 
 def main() -> None:
@@ -68,7 +63,7 @@ def main() -> None:
     sensitivity = json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")) if len(sys.argv) > 2 else {"cases": []}
     lines = claims_table(rows, sensitivity["cases"])
     if cases := sensitivity["cases"]:
-        lines += ["", *tornado_table(sensitivity["base"], cases), "", *counts(rows, cases)]
+        lines += ["", *tornado_table(sensitivity["curves"]), "", *counts(rows, cases)]
     print("\n".join(lines))
 
 

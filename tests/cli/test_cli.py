@@ -127,7 +127,6 @@ INVALID = {
     "study pixel-size --config sheet_wide.toml": ["sheet_wide.toml: pixel.pitch_um: got 'wide'; allowed: a valid number."],
     "study pixel-size --config sheet_key.toml": ["sheet_key.toml: exposure.max_integration", "max_integration_s"],
     "study pixel-size --config sheet.toml --render-noise 0": ["render_noise", "1e-06"],
-    "study chen2000-sensitivity --config sheet.toml": ["options of settings: got --config", "varies another study"],
     "study study_key.toml": ["repeat", "Did you mean 'repeats'?"],
     "study study_errors.toml": [
         *("study_errors.toml: repeats: got 1; allowed: greater than or equal to 2.", "Did you mean 'count'?"),

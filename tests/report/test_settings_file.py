@@ -200,13 +200,12 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     assert len(set.union(*keys)) == 4 * 10
 
 
-def test_sensitivity_settings_repeat_it(tmp_path: Path) -> None:
+def test_settings_of_study_with_base_and_range_repeat_it(tmp_path: Path) -> None:
+    """Bases and ranges stand there as values."""
     from helpers.tiny import tiny_toml
 
     (tmp_path / "tiny.toml").write_text(tiny_toml(resolution=64), encoding="utf-8")
-    table = (
-        'name = "s"\nbase = "tiny.toml"\n[[vary]]\nname = "bits"\n[[vary.settings]]\nlabel = "8"\nset = { pixel = { bits = 8 } }\n'
-    )
+    table = 'name = "s"\nbase = "tiny.toml"\naxis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
     (tmp_path / "s.toml").write_text(table, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
@@ -215,9 +214,7 @@ def test_sensitivity_settings_repeat_it(tmp_path: Path) -> None:
         line = command_in(tmp_path / "out")
         assert line == "study settings.toml --variant scalar_spectral"
         done(f"{line} --jobs 1 --out again")
-    first, again = (tmp_path / "out", tmp_path / "out/again")
-    for name in ("base.csv", "00-bits-8.csv"):
-        assert (again / "cases" / name).read_bytes() == (first / "cases" / name).read_bytes()
+    assert (tmp_path / "out/again/results.csv").read_bytes() == (tmp_path / "out/results.csv").read_bytes()
 
 
 def test_texture_file_without_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

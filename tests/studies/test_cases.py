@@ -142,7 +142,7 @@ def test_cases_of_are_a_product_then_single_moves_each_under_every_condition() -
         "f/2.8, integration 0.2, day",
     ]
     assert cases[8].at == {"lens": BASE, "integration": BASE, "PRNU": BASE}
-    assert [case.words for case in cases[8:12]] == ["day", "night", "PRNU 0.01, day", "PRNU 0.01, night"]
+    assert [case.words for case in cases[8:12]] == ["day", "night", "PRNU: 0.01, day", "PRNU: 0.01, night"]
     assert (cases[10].alone, cases[10].study.pixel.prnu, cases[10].study.camera.f_number) == ("PRNU", 0.01, None)
     assert (cases[0].study.camera.f_number, cases[0].study.scene.parameters["luminance_cd_per_m2"]) == (2.8, 300.0)
     assert all(not (case.study.axis or case.study.condition) for case in cases)

@@ -1,14 +1,12 @@
-"""Sensitivity analysis: one assumption changes at a time, with all else, random streams included, unchanged."""
+"""Sensitivity analysis: a study with a base whose axes are moved alone, and what they do to the paper's statements."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,52 +16,54 @@ from helpers.commands import command
 from helpers.tiny import PITCHES_UM, rows, tiny_toml
 
 import pixsim
-from pixsim.base.config import packaged, read_toml
-from pixsim.sensor.readout import Frame
+from pixsim.base.errors import PixsimError
+from pixsim.cli.templates import json_schema
+from pixsim.report.axes import axes_summary
 from pixsim.sensor.technology import load_technology
-from pixsim.show.pages import Plate
-from pixsim.studies.claims import Evidence, findings, scaling_rows
+from pixsim.studies.cases import cases_of, with_range_ends
+from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
 from pixsim.studies.evaluations import study_pitches_um
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.studies.sensitivity import (
-    Case,
-    Sensitivity,
-    SensitivityResult,
-    cases_of,
-    file_name,
-    moves_of,
-    run_sensitivity,
-    tornado,
-    turned_words,
-    write_sensitivity_report,
-)
 from pixsim.studies.study import check_pitches, load_study
 
+# A chart whose cells are computed, on few dots; every pitch that the paper's statements need.
 BASE_TOML = tiny_toml(
     repeats=4,
     seed=1,
-    target_ci_um=0.5,
     technologies=["0.35um", "0.25um"],
+    paper=True,
     pixel={"prnu": 0.02},
     pitch={"values_um": [4.0, 5, 6, 7, 8]},
-)
+    camera={"die_mm": 0.9},
+    display={"dots": 48},
+).replace('"spp" = 4, ', "")
 SENSITIVITY_TOML = """
 name = "tiny-sensitivity"
 base = "tiny.toml"
 repeats = 2
 pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
-[[vary]]
+[[axis]]
 name = "PRNU"
-settings = [{ label = "2 %", set.pixel.prnu = 0.02 }]
-[[vary]]
+set = "pixel.prnu"
+values = [0.02]
+alone = true
+[[axis]]
 name = "light"
-settings = [
+values = [
     { label = "half", set.scene.parameters.luminance_cd_per_m2 = 50.0 },
     { label = "f/2.8", set.camera.f_number = 2.8 },
 ]
+alone = true
+[[axis]]
+name = "dark current"
+range_of = "dark_current_na_per_cm2"
+alone = true
+[[axis]]
+name = "peak"
+range_of = "peak_quantum_efficiency"
+alone = true
 """
-SENSITIVITY = tomllib.loads(SENSITIVITY_TOML)
 
 
 @pytest.fixture(scope="module")
@@ -78,96 +78,184 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def done(desk: Path) -> tuple[SensitivityResult, Path]:
-    return run_sensitivity(Sensitivity.model_validate(SENSITIVITY), desk / "one", jobs=1), desk / "one"
+def done(desk: Path) -> tuple[StudyResult, Path]:
+    return pixsim.study("sensitivity.toml", desk / "one", jobs=1), desk / "one"
 
 
-def cases(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in (folder / "cases").iterdir()}
+def case(result: StudyResult, axis: str, value: float | str) -> StudyResult:
+    (part,) = [part for part in result.parts if part.curves[0].alone == axis and part.curves[0].at[axis] == value]
+    return part
 
 
-def test_run_sensitivity_base_equals_study(done: tuple[SensitivityResult, Path], desk: Path) -> None:
-    """Same rows as the study run alone with these pitches and sensors, so its random streams too."""
-    base = load_study("tiny.toml").model_dump(mode="json")
-    own = {"technologies": ["0.35um"], "repeats": 2, "pitch": {"values_um": PITCHES_UM}}
-    pixsim.study(pixsim.Study.model_validate(base | own), desk / "alone", jobs=1)
-    assert rows(done[1] / "cases/base.csv") == rows(desk / "alone/results.csv")
-    assert len(rows(desk / "alone/results.csv")) == 12
+# --- a study with a base ----------------------------------------------------------------------------------------------
 
 
-def test_run_sensitivity_setting_of_base_is_unchanged(done: tuple[SensitivityResult, Path]) -> None:
-    result, folder = done
-    same, half, fast = result.cases
-    assert rows(next((folder / "cases").glob("*-PRNU-2_.csv"))) == rows(folder / "cases/base.csv")
-    assert same.reference.optimum == result.base_case.reference.optimum
-    base = result.base_case.reference.delta_e
-    np.testing.assert_array_equal(same.reference.delta_e, base)
-    # The smallest pixel lacks light: half of it makes more noise, 2 (4/2.8)² less.
-    assert (half.reference.delta_e[0] > 1.05 * base[0]).all()
-    assert (fast.reference.delta_e[0] < 0.95 * base[0]).all()
+def test_study_with_base_has_its_values_and_streams(desk: Path) -> None:
+    base, own = load_study("tiny.toml"), load_study("sensitivity.toml")
+    assert (own.name, own.stream_name, base.stream_name) == ("tiny-sensitivity", "tiny", "tiny")
+    assert (own.repeats, base.repeats) == (2, 4)
+    same = base.model_copy(update={name: getattr(own, name) for name in ("name", "streams", "repeats", "pitch", "axis")})
+    assert same == own
 
 
-def test_run_sensitivity_resumes_lost_case(done: tuple[SensitivityResult, Path], evaluations: list[Frame]) -> None:
-    result, folder = done
-    before = cases(folder)
-    again = run_sensitivity(result.sensitivity, folder, jobs=1)
-    assert evaluations == []
-    assert again.as_dict() == result.as_dict()
-    next((folder / "cases").glob("*-light-half.csv")).unlink()
-    run_sensitivity(result.sensitivity, folder, jobs=1)
-    assert len(evaluations) == 12
-    assert cases(folder) == before
+def test_study_with_base_of_base_and_file_beside_it(tmp_path: Path, desk: Path) -> None:
+    """A base is found next to the file that names it; the streams are those of the first."""
+    (tmp_path / "tiny.toml").write_text(BASE_TOML, encoding="utf-8")
+    for name, base in (("one", "tiny"), ("two", "one")):
+        (tmp_path / f"{name}.toml").write_text(f'name = "{name}"\nbase = "{base}.toml"\n', encoding="utf-8")
+    own = load_study(tmp_path / "two.toml")
+    assert (own.name, own.stream_name, own.repeats) == ("two", "tiny", 4)
 
 
-# --- the command ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('name = "a"\nbase = "a.toml"', "base: got '.*a.toml', which is based on itself"),
+        ('name = "a"\nbase = 3', "base: got 3; allowed: the name of a packaged study"),
+        ('name = "a"\nbase = "chen200"', "Did you mean 'chen2000'"),
+        ('base = "chen2000"', "name: got none in '.*a.toml'; allowed: a name of its own"),
+        (
+            'name = "a"\nbase = "chen2000"\n[[vary]]\nname = "bits"\nsettings = []',
+            r'vary: got .*an earlier version; allowed: \[\[axis\]\] with alone = true.*name = "bits", alone = true',
+        ),
+        (
+            'name = "a"\nbase = "chen2000"\n[ranges]\ndark = "dsnu"',
+            r'ranges: got .*earlier version.*name = "dark", range_of = "dsnu", alone = true',
+        ),
+    ],
+)
+def test_study_bad_base_or_old_spelling_raises(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(PixsimError, match=message):
+        load_study(tmp_path / "a.toml")
 
 
-@pytest.mark.slow
-def test_sensitivity_command_two_workers_same_result(done: tuple[SensitivityResult, Path]) -> None:
-    result, folder = done
-    code, message, _ = command("study sensitivity.toml --out command --jobs 2")
-    assert code == 0
-    base, light, prnu, report = message.splitlines()
-    best = result.base_case.reference.optimum
-    low, high = best.interval_um
-    assert base.startswith(f"base: 0.35um: optimal pixel size {best.pitch_um:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)")
-    assert light.startswith("light: ")
-    assert prnu.startswith(f"PRNU: {best.pitch_um:.2f} to {best.pitch_um:.2f} µm")
-    out = Path("command")
-    assert report == f"report: {out / 'report.html'}"
-    if BROWSER:
-        page, here = out.resolve() / "report.html", Path("browser").resolve()
-        here.mkdir()
-        assert_fits(page, here)
-        assert_prints(page, here, range(1, 4), ["one assumption varied", "f/2.8"], ["All cases"])
-    names = {"cases", "figures", "settings.toml", "summary.json", "provenance.json", "report.html"}
-    assert {path.name for path in out.iterdir()} == names
-    assert {path.name for path in (out / "figures").iterdir()} == {"tornado.svg", "tornado.csv"}
-    assert cases(out) == cases(folder), "the rows depend on the number of workers"
-    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == json.loads(json.dumps(result.as_dict()))
+def test_schema_of_study_has_base() -> None:
+    assert json_schema("study")["properties"]["base"]["type"] == "string"
+
+
+# --- numbers of the technologies over their ranges --------------------------------------------------------------------
+
+
+def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
+    """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its upper end is 0.37."""
+    study = with_range_ends(load_study("sensitivity.toml"))
+    labels = {axis.name: [point.label for point in axis.points] for axis in study.axis if axis.name in ("dark current", "peak")}
+    assert labels == {
+        "dark current": ["all low", "0.35um 0.333", "0.25um 1", "all high", "0.35um 3", "0.25um 9"],
+        "peak": ["0.25um 0.2", "0.25um 0.37"],
+    }
+    (high,) = [case for case in cases_of(study) if case.words == "dark current: all high"]
+    assert high.study.process == {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}
+    assert {case.alone for case in cases_of(study)} == {"", "PRNU", "light", "dark current", "peak"}
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("set.pixel.prnuu = 0.01", "pixel.prnuu"),
-        ("set.display.wite_cd_per_m2 = 1", "display.wite_cd_per_m2"),
-        ("set.pixel.bits = 0", "pixel.bits"),
-        ("set.scene.parameters.luminance = 3.0", "luminance"),
+        ('range_of = "dark_current"', "axis dark current: range_of: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"),
+        ('range_of = "dsnu"\nvalues = [1]', "range_of and values both state the values"),
+        ('range_of = "dsnu"\nset = "pixel.dsnu"', "range_of and set both state the values"),
+        ('range_of = "dsnu"\nalone = false', "range_of without alone = true"),
     ],
 )
-def test_run_sensitivity_invalid_setting_raises_before_render(
-    change: str, message: str, desk: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_range_of_invalid_raises_before_render(change: str, message: str, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
-    (desk / "wrong.toml").write_text(SENSITIVITY_TOML.replace("set.camera.f_number = 2.8", change), encoding="utf-8")
-    code, _, complaint = command("study wrong.toml --out wrong")
-    assert code == 2
-    assert message in complaint
+    text = SENSITIVITY_TOML.replace('range_of = "dark_current_na_per_cm2"\nalone = true', f"{change}\nalone = true")
+    text = text.replace("alone = false\nalone = true", "alone = false")
+    (desk / "wrong.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(PixsimError, match=message):
+        pixsim.study("wrong.toml", desk / "wrong")
     assert not (desk / "wrong").exists()
 
 
-# --- statements on scaling, and the chart -----------------------------------------------------------------------------
+def test_range_of_without_range_is_left_out_with_a_warning() -> None:
+    """The peak of 0.35 µm is measured."""
+    axis = {"name": "peak", "range_of": "peak_quantum_efficiency", "alone": True}
+    with pytest.warns(UserWarning, match="axis peak: no technology of the study has a range"):
+        assert with_range_ends(pixsim.Study.model_validate({"name": "a", "axis": [axis]})).axis == ()
+
+
+def test_range_of_keeps_a_number_that_the_study_has_set_to_that_end() -> None:
+    low, high = load_technology("0.35um").ranges["dsnu"]
+    table = {"name": "a", "process": {"0.35um": {"dsnu": low}}, "axis": [{"name": "d", "range_of": "dsnu", "alone": True}]}
+    (axis,) = with_range_ends(pixsim.Study.model_validate(table)).axis
+    assert [point.label for point in axis.points] == [f"0.35um {high:g}"]
+
+
+# --- a result ---------------------------------------------------------------------------------------------------------
+
+
+def test_base_case_equals_the_base_study(done: tuple[StudyResult, Path], desk: Path) -> None:
+    """Same rows as the base run alone with these pitches and sensors: the random streams are its own."""
+    base = load_study("tiny.toml").model_dump(mode="json", exclude_unset=True)
+    alone = pixsim.study(pixsim.Study.model_validate(base | {"repeats": 2, "pitch": {"values_um": PITCHES_UM}}), desk / "a", jobs=1)
+    for mine, theirs in zip(done[0].parts[0].curves, alone.curves, strict=True):
+        np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
+    own = {row["key"] for row in rows(desk / "a")}
+    assert len(own) == 24
+    assert own <= {row["key"] for row in rows(done[1])}
+
+
+def test_setting_of_the_base_changes_nothing(done: tuple[StudyResult, Path]) -> None:
+    result, _ = done
+    base = result.parts[0].curves[0].delta_e
+    np.testing.assert_array_equal(case(result, "PRNU", 0.02).curves[0].delta_e, base)
+    # The smallest pixel lacks light: half of it makes more noise, 2 (4/2.8)² less.
+    assert (case(result, "light", "half").curves[0].delta_e[0] > 1.05 * base[0]).all()
+    assert (case(result, "light", "f/2.8").curves[0].delta_e[0] < 0.95 * base[0]).all()
+
+
+def test_unchanged_technology_is_computed_once(done: tuple[StudyResult, Path]) -> None:
+    """Base, half and f/2.8 with two technologies, and each end in each technology: 12 pixels of a technology each."""
+    result, folder = done
+    assert result.counts is not None
+    assert result.counts.cases == 12
+    assert result.counts.evaluations_made == 12 * (2 + 2 + 2 + 2 + 2 + 2)
+    alone = case(result, "dark current", "0.25um 9")
+    np.testing.assert_array_equal(alone.curves[0].delta_e, result.parts[0].curves[0].delta_e)
+    assert (alone.curves[1].delta_e != result.parts[0].curves[1].delta_e).any()
+    again = pixsim.study("sensitivity.toml", folder, jobs=1)
+    assert again.counts is not None
+    assert again.counts.evaluations_made == 0
+    assert again.as_dict() == result.as_dict()
+
+
+@pytest.mark.parametrize("value", ["all high", "0.35um 0.333"])
+def test_statements_of_a_case_are_those_of_the_study_alone(value: str, done: tuple[StudyResult, Path], desk: Path) -> None:
+    """The rows of the paper's process are shared between cases that do not change it."""
+    result, _ = done
+    part = case(result, "dark current", value)
+    whole = pixsim.study(part.study.model_copy(update={"streams": "tiny"}), desk / f"whole {value}", jobs=1)
+    own = result.findings[result.parts.index(part)]
+    assert list(own) == findings(Evidence(whole, {item.technology: item for item in whole.curves}))
+    assert len(own) == 17, "every statement of the paper"
+    assert result.findings[result.parts.index(case(result, "dark current", "0.25um 9"))][:-3] == result.findings[0][:-3]
+
+
+@pytest.mark.slow
+def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Path]) -> None:
+    result, folder = done
+    code, message, _ = command("study sensitivity.toml --out command --jobs 2")
+    assert code == 0
+    lines = message.splitlines()
+    best = result.curves[0].optimum
+    assert lines[0].startswith(f"0.35um: optimal pixel size {best.pitch_um:.2f} µm")
+    assert any(line.startswith(f"0.35um, PRNU alone: {best.pitch_um:.2f} to {best.pitch_um:.2f} µm") for line in lines)
+    out = Path("command")
+    assert rows(out) == rows(folder), "the rows depend on the number of workers"
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == json.loads(json.dumps(axes_summary(result, [])))
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for verdict in verdicts(result):
+        assert f"{len(verdict.turned_by)} of 11" in page
+    if BROWSER:
+        here = Path("browser").resolve()
+        here.mkdir()
+        assert_fits(out.resolve() / "report.html", here)
+        assert_prints(out.resolve() / "report.html", here, range(1, 8), ["Each axis moved alone", "f/2.8"], ["Optima"])
+
+
+# --- verdicts ---------------------------------------------------------------------------------------------------------
 
 
 def curve(feature_um: float, optimum_um: float, best: float) -> Curve:
@@ -179,179 +267,76 @@ def curve(feature_um: float, optimum_um: float, best: float) -> Curve:
 
 
 FEATURE_UM = (0.35, 0.25, 0.18)
-
-
-def case(sizes_um: list[float], best: list[float], variation: str = "v", label: str = "l") -> Case:
-    curves = tuple(map(curve, FEATURE_UM, sizes_um, best))
-    return Case(variation, label, curves, tuple(scaling_rows(curves)))
-
-
 SHRINKS, SLOWER = "The optimum shrinks with technology", "… but slower than the technology"
 WORSE = "The best mean ΔE gets worse as technology shrinks"
 PAPER = [6.5, 5.2, 4.1], [0.5, 0.55, 0.6]  # 18.6, 20.8 and 22.8 features
 
 
-def synthetic() -> SensitivityResult:
-    """Optima of the first technology 6.5 (base); narrow 6.4; wide 6 to 8; one-sided 7."""
-    moved = [("narrow", "a", 6.4), ("wide", "b", 6.0), ("one-sided", "c", 7.0), ("wide", "d", 8.0)]
-    settings = {"name": "x", "settings": [{"label": "y", "set": {}}]}
-    sensitivity = Sensitivity.model_validate({"name": "synthetic", "vary": [settings]})
+def synthetic() -> StudyResult:
+    """Optima of the first technology 6.5 (base); narrow 6.4 and 12; wide 6 and 8; one-sided 7."""
+    moved = [("", "base", 6.5), ("narrow", "a", 6.4), ("narrow", "e", 12.0), ("wide", "b", 6.0), ("wide", "d", 8.0)]
+    moved += [("one-sided", "c", 7.0)]
     light = pixsim.SpectralImage([550.0], 10.0, 5.3, data=np.ones((2, 2, 1)))
-    base = StudyResult(
-        pixsim.Study(name="base", display=pixsim.Display(white_cd_per_m2=1000.0)), case(*PAPER).curves, light, pixsim.Camera()
-    )
-    actual = tuple(case([size, *PAPER[0][1:]], PAPER[1], *names) for *names, size in moved)
-    alone = replace(case([12.0, *PAPER[0][1:]], PAPER[1], "narrow", "0.35um"), alone="0.35um")
-    base_case = Case("base", sensitivity.base, base.curves, tuple(scaling_rows(base.curves)))
-    return SensitivityResult(sensitivity, base, base_case, (*actual, alone))
+    study = pixsim.Study(name="synthetic", display=pixsim.Display(white_cd_per_m2=1000.0))
+    names = list(dict.fromkeys(axis for axis, _, _ in moved if axis))
+    parts = []
+    for axis, value, size_um in moved:
+        at: dict[str, Any] = dict.fromkeys(names, "base") | ({axis: value} if axis else {})
+        own = map(curve, FEATURE_UM, [size_um, *PAPER[0][1:]], PAPER[1])
+        parts.append(StudyResult(study, tuple(replace(each, at=at, alone=axis) for each in own), light, pixsim.Camera()))
+    curves = tuple(part.curves[place] for place in range(3) for part in parts)
+    rows = tuple(tuple(scaling_rows(part.curves)) for part in parts)
+    return StudyResult(study, curves, light, pixsim.Camera(), parts=tuple(parts), findings=rows)
 
 
-def test_turning_lists_changed_verdicts() -> None:
+def test_verdicts_list_the_cases_that_turn_them() -> None:
     """At 8 µm, 22.9 features of 0.35 µm, the optimum no longer shrinks slower: 20.8 and 22.8 follow. At 12 µm neither."""
-    result = synthetic()
-    turning = {name: [item.label for item in result.turning(name)] for name in (SHRINKS, SLOWER, WORSE)}
-    assert turning == {SHRINKS: [], SLOWER: ["d", "0.35um"], WORSE: []}
-    claims = {row["statement"]: row for row in result.as_dict()["claims"]}
-    assert claims[SLOWER]["agrees"] is True
-    turned_by = claims[SLOWER]["turned_by"]
-    assert turned_by == [{"variation": "wide", "label": "d"}, {"variation": "narrow", "label": "0.35um"}]
-    assert turned_words([(item["variation"], item["label"]) for item in turned_by]) == "wide (d); narrow (0.35um)"
-    assert turned_words([("a", "1"), ("b", "2"), ("a", "3")]) == "a (1, 3); b (2)"
+    found = {each.finding.statement: each for each in verdicts(synthetic())}
+    assert {name: each.words for name, each in found.items()} == {SHRINKS: "none", SLOWER: "narrow (e); wide (d)", WORSE: "none"}
+    assert found[SLOWER].finding.agrees
+    assert found[SLOWER].as_dict()["turned_by"][1]["alone"] == "wide"
+    assert turned_words([("a", 1.0, ""), ("", "f/8", ""), ("a", "x", "day")]) == "a (1, x, day); f/8"
 
 
 def test_paper_table_of_synthetic_result() -> None:
-    """`tests/benchmarks/paper_table.py`: against the verdicts of the study, which may differ from the base's."""
-    summary = json.loads(json.dumps(synthetic().as_dict()))
+    """`tests/benchmarks/paper_table.py`: against the verdicts of the study, which may differ from the first case's."""
+    result = synthetic()
+    cases = [
+        {"alone": part.curves[0].alone, "at": part.curves[0].at, "agrees": {row.statement: row.agrees for row in own}}
+        for part, own in zip(result.parts, result.findings, strict=True)
+    ]
     rows = [{"statement": SLOWER, "given": "g", "found": "f", "agrees": agrees, "why": "w"} for agrees in (True, False)]
-    yes, no = claims_table(rows[:1], summary["cases"])[-1], claims_table(rows[1:], summary["cases"])[-1]
-    assert yes == f"| {SLOWER} | g | f | yes | 2 of 5: wide (d); narrow (0.35um) |"
+    yes, no = claims_table(rows[:1], cases)[-1], claims_table(rows[1:], cases)[-1]
+    assert yes == f"| {SLOWER} | g | f | yes | 2 of 5: narrow (e); wide (d) |"
     assert no == f"| {SLOWER} | g | f | **does not agree**: w | 3 of 5: narrow (a); wide (b); one-sided (c) |"
     head = ["| the paper says | given | pixsim finds | agrees |", "|---|---|---|---|"]
     assert claims_table(rows[:1], []) == [*head, f"| {SLOWER} | g | f | yes |"]
-    lines = ["".join(line.split("|")[1:3]) for line in tornado_table(summary["base"], summary["cases"])[2:]]
-    assert lines == [" wide  6.00 to 8.00 ", " one-sided  6.50 to 7.00 ", " narrow  6.40 to 6.50 "]
-    *_, every = counts([{"statement": name, "agrees": True} for name in (SHRINKS, SLOWER, WORSE)], summary["cases"])
+    curves = [{"technology": each.technology, "alone": each.alone, "optimum": each.optimum.as_dict()} for each in result.curves]
+    lines = ["".join(line.split("|")[1:3]) for line in tornado_table(curves)[2:]]
+    assert lines == [" narrow  6.40 to 12.00 ", " wide  6.00 to 8.00 ", " one-sided  6.50 to 7.00 "]
+    *_, every = counts([{"statement": name, "agrees": True} for name in (SHRINKS, SLOWER, WORSE)], cases)
     assert every == "3 of 5 have every verdict of the table"
 
 
-# --- numbers of the technologies over their ranges --------------------------------------------------------------------
-
-RANGED = SENSITIVITY | {
-    "name": "ranged",
-    "base": "paper.toml",
-    "technologies": ["0.35um", "0.25um"],
-    "vary": SENSITIVITY["vary"][:1],
-    "ranges": {"dark current": "dark_current_na_per_cm2", "peak": "peak_quantum_efficiency"},
-}
+# --- the packaged analysis --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def ranged(desk: Path) -> tuple[SensitivityResult, Path]:
-    """So noisy a render that its number of runs depends on no sensor: the base's is that of every study."""
-    text = BASE_TOML.replace("target_ci_um = 0.5", "paper = true")
-    (desk / "paper.toml").write_text(text, encoding="utf-8")
-    return run_sensitivity(Sensitivity.model_validate(RANGED), desk / "ranged", jobs=1), desk / "ranged"
+def shipped() -> pixsim.Study:
+    return with_range_ends(load_study("chen2000-sensitivity"))
 
 
-def test_moves_of_cover_both_ends(ranged: tuple[SensitivityResult, Path]) -> None:
-    """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its upper end is 0.37."""
-    assert [(item.variation, item.label, item.alone) for item in ranged[0].cases[1:]] == [
-        ("dark current", "all low", ""),
-        ("dark current", "0.35um 0.333", "0.35um"),
-        ("dark current", "0.25um 1", "0.25um"),
-        ("dark current", "all high", ""),
-        ("dark current", "0.35um 3", "0.35um"),
-        ("dark current", "0.25um 9", "0.25um"),
-        ("peak", "0.25um 0.2", ""),
-        ("peak", "0.25um 0.37", ""),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("label", "process"),
-    [
-        ("all high", {"0.35um": {"dark_current_na_per_cm2": 3.0}, "0.25um": {"dark_current_na_per_cm2": 9.0}}),
-        ("0.35um 0.333", {"0.35um": {"dark_current_na_per_cm2": 0.333}}),
-        ("0.25um 0.2", {"0.25um": {"peak_quantum_efficiency": 0.2}}),
-    ],
-)
-def test_assemble_case_equals_whole_study(
-    label: str, process: dict[str, dict[str, float]], ranged: tuple[SensitivityResult, Path], desk: Path
-) -> None:
-    """Put together from single technologies, it has the curves and the verdicts of the whole study, made apart."""
-    result = ranged[0]
-    (actual,) = [item for item in result.cases if item.label == label]
-    study = result.sensitivity.base_study().model_copy(update={"process": process})
-    whole = pixsim.study(study, desk / f"whole {label}", jobs=1)
-    for mine, theirs in zip(actual.curves, whole.curves, strict=True):
-        assert mine.technology == theirs.technology
-        np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
-        assert mine.optimum == theirs.optimum
-    assert list(actual.rows) == findings(Evidence(whole, {item.technology: item for item in whole.curves}))
-    assert len(actual.rows) == 17, "every statement of the paper"
-
-
-def test_assemble_reuses_unchanged_technology(ranged: tuple[SensitivityResult, Path]) -> None:
-    """Base and one setting with two technologies, then one technology for each number and end."""
-    result, folder = ranged
-    technologies = [{row["technology"] for row in rows(path)} for path in sorted((folder / "cases").glob("*.csv"))]
-    assert sorted(map(len, technologies)) == [1] * 6 + [2] * 2
-    (alone,) = [item for item in result.cases if item.label == "0.25um 9"]
-    assert alone.curves[0] is result.base.curves[0]
-    assert alone.rows[: len(alone.rows) - 3] == result.base_case.rows[: len(alone.rows) - 3]
-
-
-def test_write_sensitivity_report_lists_turning_cases(ranged: tuple[SensitivityResult, Path], desk: Path) -> None:
-    result = ranged[0]
-    (desk / "page").mkdir()
-    path = write_sensitivity_report(result, desk / "page", {})
-    summary = json.loads((desk / "page/summary.json").read_text(encoding="utf-8"))
-    page = path.read_text(encoding="utf-8")
-    for row in summary["claims"]:
-        turning = [item for item in result.cases if item.agrees[row["statement"]] != row["agrees"]]
-        assert row["turned_by"] == [{"variation": item.variation, "label": item.label} for item in turning]
-        assert f"{len(turning)} of {len(result.cases)}" in page
-    assert "settings that change the verdict" in page
-
-
-def test_moves_of_unknown_number_raises(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
-    wrong = Sensitivity.model_validate(SENSITIVITY | {"ranges": {"dark": "dark_current"}})
-    with pytest.raises(pixsim.PixsimError, match=r"ranges\.dark: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"):
-        run_sensitivity(wrong, desk / "wrong", jobs=1)
-
-
-def test_tornado_bars_match_table() -> None:
-    plate: Plate = tornado(synthetic())
-    header, *table = csv.reader(io.StringIO(plate.csv))
-    assert len(table) == 3 * 6
-    named = [dict(zip(header, row, strict=True)) for row in table]
-    sizes = [float(row["optimum_um"]) for row in named if row["technology"] == "0.35um"]
-    assert sizes == pytest.approx([6.5, 6.4, 6.0, 7.0, 8.0, 12.0], rel=5e-4)
-    left = plate.figure.axes[0]
-    bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in left.patches]
-    np.testing.assert_allclose(bars, [(6.0, 8.0), (6.5, 7.0), (6.4, 6.5)], rtol=2e-4)
-    assert [label.get_text() for label in left.get_yticklabels()] == ["wide", "one-sided", "narrow"]
-
-
-# --- packaged studies -------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def shipped() -> Sensitivity:
-    return Sensitivity.model_validate(read_toml(packaged("data/studies")["chen2000-sensitivity"]))
-
-
-def test_packaged_cases_are_valid_and_distinct(shipped: Sensitivity) -> None:
-    base = shipped.base_study()
-    actual = list(cases_of(shipped))
-    for variation, label, study in actual:
-        check_pitches(study)
-        assert study.model_dump(exclude={"quick"}) != base.model_dump(exclude={"quick"}), f"{variation}, {label} is the base"
-        assert (study.seed, study.name) == (base.seed, base.name), "its random streams are others"
-        assert study.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
-    assert len({file_name(0, variation, label) for variation, label, _ in actual}) == len(actual), "labels read alike"
-    assert len({study.content_hash for *_, study in actual}) == len(actual), "two cases are the same"
+def test_packaged_cases_are_valid_and_distinct(shipped: pixsim.Study) -> None:
+    """All 89 settings of the table in docs/studies.md, each for all four technologies."""
+    base, *moved = cases_of(shipped)
+    assert len(moved) == 89
+    for case in moved:
+        check_pitches(case.study)
+        assert case.study.model_dump() != base.study.model_dump(), f"{case.words} is the base"
+        assert (case.study.seed, case.study.stream_name) == (2000, "chen2000"), "its random streams are others"
+        assert case.study.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
+    assert len({case.folder for case in moved}) == len(moved), "labels read alike"
+    assert len({case.study.content_hash for case in moved}) == len(moved), "two cases are the same"
 
 
 # Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
@@ -364,44 +349,46 @@ ASSUMED = {
 
 
 @pytest.mark.parametrize("name", ASSUMED)
-def test_packaged_cases_cover_assumptions(name: str, shipped: Sensitivity) -> None:
+def test_packaged_cases_cover_assumptions(name: str, shipped: pixsim.Study) -> None:
     def value(study: pixsim.Study) -> object:
         here: object = study.model_dump(mode="json")
         for part in name.split("."):
             here = here.get(part)
         return here
 
-    values = {value(study) for study in (shipped.base_study(), *(study for *_, study in cases_of(shipped)))}
+    values = {value(case.study) for case in cases_of(shipped)}
     assert len(values) > 1
     if ASSUMED[name]:
         given = values - {None}  # None: the technology's own
         assert (min(given), max(given)) == ASSUMED[name]
 
 
-def test_packaged_base_is_chen2000(shipped: Sensitivity) -> None:
+def test_packaged_base_is_chen2000(shipped: pixsim.Study) -> None:
     """The settings that change a verdict stand next to the verdicts of chen2000, which must be those of the base."""
-    assert shipped.base_study().model_dump(exclude={"quick"}) == load_study("chen2000").model_dump(exclude={"quick"})
+    own, base = (study.model_dump(exclude={"quick"}) for study in (cases_of(shipped)[0].study, load_study("chen2000")))
+    assert own | {"name": "chen2000", "streams": None, "title": base["title"]} == base
 
 
-def test_packaged_moves_cover_every_process(shipped: Sensitivity) -> None:
-    moves = moves_of(shipped)
-    assert {item.number for item in moves} == {
+def test_packaged_ranges_cover_every_process(shipped: pixsim.Study) -> None:
+    moves = [
+        (number, value, technology, point.label)
+        for axis in shipped.axis
+        for point in axis.points
+        for technology, numbers in point.table.get("process", {}).items()
+        for number, value in numbers.items()
+    ]
+    assert {number for number, *_ in moves} == {
         *("dark_current_na_per_cm2", "dsnu", "column_fpn"),
         *("peak_quantum_efficiency", "node_capacitance_ff", "voltage_swing_v"),
     }
-    assert len(moves) == 6 * 2 * 4 - 2, "all but the measured peak at 0.35 µm"
-    base = shipped.base_study()
-    for item in moves:
-        check_pitches(item.study(base))
-        low, high = load_technology(item.technology).ranges[item.number]
-        assert item.value == (low, high)[item.end]
+    assert len(moves) == 2 * (6 * 2 * 4 - 2), "all together and alone, but the measured peak at 0.35 µm"
+    for number, value, technology, label in moves:
+        assert value in load_technology(technology).ranges[number]
+        assert label in ("all low", "all high", f"{technology} {value:g}")
 
 
-def test_packaged_quick_table_is_valid() -> None:
-    table = read_toml(packaged("data/studies")["chen2000-sensitivity"])
-    quick = Sensitivity.model_validate(table | table["quick"])
-    assert quick.technologies == ("0.35um",)
-    assert len(quick.technologies) < len(Sensitivity.model_validate(table).technologies)
+def test_packaged_quick_table_has_one_technology() -> None:
+    assert load_study("chen2000-sensitivity").quickened.technologies == ("0.35um",)
 
 
 def test_packaged_modern_study_has_pinned_photodiodes() -> None:
