@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.browser import assert_fits, assert_prints, needs_browser
 from helpers.commands import command
 from helpers.tiny import TINY, keys, rows, tiny, toml_of
 from pydantic import ValidationError
@@ -314,6 +315,17 @@ def test_study_command_with_axis_writes_page_maps_and_cases(tmp_path: Path, monk
     code, _, err = command("study out/settings.toml --jobs 1 --out again")
     assert code == 0, err
     assert Path("again/results.csv").read_bytes() == Path("out/results.csv").read_bytes()
+
+
+@pytest.mark.slow
+@needs_browser
+def test_study_page_of_axes_and_conditions_fits_screens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(small_toml(axis=[LENS, PRNU], condition=[DAY, NIGHT]), encoding="utf-8")
+    code, _, err = command("study s.toml --axis exposure.max_integration_s=0.05,0.1 --jobs 1 --out out")
+    assert code == 0, err
+    assert_fits(tmp_path / "out/report.html", tmp_path)
+    assert_prints(tmp_path / "out/report.html", tmp_path, range(2, 40), ["One pixel for all conditions", "PRNU"], ["Optima"])
 
 
 def test_study_command_dry_run_counts_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

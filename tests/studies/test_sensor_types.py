@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.browser import assert_fits, assert_prints, needs_browser
 from helpers.commands import assert_refused, command
 from helpers.tiny import TINY, toml_of
 
@@ -120,6 +121,17 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
     assert json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"][0]["draws"] == 8
     assert "The study itself" in Path("out/uncertainty.html").read_text(encoding="utf-8")
     assert Path("out/sensor_types_1.csv").read_text(encoding="utf-8").startswith("draw,read_noise_e,optimum_um,")
+
+
+@pytest.mark.slow
+@needs_browser
+def test_uncertainty_page_fits_screens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(written(technologies=["0.35um", "0.25um"]), encoding="utf-8")
+    code, _, err = command("study s.toml --uncertainty 16 --smaller-than 6 --jobs 1 --out out")
+    assert code == 0, err
+    assert_fits(tmp_path / "out/uncertainty.html", tmp_path)
+    assert_prints(tmp_path / "out/uncertainty.html", tmp_path, range(2, 9), ["smaller than 6", "0.25um is better"], [])
 
 
 @pytest.mark.parametrize(
