@@ -12,7 +12,14 @@ if TYPE_CHECKING:
     from pixsim import optics as optics, sensor as sensor
     from pixsim.base import parameters as parameters
     from pixsim.base.errors import PixsimError as PixsimError
-    from pixsim.base.parameters import Camera as Camera, Display as Display, Exposure as Exposure, Pixel as Pixel, Study as Study
+    from pixsim.base.parameters import (
+        Camera as Camera,
+        Correction as Correction,
+        Display as Display,
+        Exposure as Exposure,
+        Pixel as Pixel,
+        Study as Study,
+    )
     from pixsim.light import spectral as spectral
     from pixsim.light.exr import read_exr as read_exr, write_exr as write_exr
     from pixsim.light.spectral import SpectralImage as SpectralImage
@@ -39,7 +46,7 @@ __version__ = VERSION
 
 _NAMES_OF = {
     "base.errors": "PixsimError",
-    "base.parameters": "Camera Display Exposure Pixel Study",
+    "base.parameters": "Camera Correction Display Exposure Pixel Study",
     "sensor.technology": "Technology load_technology",
     "light.spectral": "SpectralImage",
     "light.exr": "read_exr write_exr",

@@ -746,6 +746,44 @@ class Exposure(Record):
     )
 
 
+class Correction(Record):
+    """How the camera corrects its frames, from frames and dark rows of the same sensor; by default not at all."""
+
+    dark_frames: Annotated[int, Field(ge=0, le=10000)] = Field(
+        0,
+        description="frames without light, in the picture's exposure time, whose mean is subtracted (0: the expected dark number)",
+    )
+    flat_frames: Annotated[int, Field(ge=0, le=10000)] = Field(
+        0, description="frames of light that is even on the sensor, by whose mean each pixel's gain is corrected"
+    )
+    flat_level: Fraction = Field(0.5, description="mean signal of the flat frames, as a fraction of saturation")
+    column_clamp: Annotated[int, Field(ge=0, le=10000)] = Field(
+        0, description="rows of dark pixels in every frame, whose mean in each column is subtracted from it"
+    )
+    defects: bool = Field(
+        False, description="replace pixels that stand out in the dark or flat frames by the mean of their sound neighbours"
+    )
+
+    @property
+    def is_on(self) -> bool:
+        """Whether it does anything."""
+        return bool(self.dark_frames or self.flat_frames or self.column_clamp)
+
+    @property
+    def removes_dark_level(self) -> bool:
+        """Whether the mean of darkness is measured, with what clipping at 0 DN adds to it, and not expected."""
+        return bool(self.dark_frames or self.column_clamp)
+
+    @model_validator(mode="after")
+    def _defects_need_frames(self) -> Self:
+        if self.defects and not (self.dark_frames or self.flat_frames):
+            raise ValueError("defects = true without frames that show them; allowed: with dark_frames or flat_frames above 0")
+        return self
+
+
+NO_CORRECTION = Correction()
+
+
 class Display(Record):
     """A monochrome CRT or LCD, its viewer, and the colour-difference metric."""
 
@@ -1078,6 +1116,7 @@ class Study(Effort):
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
     pixel: PixelOptions = Field(PixelOptions(), description="pixel, without technology and pitch")
     exposure: Exposure = Field(Exposure(), description="exposure of every frame")
+    correction: Correction = Field(Correction(), description="correction of every frame by the camera")
     display: Display = Field(Display(), description="display, viewer and metric")
     axis: tuple[Axis, ...] = Field((), description="what the study varies beside the pixel size")
     condition: tuple[Condition, ...] = Field((), description="circumstances in which the pixel is used; each has its own optimum")
@@ -1210,6 +1249,7 @@ class Run(Effort):
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
     pixel: Pixel = Field(Pixel(), description="pixel of the sensor")
     exposure: Exposure = Field(Exposure(), description="exposure of the frame")
+    correction: Correction = Field(Correction(), description="correction of the frame by the camera")
     display: Display = Field(Display(), description="display, viewer and metric")
 
     @model_validator(mode="after")

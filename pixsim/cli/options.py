@@ -23,6 +23,7 @@ from pixsim.base.parameters import (
     NO_TECHNOLOGY,
     Camera,
     CameraOptions,
+    Correction,
     Display,
     Exposure,
     Layer,
@@ -218,12 +219,14 @@ if TYPE_CHECKING:
     CameraTable: TypeAlias = Any
     PixelTable: TypeAlias = Any
     ExposureTable: TypeAlias = Any
+    CorrectionTable: TypeAlias = Any
     DisplayTable: TypeAlias = Any
     PitchTable: TypeAlias = Any
 else:
     CameraTable = option_table(CameraOptions, "camera")
     PixelTable = option_table(Pixel, "pixel")
     ExposureTable = option_table(Exposure, "exposure")
+    CorrectionTable = option_table(Correction, "correction")
     DisplayTable = option_table(Display, "display")
     PitchTable = option_table(PitchRange, "pitch")
 
@@ -239,6 +242,7 @@ class SceneOptions:
     camera: CameraTable = None
     pixel: PixelTable = None
     exposure: ExposureTable = None
+    correction: CorrectionTable = None
 
     def settings(self, **others: Any) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""

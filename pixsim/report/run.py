@@ -18,7 +18,7 @@ from pixsim.base.config import SETTINGS_FILE, scene_table, settings_text
 from pixsim.base.errors import invalid
 from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_json
 from pixsim.base.notes import collected_notes, warn
-from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Display, Exposure, Run
+from pixsim.base.parameters import NO_TECHNOLOGY, Camera, CameraOptions, Correction, Display, Exposure, Run
 from pixsim.base.progress import Stage
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
@@ -96,7 +96,8 @@ def write_run_page(folder: Path, score: Score, irradiance: SpectralImage, summar
         path.name: "the frame of raw.exr, for other programs" for path in sorted(folder.glob("raw.*")) if path.name not in FILES
     }
     exposure = Exposure.model_validate(summary["exposure"])
-    records = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "display": display}
+    correction = Correction.model_validate(summary["correction"])
+    records = {"camera": camera, "pixel": physics.pixel, "exposure": exposure, "correction": correction, "display": display}
     page = {
         "scene": Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem,
         "line": score_line(summary),
@@ -201,7 +202,9 @@ def run_and_write(
             lap("render" if "plan" in more else "read")
             progress("sense and score")
             image.header |= white_header(image, camera, settings.display)
-            chain = make_imaging_chain(image, camera, settings.pixel, settings.exposure, settings.display, full)
+            chain = make_imaging_chain(
+                image, camera, settings.pixel, settings.exposure, settings.display, full, settings.correction
+            )
             score = chain.simulate("evaluate", settings.seed)
             if "error_budget" in more:  # mean over the sensors of the budget, including the one shown
                 sensors = more["error_budget"]["settings"]["sensors"]
@@ -209,7 +212,9 @@ def run_and_write(
                 more |= {"sensors": sensors, "sensors_mean_delta_e": float(np.mean([score.mean_delta_e, *others]))}
             lap("sense and score")
             progress("write")
-            summary = summary_of(score, image, camera, settings.exposure, settings.display, settings.seed) | more
+            summary = (
+                summary_of(score, image, camera, settings.exposure, settings.display, settings.seed, settings.correction) | more
+            )
             if irradiance == "factors" and not image.factors:
                 warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
             summary["notes"] = [*notes, *summary["notes"]]
@@ -225,7 +230,7 @@ def run_and_write(
 
 
 def summary_of(
-    score: Score, irradiance: SpectralImage, camera: Camera, exposure: Exposure, display: Display, seed: int
+    score: Score, irradiance: SpectralImage, camera: Camera, exposure: Exposure, display: Display, seed: int, correction: Correction
 ) -> dict[str, Any]:
     """Return score.json: the results, then the settings.
 
@@ -245,6 +250,7 @@ def summary_of(
         "dark": dark_clip(physics, time_s, white_e),
         "camera": camera.model_dump(),
         "exposure": exposure.model_dump(),
+        "correction": correction.model_dump(),
         "display": display.model_dump(),
         "seed": seed,
     }

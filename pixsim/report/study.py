@@ -293,6 +293,7 @@ def settings(result: StudyResult, light: LightLevel) -> list[tuple[str, list[Row
         "camera": result.camera,
         "pixel": study.pixel,
         "exposure": study.exposure,
+        "correction": study.correction,
         "display": study.display,
     }
     sheets = all(curve.data_sheet for curve in result.curves)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -187,7 +187,10 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
     study, pitch_um = result.study, float(curve.pitch_um[place])
     light = light_of(study, result.scenes, curve.technology)
     key = block_key(result.fingerprints.frames_of_pitch(curve.technology, pitch_um), 0)
-    cached = ((cache.arrays("frames", key) if key else None) or {}).get("0")
+    frames = (cache.arrays("frames", key) if key else None) or {}
+    cached, corrected_e = frames.get("0"), frames.get("0_corrected_e")
+    if study.correction.is_on and corrected_e is None:
+        cached = None
     physics, time_s = physics_of(study, curve.technology, pitch_um), float(curve.mean("integration_s")[place])
     whole = pixels_on(array_size_um(result.irradiance, result.camera), pitch_um)
     if not isinstance(light, PreparedScene) or cached is None or cached.shape != whole:
@@ -199,4 +202,5 @@ def detail_at(result: StudyResult, curve: Curve, place: int, window: Window) -> 
         # The shown picture does not depend on the saturated fraction or the mean signal.
         unknown = np.broadcast_to(0.0, cached.shape)
         frame = make_frame(cached.astype(np.int32), math.nan, unknown, physics, Exposure(integration_s=time_s))
+        frame = replace(frame, corrected_e=corrected_e)
     return shown_luminance(window.of(screen.luminance(frame, white_e)), study.display)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pixsim.base.notes import told_apart
+from pixsim.base.parameters import Correction
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_along
 from pixsim.studies.result import NO_VISIBLE_DELTA_E, alike_words, interval_words, within_words
@@ -130,7 +131,9 @@ def study_view_line(result: Any) -> list[str]:
 
 
 def dark_notes(result: dict[str, Any]) -> list[str]:
-    """Return a note on the clipping of dark pixels at 0 DN; none if its effect is not visible."""
+    """Return a note on the clipping of dark pixels at 0 DN; none if its effect is not visible, or a correction removes its mean."""
+    if Correction.model_validate(result["correction"]).removes_dark_level:
+        return []
     return [clip_words(result["dark"], result["pixel"])] if clips_dark(result["dark"]) else []
 
 

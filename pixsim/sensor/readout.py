@@ -140,6 +140,7 @@ class Frame:
     bits : of the ADC
     saturated_fraction : fraction of pixels whose charge reached `saturation_level_e` (light and dark, with shot noise,
         before reset noise and offsets) or whose DN is the top code
+    corrected_e : (rows, columns) photo-electrons as the camera's correction estimates them; None without one
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -151,14 +152,17 @@ class Frame:
     pitch_um: float
     bits: int
     saturated_fraction: float
+    corrected_e: NDArray[np.float32] | None = field(default=None, repr=False)
 
     @property
     def electrons(self) -> Array:
-        """Estimated photo-electrons, (rows, columns): black level and expected dark charge subtracted, no dark frame.
+        """Estimated photo-electrons, (rows, columns): corrected as the camera does, or less black level and expected dark charge.
 
         The response is taken as linear. With `conversion = "junction"` the error is up to 1.8 % of the swing of a 0.35 µm
         pixel, at every level; in soft saturation the estimate is too low.
         """
+        if self.corrected_e is not None:
+            return self.corrected_e.astype(float)
         return (self.dn.astype(float) - self.black_level_dn) / self.dn_per_e - self.mean_dark_e
 
 

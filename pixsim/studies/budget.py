@@ -37,7 +37,19 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 from pixsim.base.notes import told_apart, warn
-from pixsim.base.parameters import Camera, Display, Exposure, PitchRange, Pixel, Run, Study, content_hash, pixel_of
+from pixsim.base.parameters import (
+    NO_CORRECTION,
+    Camera,
+    Correction,
+    Display,
+    Exposure,
+    PitchRange,
+    Pixel,
+    Run,
+    Study,
+    content_hash,
+    pixel_of,
+)
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, noise_of
 from pixsim.scene.film import SAMPLES_PER_DETAIL, details_across, dots_across, largest_film
@@ -81,6 +93,7 @@ class Setup:
     at_optimum: bool = False
     border_um: float | None = None
     process: Technology | None = None
+    correction: Correction = NO_CORRECTION
 
     @property
     def technology(self) -> Technology:
@@ -94,7 +107,7 @@ class Setup:
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Setup:
-        return cls(camera, run.pixel, run.exposure, run.display, run.seed)
+        return cls(camera, run.pixel, run.exposure, run.display, run.seed, correction=run.correction)
 
     def around(self, pitches_um: tuple[float, ...]) -> Setup:
         """Return the set-up with these pitches; with `at_optimum`, the pixel takes their geometric centre."""
@@ -209,7 +222,8 @@ def few_counts(mean: Array, z: Array) -> Array:
 def sensor_delta_e(chain: ImagingChain, setup: Setup, pitch_um: float, sensor: int) -> float:
     """Return the mean ΔE of one sensor, reproducible for its set-up, pitch and number."""
     rng = stream("accuracy", setup.seed, pitch_um, sensor, "sensor")
-    return chain.score_frame(chain.capture_with(rng, PairedNoise(rng.bit_generator))).mean_delta_e
+    of_correction = stream("accuracy", setup.seed, pitch_um, sensor, "correction")
+    return chain.score_frame(chain.capture_with(rng, PairedNoise(rng.bit_generator), of_correction)).mean_delta_e
 
 
 def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = ()) -> Callable[[float], ImagingChain]:
@@ -226,7 +240,7 @@ def chains_of(image: SpectralImage, setup: Setup, pitches_um: Sequence[float] = 
         light = scenes.get(border_um, physics, border_um)
         if isinstance(light, SpectralImage):
             light = prepare_scene(light, setup.camera, physics, setup.display)
-        return chain_at_pitch(light, physics, setup.exposure)
+        return chain_at_pitch(light, physics, setup.exposure, setup.correction)
 
     return at
 
@@ -351,7 +365,7 @@ def calibrate(scene: Scene, camera: Camera, plan: Plan, setup: Setup) -> Calibra
     key = content_hash(
         [scene.content_hash, scene.parameters, scene.resolution, scene.sensor_id,
          scene.choice.variant, camera.model_dump(), setup.pixel.model_dump(),
-         setup.technology.content, setup.exposure.model_dump(),
+         setup.technology.content, setup.exposure.model_dump(), setup.correction.model_dump(),
          setup.display.model_dump(), setup.seed, setup.at_optimum, setup.border_um, plan.spp, plan.tolerance_e, plan.lens,
          plan.passes, cache.version_fingerprint("mitsuba", "drjit")]
     )  # fmt: skip
@@ -648,7 +662,9 @@ def settled_study(study: Study, scene: Scene, camera: Camera) -> tuple[Study, Se
     first = study.technologies[0]
     process, pixel = technology_of(study, first), pixel_of(study, first, study.pitch.max_um)
     border_um = study.pitch.largest_um
-    setup = Setup(camera, pixel, study.exposure, study.display, study.seed, at_optimum=True, border_um=border_um, process=process)
+    settings = study.exposure, study.display, study.seed
+    more: dict[str, Any] = {"at_optimum": True, "border_um": border_um, "process": process, "correction": study.correction}
+    setup = Setup(camera, pixel, *settings, **more)
     settled = settle(scene, camera, setup, study.tolerance_delta_e)
     choice = settled.choice
     repeats = min(max(MIN_REPEATS, choice.sensors), max(MIN_REPEATS, study.max_repeats))

@@ -639,14 +639,15 @@ def chain_of(prepared: Prepared, sensor: Contestant, image: SpectralImage) -> Im
         warn_of_disagreements(sensor.pixel)
         light = prepare_scene(image, sensor.camera, physics, prepared.settings.display, border_um=border_um)
         warn_of_clipping(light.beyond_white)
-        return chain_at_pitch(light, physics, sensor.exposure)
+        return chain_at_pitch(light, physics, sensor.exposure, prepared.settings.correction)
 
 
 def steps_of(prepared: Prepared, sensor: Contestant, light: Rendered) -> FilmSteps:
     """Return a sensor's mean ΔE on its film and on coarser ones, in the same parts of the scene as those of the others."""
     with without_warnings():  # the result itself warns
         seen = light.image, sensor.camera, derive(sensor.pixel), sensor.exposure, prepared.settings.display
-        return film_steps(*seen, light.plan.chart, largest_um=prepared.border_um(sensor.camera))
+        more: dict[str, Any] = {"largest_um": prepared.border_um(sensor.camera), "correction": prepared.settings.correction}
+        return film_steps(*seen, light.plan.chart, **more)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import shutil
 import threading
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -205,7 +205,7 @@ def chain_at(
     physics = physics_of(study, technology, pitch_um, process)
     if isinstance(light, SpectralImage):
         light = prepare_scene(light, camera, physics, study.display, border_um=study.pitch.largest_um)
-    return chain_at_pitch(light, physics, study.exposure)
+    return chain_at_pitch(light, physics, study.exposure, study.correction)
 
 
 def warn_of_clipped_white(study: Study, irradiance: SpectralImage, camera: Camera) -> None:
@@ -272,16 +272,19 @@ def scores_of(chain: ImagingChain, study: Study, repeats: list[int], frames_key:
     frames = {name: array for name, array in cached.items() if array.shape in (chain.signal_e_per_s.shape, ())}
     before = len(frames)
     for repeat in repeats:
-        name, saturated = str(repeat), f"{repeat}_saturated_fraction"
-        if name in frames and saturated in frames:
+        name, saturated, corrected = str(repeat), f"{repeat}_saturated_fraction", f"{repeat}_corrected_e"
+        if name in frames and saturated in frames and (corrected in frames or not chain.correction.is_on):
             dn, fraction = frames[name].astype(np.int32), float(frames[saturated])
             frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure)
+            frame = replace(frame, corrected_e=frames.get(corrected))
             yield repeat, chain.score_frame(frame), True
         else:
             frame = chain.capture(*stream_key(study, technology, pitch_um, repeat))
             if frames_key:
                 frames[name] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
                 frames[saturated] = np.array(frame.saturated_fraction)
+                if frame.corrected_e is not None:
+                    frames[corrected] = frame.corrected_e
             yield repeat, chain.score_frame(frame), False
     if len(frames) > before:
         cache.store_arrays("frames", frames_key, frames)
@@ -302,12 +305,14 @@ class Fingerprints:
 
     @cached_property
     def imaging(self) -> str:
-        """Hash of the irradiance, camera, exposure and random streams, without pixel and display."""
+        """Hash of the irradiance, camera, exposure, correction and random streams, without pixel and display."""
         study = self.study
         light = [self.irradiance.header, self.camera.model_dump()]
         # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
         version_fingerprint = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
-        return content_hash([*light, study.exposure.model_dump(), study.stream_name, study.seed, version_fingerprint])
+        return content_hash(
+            [*light, study.exposure.model_dump(), study.correction.model_dump(), study.stream_name, study.seed, version_fingerprint]
+        )
 
     @cached_property
     def display(self) -> str:
@@ -359,7 +364,7 @@ class Fingerprints:
             return False
         study = self.study
         bits = max(study.options_of(technology).bits for technology in study.technologies)
-        code_bytes = np.min_scalar_type(2**bits - 1).itemsize
+        code_bytes = np.min_scalar_type(2**bits - 1).itemsize + (4 if study.correction.is_on else 0)
         sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
         pitches = [pitch_um for sensors in self.first_sampling.values() for pitch_um in sensors]
         pixels = sum(math.prod(pixels_on(self.camera.die_um, pitch_um)) for pitch_um in pitches)

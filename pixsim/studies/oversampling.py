@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel, Run, Study, content_hash
+from pixsim.base.parameters import NO_CORRECTION, Camera, Correction, Display, Exposure, Pixel, Run, Study, content_hash
 from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import RenderNoise, render_until
@@ -120,6 +120,7 @@ def measure_film(
     chart: Chart | None = None,
     tolerance_delta_e: float | None = None,
     keep: bool = False,
+    correction: Correction = NO_CORRECTION,
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
 
@@ -131,7 +132,8 @@ def measure_film(
     def measure() -> FilmError:
         with without_warnings():  # the run itself warns of the white
             shown = image.with_planes(image.planes, header=image.header | white_header(image, camera, display))
-        measured = [film_steps(shown, camera, physics, exposure, display, chart).error() for physics in pixels]
+        settings = exposure, display, chart
+        measured = [film_steps(shown, camera, physics, *settings, correction=correction).error() for physics in pixels]
         if tolerance_delta_e is None:
             tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in measured]
         else:
@@ -142,7 +144,7 @@ def measure_film(
     if not keep:
         return measure()
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in pixels]
-    settings = camera.model_dump(), exposure.model_dump(), display.model_dump(), tolerance_delta_e
+    settings = camera.model_dump(), exposure.model_dump(), correction.model_dump(), display.model_dump(), tolerance_delta_e
     key = content_hash([image.header, sensed, *settings, cache.version_fingerprint("mitsuba", "drjit", "colour-science")])
     return cache.load_or_compute("film", key, TypeAdapter(FilmError).validate_python, measure, asdict)
 
@@ -204,6 +206,7 @@ def film_steps(
     display: Display,
     chart: Chart | None,
     largest_um: float | None = None,
+    correction: Correction = NO_CORRECTION,
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film and on coarser ones.
 
@@ -216,7 +219,7 @@ def film_steps(
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
         films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
-    return FilmSteps(np.array([_mean_delta_e(film, camera, physics, exposure) for film in films]), sampling)
+    return FilmSteps(np.array([_mean_delta_e(film, camera, physics, exposure, correction) for film in films]), sampling)
 
 
 def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterator[tuple[SpectralImage, Display]]:
@@ -238,11 +241,15 @@ def parts_of(image: SpectralImage, pitch_um: float, display: Display) -> Iterato
 
 
 def _mean_delta_e(
-    parts: Sequence[tuple[SpectralImage, Display]], camera: Camera, physics: PixelPhysics, exposure: Exposure
+    parts: Sequence[tuple[SpectralImage, Display]],
+    camera: Camera,
+    physics: PixelPhysics,
+    exposure: Exposure,
+    correction: Correction,
 ) -> Array:
     """Return the mean ΔE of each part, (parts,), all exposed as long as the brightest of them allows."""
     chains = [
-        chain_at_pitch(prepare_scene(part, camera, physics, display, border_um=physics.pitch_um), physics, exposure)
+        chain_at_pitch(prepare_scene(part, camera, physics, display, border_um=physics.pitch_um), physics, exposure, correction)
         for part, display in parts
     ]
     time_s = integration_time_s(exposure, physics, max(float(chain.signal_e_per_s.max()) for chain in chains))
@@ -294,6 +301,7 @@ def render_and_measure(
             calibrated = settled.calibration.film(image.shape[1]).delta_e
             return film_for_tolerance(image, measured, calibrated, settled.tolerance_delta_e)
         options: dict[str, Any] = {"chart": plan.chart, "tolerance_delta_e": settings.tolerance_delta_e, "keep": True}
+        options["correction"] = settings.correction
         return measure_film(image, camera, measured, settings.exposure, settings.display, **options)
 
     fixed = "set by --resolution" if settings.resolution else ""

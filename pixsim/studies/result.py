@@ -564,7 +564,9 @@ def target_notes(result: Any) -> list[str]:
 
 def study_dark_notes(result: Any) -> list[str]:
     """Return a note for each curve whose black level clips dark noise, with the number of pixel sizes and the worst of them."""
-    notes = []
+    notes: list[str] = []
+    if result.study.correction.removes_dark_level:
+        return notes
     for curve in result.curves:
         pixel = result.study.options_of(curve.technology).model_dump()
         table = result.dark(curve)

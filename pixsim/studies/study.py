@@ -436,7 +436,7 @@ def _render_task(task: tuple[str, Study, str | None], _: None) -> tuple[str, Lig
 # The sensors decide on the noise and the film of a render, and so does a part of the display.
 OF_LIGHT = {
     *("scene", "camera", "seed", "tolerance_e", "render_noise", "resolution", "max_seconds", "window_mm", "pitch"),
-    *("exposure", "pixel", "sensors", "process", "technologies", "display"),
+    *("exposure", "correction", "pixel", "sensors", "process", "technologies", "display"),
 }
 
 

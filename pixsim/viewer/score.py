@@ -14,8 +14,9 @@ from scipy.special import gammaincinv, gammaln, ndtr
 from pixsim.base.arguments import checks_arguments, checks_fields
 from pixsim.base.arrays import Array, stream
 from pixsim.base.notes import warn
-from pixsim.base.parameters import Camera, Display, Exposure, Pixel
+from pixsim.base.parameters import NO_CORRECTION, Camera, Correction, Display, Exposure, Pixel
 from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.correction import correct
 from pixsim.sensor.integration import array_size_um, diffracted_rate, integrate_pixels, running_integral
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements
 from pixsim.sensor.readout import MAX_BLACK, Frame, capture_from_rates, dark_spread_e, least_black_level_dn, sample_sensor
@@ -180,6 +181,7 @@ class ImagingChain:
     exposure: Exposure
     white_e_per_s: float
     screen: Screen
+    correction: Correction = NO_CORRECTION
 
     def simulate(self, *key: object) -> Score:
         """Return the score of a new sensor and a new frame for each key."""
@@ -187,12 +189,15 @@ class ImagingChain:
 
     def capture(self, *key: object) -> Frame:
         """Return the frame that `simulate` scores."""
-        return self.capture_with(stream(*key, "sensor"), stream(*key, "frame"))
+        return self.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
 
-    def capture_with(self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator) -> Frame:
-        """Return a frame whose fixed pattern and temporal noise come from two generators."""
+    def capture_with(
+        self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator, correction_rng: np.random.Generator
+    ) -> Frame:
+        """Return a frame whose fixed pattern, temporal noise and frames for its correction come from three generators."""
         sensor = sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
-        return capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
+        frame = capture_from_rates(self.signal_e_per_s, sensor, self.exposure, frame_rng)
+        return correct(frame, sensor, self.correction, correction_rng) if self.correction.is_on else frame
 
     def score_frame(self, frame: Frame) -> Score:
         """Return the score of a frame as shown on the screen."""
@@ -309,16 +314,25 @@ class SceneCache:
         return max(1, SCENE_CACHE_BYTES // (8 * planes))
 
 
-def chain_at_pitch(light: PreparedScene, physics: PixelPhysics, exposure: Exposure) -> ImagingChain:
+def chain_at_pitch(
+    light: PreparedScene, physics: PixelPhysics, exposure: Exposure, correction: Correction = NO_CORRECTION
+) -> ImagingChain:
     """Return the imaging chain of a pixel of any pitch, from light prepared for its spectral response."""
     grid_um = light.sample_pitch_um, physics.pitch_um, physics.photodiode_side_um
     signal_e_per_s = integrate_pixels(light.rate_e_per_s_um2, *grid_um, light.running_integral, light.array_um)
     np.maximum(signal_e_per_s, 0.0, out=signal_e_per_s)
-    return ImagingChain(signal_e_per_s, physics, exposure, light.white_e_per_s_um2 * physics.photodiode_area_um2, light.screen)
+    white_e_per_s = light.white_e_per_s_um2 * physics.photodiode_area_um2
+    return ImagingChain(signal_e_per_s, physics, exposure, white_e_per_s, light.screen, correction)
 
 
 def make_imaging_chain(
-    irradiance: SpectralImage, camera: Camera, pixel: Pixel, exposure: Exposure, display: Display, full: bool = False
+    irradiance: SpectralImage,
+    camera: Camera,
+    pixel: Pixel,
+    exposure: Exposure,
+    display: Display,
+    full: bool = False,
+    correction: Correction = NO_CORRECTION,
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
@@ -331,7 +345,7 @@ def make_imaging_chain(
     warn_of_disagreements(pixel)
     light = prepare_scene(irradiance, camera, physics, display, full)
     warn_of_clipping(light.beyond_white)
-    return chain_at_pitch(light, physics, exposure)
+    return chain_at_pitch(light, physics, exposure, correction)
 
 
 @checks_arguments
@@ -342,6 +356,7 @@ def evaluate(
     exposure: Exposure | None = None,
     display: Display | None = None,
     *,
+    correction: Correction | None = None,
     seed: int = 0,
     full: bool = False,
 ) -> Score:
@@ -349,6 +364,7 @@ def evaluate(
 
     camera : the one that the irradiance was rendered with
     exposure, display : None means the defaults
+    correction : of the frame by the camera; None means none
     seed : of the sensor's fixed pattern and its temporal noise
     full : use no shortcut for grey images (the result differs by rounding only)
 
@@ -360,7 +376,8 @@ def evaluate(
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
     ((30, 30), 1.0)
     """
-    chain = make_imaging_chain(irradiance, camera, pixel, exposure or Exposure(), display or Display(), full)
+    settings = exposure or Exposure(), display or Display(), full, correction or NO_CORRECTION
+    chain = make_imaging_chain(irradiance, camera, pixel, *settings)
     return chain.simulate("evaluate", seed)
 
 

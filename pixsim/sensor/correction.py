@@ -1,0 +1,187 @@
+"""Correction of a frame as cameras do it: dark frames, flat frames, dark rows of each column, and defective pixels.
+
+Every frame behind it is simulated with the same sensor, so the result has the residual noise of its own correction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+from pixsim.base.parameters import Correction
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
+
+DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
+MAD_OF_SIGMA = 0.6744897501960817  # median absolute deviation of a normal distribution over its standard deviation
+LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
+ROUNDING_VARIANCE_DN2 = 1 / 12
+
+
+@checks_arguments
+def correct(frame: Frame, sensor: Sensor, correction: Correction, rng: np.random.Generator) -> Frame:
+    """Return a frame with `corrected_e`, its photo-electrons as the camera's correction estimates them.
+
+    With D the mean of the dark frames and F that of the flat frames, in electrons, a pixel of the picture P becomes
+    (P - D) / ((F - D) / mean(F - D)). Dark rows have no light: their mean in a column is subtracted from it in every frame.
+    All frames have the exposure time of the picture.
+
+    sensor : that took the frame
+    rng : of the dark rows, dark frames and flat frames, with a stream of its own for each
+
+    Raises PixsimError if dark charge alone exceeds the level of the flat frames.
+    """
+    # Each has a stream, so that one kind of correction does not change the noise of another.
+    rows_rng, above_picture, dark_rng, above_dark, flat_rng, above_flat = rng.spawn(6)
+    physics, time_s = sensor.physics, frame.integration_s
+    rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
+
+    def electrons(dn: NDArray[np.int32], rng: np.random.Generator) -> Array:
+        """Electrons over those of darkness, as far as a single frame tells."""
+        if rows is None:
+            return np.asarray((dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e)
+        clamp = read_out(np.zeros(rows.shape), time_s, rows, rng)
+        return np.asarray((dn - clamp.mean(axis=0, keepdims=True)) / frame.dn_per_e, float)
+
+    def mean_of(frames: int, light_e: float, rng: np.random.Generator, above: np.random.Generator) -> Array:
+        """Mean of frames of even light, in electrons."""
+        light = np.broadcast_to(light_e, sensor.shape)
+        total = np.zeros(sensor.shape)
+        for _ in range(frames):
+            total += electrons(read_out(light, time_s, sensor, rng), above)
+        total /= frames
+        return total
+
+    picture, defects = electrons(frame.dn, above_picture), np.zeros(sensor.shape, bool)
+    dark = mean_of(correction.dark_frames, 0.0, dark_rng, above_dark) if correction.dark_frames else None
+    if dark is not None:
+        picture -= dark
+        defects |= outliers(dark, rounding_e(physics, correction.dark_frames))
+    if correction.flat_frames:
+        flat = mean_of(correction.flat_frames, flat_light_e(physics, correction, time_s), flat_rng, above_flat)
+        if dark is not None:
+            flat -= dark
+        response = flat / max(float(flat.mean()), np.finfo(float).tiny)
+        unresponsive = response < LEAST_RESPONSE
+        picture /= np.where(unresponsive, 1.0, response)
+        defects |= unresponsive | outliers(flat, rounding_e(physics, correction.flat_frames))
+    if correction.defects:
+        picture = without_defects(picture, defects)
+    return replace(frame, corrected_e=picture.astype(np.float32))
+
+
+def _dark_rows(sensor: Sensor, count: int, rng: np.random.Generator) -> Sensor | None:
+    """Return the dark rows of a sensor, with its columns' offsets; None without any."""
+    if not count:
+        return None
+    rows = sample_sensor(sensor.physics, (count, sensor.shape[1]), rng)
+    return replace(rows, column_offset_e=sensor.column_offset_e)
+
+
+@checks_arguments
+def flat_light_e(physics: PixelPhysics, correction: Correction, integration_s: float) -> float:
+    """Return the photo-electrons of the flat frames: `flat_level` of saturation, less the dark charge.
+
+    Raises PixsimError if the dark charge leaves no light.
+    """
+    dark_e = physics.dark_current_e_per_s * integration_s
+    light_e = correction.flat_level * physics.saturation_e - dark_e
+    if light_e <= 0:
+        got = f"{correction.flat_level:g}, with {dark_e:.3g} e- of dark charge in {integration_s:.3g} s"
+        least = f"above {dark_e / physics.saturation_e:.3g}, where the flat frames have light"
+        raise invalid("correction.flat_level", got, least, "Raise it, or shorten exposure.max_integration_s.")
+    return light_e
+
+
+def rounding_e(physics: PixelPhysics, frames: int) -> float:
+    """Return the standard deviation, in electrons, that rounding alone leaves in a mean of frames."""
+    return float(np.sqrt(ROUNDING_VARIANCE_DN2 / frames) / physics.dn_per_e)
+
+
+def outliers(values: Array, least_spread: float) -> NDArray[np.bool_]:
+    """Return which values differ from the median by more than `DEFECT_SIGMAS`, by their median absolute deviation, in (...)."""
+    away = np.abs(values - np.median(values))
+    spread = max(float(np.median(away)) / MAD_OF_SIGMA, least_spread)
+    return np.asarray(away > DEFECT_SIGMAS * spread)
+
+
+def without_defects(picture: Array, defects: NDArray[np.bool_]) -> Array:
+    """Return a picture whose defects are the means of the sound pixels in the smallest square around them with any, (H, W)."""
+    if not defects.any() or defects.all():
+        return picture
+    sound, result, missing = (~defects).astype(float), picture.copy(), defects.copy()
+    size = 3
+    while missing.any():
+        weight, total = (uniform_filter(values, size, mode="constant") for values in (sound, np.where(defects, 0.0, picture)))
+        found = missing & (weight > 0.5 / size**2)
+        result[found] = total[found] / weight[found]
+        missing &= ~found
+        size += 2
+    return result
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Variance of a corrected pixel over frames and sensors, in e-², by source; each is closed form.
+
+    temporal : of the picture itself: shot noise of light and dark charge, reset, read and rounding noise
+    offsets : what is left of offsets, dark signal and the noise of dark frames and dark rows
+    flat : noise of the flat frames
+    gain : what is left of PRNU
+    """
+
+    temporal: float
+    offsets: float
+    flat: float
+    gain: float
+
+    @property
+    def total(self) -> float:
+        return self.temporal + self.offsets + self.flat + self.gain
+
+
+@checks_arguments
+def residual_variance_e2(signal_e: float, integration_s: float, physics: PixelPhysics, correction: Correction) -> Residual:
+    """Return the closed form of the variance that a correction leaves in even light, without defects.
+
+    With T = reset² + read² + dark charge + rounding (LSB²/12) the variance of a dark pixel over frames, s the signal, L that of
+    the flat frames, n_d, n_f and n_c the numbers of dark frames, flat frames and dark rows, and V the variance of offsets and
+    dark signal over pixels:
+
+    temporal s + T; of dark rows T/n_c more
+    offsets (1 - s/L)² · T (1 + 1/n_c)/n_d with dark frames, (1 - s/L)² · V without, since a flat frame has the same ones; the
+        factor is 1 without flat frames. V holds the columns' offsets only without dark rows, and V/n_c of those pixels.
+    flat (s/L)² (L + T (1 + 1/n_c))/n_f
+    gain (PRNU · s)² without flat frames
+
+    It is valid for a linear response, far from 0 DN, the well and the top code, to first order in PRNU and 1/√L.
+
+    >>> from pixsim.pixel import derive
+    >>> from pixsim.parameters import Pixel
+    >>> pixel = derive(Pixel(prnu=0.01))
+    >>> float(residual_variance_e2(2e4, 0.01, pixel, Correction(flat_frames=16)).gain)
+    0.0
+    >>> round(residual_variance_e2(2e4, 0.01, pixel, Correction()).gain, 6)  # (0.01 · 20000)²
+    40000.0
+    """
+    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
+    dark_variance = p.reset_noise_e**2 + p.read_noise_e**2 + dark_e + ROUNDING_VARIANCE_DN2 / p.dn_per_e**2
+    rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
+    pixels = p.offset_fpn_e**2 + (p.dsnu * dark_e) ** 2
+    offsets = pixels * (1 + rows) + (0.0 if correction.column_clamp else p.column_fpn_e**2)
+    if correction.dark_frames:
+        offsets = dark_variance * (1 + rows) / correction.dark_frames
+    flat, gain = 0.0, (p.prnu * signal_e) ** 2
+    if correction.flat_frames:
+        level_e = flat_light_e(p, correction, integration_s)
+        part = signal_e / level_e
+        offsets *= (1 - part) ** 2
+        flat = part**2 * (level_e + dark_variance * (1 + rows)) / correction.flat_frames
+        gain = 0.0
+    return Residual(signal_e + dark_variance * (1 + rows), offsets, flat, gain)
