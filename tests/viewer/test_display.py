@@ -357,7 +357,7 @@ def test_score_frame_ideal_pixels_converge_to_ideal_image(csf, bits, finest_um, 
     for pitch_um in {5.3, 2.65, 1.325, finest_um}:
         physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
         chain = chain_at_pitch(prepare_scene(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
-        frame = chain.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator))
+        frame = chain.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator), seed)
         actual[pitch_um] = chain.score_frame(frame).mean_delta_e
     assert 0 < actual[finest_um] <= most
     for pitch_um in (5.3, 2.65):
