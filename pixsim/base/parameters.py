@@ -45,8 +45,8 @@ else:
 
 # Documented in the reference; the other names are internal.
 __all__ = [
-    "Axis", "AxisValue", "Camera", "CameraOptions", "Condition", "DarkCurrent", "Display", "Effort", "Exposure", "PitchRange",
-    "Pixel", "PixelOptions", "Run", "Study", "StudyScene", "pixel_of",
+    "Axis", "AxisValue", "Camera", "CameraOptions", "Condition", "Correction", "DarkCurrent", "Display", "Effort", "Exposure",
+    "PitchRange", "Pixel", "PixelOptions", "Run", "Study", "StudyScene", "pixel_of",
 ]  # fmt: skip
 
 
