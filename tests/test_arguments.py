@@ -109,6 +109,7 @@ GOOD: dict[str, Any] = {
     "highest_lp_per_mm": 33.0, "die_mm": 2.0, "index": 0, "columns": 4, "part": (slice(0, 2), slice(0, 2)),
     "response": lambda: np.ones_like,
     "signal_e": 100.0, "statistic": "mean_delta_e", "resolution": 8, "state": lambda: scene().parse(), "options": CameraOptions(),
+    "photodiode_side_um": 50.0, "height_um": 80.0,
     "planes": LIGHT.data.transpose(2, 0, 1), "fov_deg": 40.0, "aperture_radius_m": 5e-4, "focus_distance_m": 1.0, "source": "x",
 }  # fmt: skip
 OWN: dict[str, Any] = {
@@ -123,7 +124,7 @@ OWN: dict[str, Any] = {
     "pixsim.sensor.pixel.response_curve.reading": "silicon", "pixsim.evaluate.irradiance": LIGHT,
     "pixsim.base.parameters.Camera.from_lens_geometry.die_mm": 2.7,
     "pixsim.SpectralImage.factors": None, "pixsim.SpectralImage.pitch_um": 100.0,
-    "pixsim.viewer.display.picture_size_um.irradiance": LIGHT,
+    "pixsim.viewer.display.picture_size_um.irradiance": LIGHT, "pixsim.optics.stack_collection.index": 1.5,
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.

@@ -94,6 +94,9 @@ BOUNDS = {
     "degree": Bounds(0, 5),
     "fov_deg": Bounds(1e-9, 180 - 1e-9),
     **dict.fromkeys(("aperture_radius_m", "focus_distance_m"), Bounds(0, 1e18, open_low=True)),
+    **dict.fromkeys(("chief_ray_deg", "azimuth_deg", "frequency_x_cy_per_mm", "frequency_y_cy_per_mm"), FINITE),
+    **dict.fromkeys(("photodiode_side_um", "height_um"), POSITIVE),
+    "numerical_aperture": FRACTION,
     "tan_field": INFINITE_TOO,  # infinite for light parallel to the sensor
     "level_dn": INFINITE_TOO,
     "relative_luminance": INFINITE_TOO,

@@ -1,14 +1,16 @@
 """The lens in closed form: f-number, field and wavelength in, irradiance factor and optical transfer function out.
 
 `thin_lens` turns radiance into irradiance, `diffraction` blurs by a circular pupil, `exchange` reads the light of other
-programs as irradiance on the sensor.
+programs as irradiance on the sensor. `pupil` has the directions of the light at a point of the sensor, `stack` the photodiodes
+that it reaches through microlenses or openings.
 May import: base, light.
 """
 
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffract, diffract_sum, diffraction_otf, square_aperture_mtf, white_otf
+from pixsim.optics.stack import stack_collection
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
 
 __all__ = [
     "cutoff_cy_per_mm", "diffract", "diffract_sum", "diffraction_otf", "field_factor", "irradiance_factor",
-    "square_aperture_mtf", "white_otf",
+    "square_aperture_mtf", "stack_collection", "white_otf",
 ]  # fmt: skip

@@ -9,6 +9,7 @@ from pixsim.base.arguments import brief, check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import WHOLE
+from pixsim.optics.pupil import Pupil
 
 
 @checks_arguments
@@ -72,3 +73,26 @@ def field_factor(
         tan_field = np.hypot(x_um[None, :], y_um[rows, None]) / (1e3 * image_distance_mm)
         factor[rows] = irradiance_factor(f_number, tan_field, magnification)
     return factor
+
+
+@checks_arguments
+def thin_lens_pupil(f_number: float, tan_field: ArrayLike, azimuth_deg: ArrayLike = 0.0, magnification: float = 0.0) -> Pupil:
+    """Return the pupils of a thin lens, (...) as field and azimuth broadcast: its aperture disc seen from the image points.
+
+    The area of each in direction cosines is `irradiance_factor`, Foote (1915). Its semi-axes are about NA cos θ, and NA cos³θ
+    along the field; its centre is the chief ray, at the field angle θ.
+
+    f_number : nominal, for focus at infinity; at least 0.5/(1+|m|)
+    tan_field : tangent of the field angle seen from the lens centre
+    azimuth_deg : of the light that arrives, from +x (columns) to +y (rows)
+    magnification : image over object size; its absolute value is taken
+
+    Raises PixsimError as `irradiance_factor` does, and if a tangent or an azimuth is not finite.
+    """
+    irradiance_factor(f_number, 0.0, magnification)
+    tangent, azimuth = np.broadcast_arrays(np.asarray(tan_field, float), np.radians(np.asarray(azimuth_deg, float)))
+    if not (np.all(np.isfinite(tangent)) and np.all(np.isfinite(azimuth))):
+        raise invalid("tan_field and azimuth_deg", "infinity or NaN", "finite numbers: a pupil at the horizon sends no light")
+    outward, sideways = np.stack([np.cos(azimuth), np.sin(azimuth)], -1), np.stack([-np.sin(azimuth), np.cos(azimuth)], -1)
+    tan_alpha = 0.5 / (f_number * (1 + abs(magnification)))
+    return Pupil(tangent[..., None] * outward, tan_alpha * outward, tan_alpha * sideways, of_tangents=True)

@@ -40,7 +40,15 @@ REFERENCE = re.compile(r"`([a-z_0-9]+)`")  # to another kernel, which names the 
 OURS = "Camera|Pixel|Exposure|Display|Study|Scene|Plan|Technology|PixelPhysics|Sensor|Frame|RawFrame|SpectralImage|Diode"
 RECORD = re.compile(rf"\b({OURS})\b")
 KERNELS = (
-    *("light.spectral", "optics.thin_lens", "optics.diffraction", "sensor.pixel", "sensor.photodiode", "sensor.readout"),
+    *(
+        "light.spectral",
+        "optics.thin_lens",
+        "optics.diffraction",
+        "optics.stack",
+        "sensor.pixel",
+        "sensor.photodiode",
+        "sensor.readout",
+    ),
     *("scene.charts", "viewer.display", "viewer.scielab"),
 )
 # Public names exempt from a rule, and why.

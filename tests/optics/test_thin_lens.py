@@ -11,6 +11,7 @@ import pytest
 from pixsim import optics
 from pixsim.base.errors import PixsimError
 from pixsim.base.parameters import Camera
+from pixsim.optics.thin_lens import thin_lens_pupil
 
 
 @pytest.mark.parametrize(
@@ -63,3 +64,28 @@ def test_irradiance_factor_and_cutoff_share_numerical_aperture(f_number):
     sin_alpha = np.sqrt(optics.irradiance_factor(f_number, 0.0, camera.magnification) / np.pi)
     assert optics.cutoff_cy_per_mm(500.0, camera.effective_f_number) == pytest.approx(2 * sin_alpha / 500e-6, rel=1e-13)
     assert np.tan(np.arcsin(sin_alpha)) == pytest.approx(1 / (2 * f_number * 1.2), rel=1e-12)
+
+
+@pytest.mark.parametrize(("f_number", "magnification"), [(0.5, 0.0), (1.4, 0.2), (4.0, 0.0), (100.0, 0.0)])
+def test_thin_lens_pupil_has_the_area_of_the_irradiance_factor(f_number, magnification):
+    """The area in direction cosines is E/L (Foote), as an integral along the boundary, and as a sum of rays."""
+    tan_field = np.tan(np.radians([0.0, 10.0, 25.0, 45.0, 60.0]))
+    pupil = thin_lens_pupil(f_number, tan_field, 33.0, magnification)
+    wanted = optics.irradiance_factor(f_number, tan_field, magnification)
+    np.testing.assert_allclose(pupil.area, wanted, rtol=1e-10)  # rounding, of an area of 1e-5 between cosines of 1, at f/100
+    np.testing.assert_allclose(pupil.chief_cosines[:, 0], np.sin(np.arctan(tan_field)) * np.cos(np.radians(33)), rtol=1e-14)
+    disc = np.pi * (0.5 / (f_number * (1 + magnification))) ** 2  # of tangents, weighted by cos⁴
+    np.testing.assert_allclose(disc * pupil.directions(16, 40).weight.sum(axis=-1), wanted, rtol=1e-7)
+
+
+def test_thin_lens_pupil_of_a_slow_lens_is_an_ellipse_of_cos_and_cos3():
+    cos = np.cos(np.radians(40.0))
+    edge = thin_lens_pupil(100.0, np.tan(np.radians(40.0))).boundary(np.array([0.0, np.pi / 2, np.pi, 1.5 * np.pi]))[0]
+    assert (edge[0] - edge[2])[0] == pytest.approx(0.01 * cos**3, rel=1e-4)  # next term NA²
+    assert (edge[1] - edge[3])[1] == pytest.approx(0.01 * cos, rel=1e-4)
+
+
+@pytest.mark.parametrize(("tan_field", "azimuth_deg"), [(np.inf, 0.0), (np.nan, 0.0), (0.1, np.inf)])
+def test_thin_lens_pupil_at_the_horizon_raises(tan_field, azimuth_deg):
+    with pytest.raises(PixsimError, match=r"(tan_field|azimuth_deg).*: got"):
+        thin_lens_pupil(4.0, tan_field, azimuth_deg)

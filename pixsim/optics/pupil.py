@@ -1,0 +1,164 @@
+"""Pupils: the directions from which light reaches a point of the sensor.
+
+A direction is the pair of its cosines along x (columns) and y (rows), s = sin θ (cos φ, sin φ), in air; its angle to the axis
+is θ. An area of direction cosines is a projected solid angle, so a scene of uniform radiance L gives E = L · area.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+
+AREA_NODES = 256  # of the trapezoidal rule, exact to rounding for a smooth closed curve (up to f/0.5 and 89°)
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Rays with weights, as from a ray trace, for each of the points (...) of the sensor.
+
+    cosines : (..., rays, 2)
+    weight : (..., rays), with a positive sum; shares of the light are relative to it
+    chief_cosines : (..., 2) of the chief ray, which sets an optimal shift of microlenses
+    """
+
+    cosines: Array
+    weight: Array
+    chief_cosines: Array
+
+    def __post_init__(self) -> None:
+        """Raise PixsimError if shapes differ, a cosine is at or beyond the horizon, or weights are negative or add up to 0."""
+        points, rays = self.weight.shape[:-1], self.weight.shape
+        if self.cosines.shape != (*rays, 2) or self.chief_cosines.shape != (*points, 2) or not rays or not rays[-1]:
+            got = f"shapes {self.cosines.shape}, {self.weight.shape} and {self.chief_cosines.shape}"
+            expected = "(..., rays, 2) cosines, (..., rays) weights and (..., 2) chief_cosines, with at least one ray"
+            raise invalid("cosines, weight and chief_cosines", got, expected)
+        if not all(np.all(np.square(cosines).sum(axis=-1) < 1) for cosines in (self.cosines, self.chief_cosines)):
+            raise invalid("cosines", "those of a ray at or beyond the horizon, or NaN", "sx² + sy² < 1")
+        if not (np.all(self.weight >= 0) and np.all(np.isfinite(self.weight)) and np.all(self.weight.sum(axis=-1) > 0)):
+            raise invalid("weight", "values that are negative, not finite or all 0", "finite weights with a positive sum")
+
+    @property
+    def shares(self) -> Array:
+        """Weights relative to their sum, (..., rays)."""
+        return np.asarray(self.weight / self.weight.sum(axis=-1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Pupil:
+    """Ellipses c + r cos φ + t sin φ of directions, one for each point of the sensor, of uniform weight in direction cosines.
+
+    centre, radial, tangential : (..., 2) of one shape: c, and the vectors r and t of the semi-axes
+    of_tangents : the ellipse is one of tangents, tan θ (cos φ, sin φ), as a disc in a plane parallel to the sensor is seen;
+        otherwise of direction cosines
+    """
+
+    centre: Array
+    radial: Array
+    tangential: Array
+    of_tangents: bool = False
+
+    @property
+    def chief_cosines(self) -> Array:
+        """Direction of the chief ray, through the centre, (..., 2)."""
+        return self._cosines(self.centre)
+
+    @property
+    def widest(self) -> float:
+        """Upper limit of the semi-axes in direction cosines."""
+        lengths = [np.hypot(part[..., 0], part[..., 1]).max(initial=0.0) for part in (self.radial, self.tangential)]
+        return float(max(lengths))
+
+    @property
+    def area(self) -> Array:
+        """Area in direction cosines, (...), sr: E/L for light that fills the pupil. By the trapezoidal rule on its boundary."""
+        s, slope = self.boundary(_angles())
+        turned = s[..., 0] * slope[..., 1] - s[..., 1] * slope[..., 0]
+        return np.asarray(np.abs(turned.mean(axis=-1)) * np.pi)
+
+    def boundary(self, angle: Array) -> tuple[Array, Array]:
+        """Return the direction cosines at angles φ, (..., φ), and their derivatives by φ, both (..., φ, 2)."""
+        cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
+        centre, radial, tangential = (part[..., None, :] for part in (self.centre, self.radial, self.tangential))
+        point, slope = centre + radial * cosine + tangential * sine, tangential * cosine - radial * sine
+        if not self.of_tangents:
+            return point, slope
+        secant2 = 1 + np.square(point).sum(axis=-1, keepdims=True)
+        along = (point * slope).sum(axis=-1, keepdims=True)
+        return point / np.sqrt(secant2), (slope - point * along / secant2) / np.sqrt(secant2)
+
+    def _cosines(self, point: Array) -> Array:
+        return point / np.sqrt(1 + np.square(point).sum(axis=-1, keepdims=True)) if self.of_tangents else point
+
+    def directions(self, rings: int, spokes: int) -> Directions:
+        """Return quadrature nodes, (..., rings · spokes): Gauss-Legendre in radius², equal steps in φ."""
+        node, share = np.polynomial.legendre.leggauss(rings)
+        radius, angle = np.sqrt((1 + node) / 2)[:, None], np.arange(spokes) * (2 * np.pi / spokes)
+        x, y = (radius * turned for turned in (np.cos(angle), np.sin(angle)))
+        centre, radial, tangential = (part[..., None, :] for part in (self.centre, self.radial, self.tangential))
+        point = centre + radial * x.ravel()[:, None] + tangential * y.ravel()[:, None]
+        weight = np.broadcast_to(np.repeat(share / (2 * spokes), spokes), point.shape[:-1])
+        if self.of_tangents:  # cos⁴ per area of tangents
+            weight = weight / (1 + np.square(point).sum(axis=-1)) ** 2
+        return Directions(self._cosines(point), weight, self.chief_cosines)
+
+    def at(self, points: NDArray[np.intp] | slice) -> Pupil:
+        """Return some of the pupils, (k,) of (n,)."""
+        return Pupil(self.centre[points], self.radial[points], self.tangential[points], self.of_tangents)
+
+    def flat(self) -> Pupil:
+        """Return the pupils in one line, (n,)."""
+        centre, radial, tangential = (part.reshape(-1, 2) for part in (self.centre, self.radial, self.tangential))
+        return Pupil(centre, radial, tangential, self.of_tangents)
+
+
+def _angles() -> Array:
+    """Return the angles of the trapezoidal rule."""
+    return np.linspace(0, 2 * np.pi, AREA_NODES, endpoint=False)
+
+
+def numerical_aperture(f_number: float) -> float:
+    """Return NA = sin atan(1/2N), the sine of half the opening angle of a lens in air; 0 for a pinhole."""
+    return 1 / math.hypot(1.0, 2 * f_number)
+
+
+@checks_arguments
+def elliptic_pupil(
+    numerical_aperture: ArrayLike,
+    chief_ray_deg: ArrayLike = 0.0,
+    azimuth_deg: ArrayLike = 0.0,
+    *,
+    radial: ArrayLike = 1.0,
+    tangential: ArrayLike = 1.0,
+) -> Pupil:
+    """Return ellipses of direction cosines around chief rays, (...) as the arguments broadcast; by default circles.
+
+    numerical_aperture : of the lens on the sensor side, sin α
+    chief_ray_deg : angle of the chief ray to the axis, in air
+    azimuth_deg : of the chief ray, from +x towards +y
+    radial, tangential : semi-axes, relative to `numerical_aperture`: cos³ and cos of the chief ray angle for a lens with
+        cos⁴ fall-off
+
+    Raises PixsimError if sin CRA and the semi-axis together reach 1, the horizon.
+    """
+    aperture, chief, azimuth, along, across = np.broadcast_arrays(
+        *(np.asarray(value, float) for value in (numerical_aperture, chief_ray_deg, azimuth_deg, radial, tangential))
+    )
+    if not np.all(np.abs(chief) < 90):
+        raise invalid("chief_ray_deg", f"{chief.flat[np.argmax(np.abs(chief))]:g}", "above -90 and below 90 degrees")
+    turn = np.radians(azimuth)
+    outward, sideways = np.stack([np.cos(turn), np.sin(turn)], -1), np.stack([-np.sin(turn), np.cos(turn)], -1)
+    centre, semi_axes = np.sin(np.radians(chief))[..., None] * outward, (aperture * along, aperture * across)
+    pupil = Pupil(centre, semi_axes[0][..., None] * outward, semi_axes[1][..., None] * sideways)
+    edge = pupil.boundary(_angles())[0]
+    farthest = np.maximum(np.hypot(edge[..., 0], edge[..., 1]).max(axis=-1), np.abs(np.sin(np.radians(chief))) + semi_axes[0])
+    if not np.all(farthest < 1):
+        got = f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus semi-axis)"
+        raise invalid("pupil", got, "below 1, the horizon", "Take a larger f_number or a smaller chief_ray_deg.")
+    return pupil
