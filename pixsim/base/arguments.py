@@ -95,7 +95,10 @@ BOUNDS = {
     "fov_deg": Bounds(1e-9, 180 - 1e-9),
     **dict.fromkeys(("aperture_radius_m", "focus_distance_m"), Bounds(0, 1e18, open_low=True)),
     **dict.fromkeys(("chief_ray_deg", "azimuth_deg", "frequency_x_cy_per_mm", "frequency_y_cy_per_mm"), FINITE),
-    **dict.fromkeys(("photodiode_side_um", "height_um"), POSITIVE),
+    **dict.fromkeys(("photodiode_side_um", "height_um", "absorption_per_um", "diffusion_length_um"), POSITIVE),
+    **dict.fromkeys(("follower_area_um2", "node_capacitance_ff"), POSITIVE),
+    **dict.fromkeys(("depletion_um", "perimeter_um", "prnu_um", "threshold_mv_um"), NOT_NEGATIVE),
+    **dict.fromkeys(("area_na_per_cm2", "perimeter_na_per_cm"), NOT_NEGATIVE),
     "numerical_aperture": FRACTION,
     "tan_field": INFINITE_TOO,  # infinite for light parallel to the sensor
     "level_dn": INFINITE_TOO,

@@ -1,0 +1,118 @@
+"""Differences between pixels from the geometry of their parts: photodiodes, source followers, and hot pixels.
+
+Small devices differ more than large ones: the area over which chance is averaged is smaller. Spreads are standard deviations.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.constants import elementary_charge
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
+
+E_PER_FC = 1e-15 / elementary_charge
+A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / elementary_charge  # 1 cm² = 1e8 µm²
+UM_PER_CM = 1e4
+
+
+@checks_arguments
+def prnu_of_area(prnu_um: float, area_um2: float) -> float:
+    """Return the PRNU of photodiodes, k/√area, relative to the mean gain.
+
+    Edges and layers vary at random, with an area law as that of Pelgrom et al. (1989).
+
+    prnu_um : k, the PRNU of a photodiode of 1 µm², in µm
+    area_um2 : of the photodiode
+
+    Raises PixsimError if k is negative or the area is not positive.
+    """
+    return prnu_um / math.sqrt(area_um2)
+
+
+@checks_arguments
+def follower_offset_e(threshold_mv_um: float, follower_area_um2: float, node_capacitance_ff: float) -> float:
+    """Return the spread of offsets that source followers cause, σ(V_t) C/q in electrons with σ(V_t) = A_Vt/√(W L).
+
+    M. J. M. Pelgrom, A. C. J. Duinmaijer and A. P. G. Welbers, IEEE J. Solid-State Circuits 24 (1989) 1433. Their A_Vt is that of
+    the difference in a pair; σ of one transistor is 1/√2 of that, and its A_Vt is meant here. True correlated double sampling
+    removes these offsets.
+
+    threshold_mv_um : A_Vt of one transistor, in mV µm
+    follower_area_um2 : W L of the source follower's gate
+    node_capacitance_ff : of the sense node, over which the electrons are read
+
+    Raises PixsimError if A_Vt is negative, or another number is not positive.
+    """
+    return 1e-3 * threshold_mv_um / math.sqrt(follower_area_um2) * node_capacitance_ff * E_PER_FC
+
+
+@checks_arguments
+def dark_current_of_geometry_e_per_s(
+    area_na_per_cm2: float, perimeter_na_per_cm: float, area_um2: float, perimeter_um: float
+) -> float:
+    """Return the dark current of a photodiode in e-/s: generation under its area and along its isolation.
+
+    The perimeter's part grows with the reciprocal of the side, so that small pixels have more dark current per area.
+
+    area_na_per_cm2, perimeter_na_per_cm : current densities at the reference temperature
+    area_um2, perimeter_um : of the photodiode
+
+    Raises PixsimError if a density or the perimeter is negative, or the area is not positive.
+    """
+    density = area_na_per_cm2 * area_um2 + perimeter_na_per_cm * UM_PER_CM * perimeter_um
+    return 1e-9 * A_PER_CM2_TO_E_PER_S_UM2 * density
+
+
+@dataclass(frozen=True)
+class DarkSpread:
+    """Dark currents of pixels relative to their mean: gamma-distributed ones, and a tail of hot pixels with a log-normal law.
+
+    dsnu : spread of the ordinary pixels, relative to their mean
+    hot_fraction : of all pixels
+    hot_median : of hot pixels, relative to the mean of ordinary ones
+    hot_spread : standard deviation of the natural logarithm of hot pixels' currents
+
+    The mean over all pixels is 1: the stated dark current holds hot pixels too, and ordinary ones have less.
+    """
+
+    dsnu: float
+    hot_fraction: float = 0.0
+    hot_median: float = 1.0
+    hot_spread: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise PixsimError if a number is not finite or out of its range."""
+        ranges = {"dsnu": (0.0, 1e3), "hot_fraction": (0.0, 1.0), "hot_median": (0.0, 1e9), "hot_spread": (0.0, 5.0)}
+        for name, (low, high) in ranges.items():
+            if not low <= (value := getattr(self, name)) <= high:
+                raise invalid(name, f"{value:g}", f"{low:g} to {high:g}")
+        if not self.ordinary_mean < math.inf:
+            raise invalid("hot_median", f"{self.hot_median:g}", "above 0 if all pixels are hot")
+
+    @property
+    def ordinary_mean(self) -> float:
+        """Mean of ordinary pixels, relative to that of all: 1/(1 - φ + φ m), with the hot pixels' mean m = median · e^(s²/2)."""
+        hot_mean = self.hot_median * math.exp(self.hot_spread**2 / 2)
+        total = 1 - self.hot_fraction + self.hot_fraction * hot_mean
+        return 1 / total if total else math.inf
+
+    @property
+    def variance(self) -> float:
+        """Variance over all pixels, relative to the mean squared: c²[(1 - φ)(1 + dsnu²) + φ median² e^(2s²)] - 1."""
+        ordinary = (1 - self.hot_fraction) * (1 + self.dsnu**2)
+        hot = self.hot_fraction * self.hot_median**2 * math.exp(2 * self.hot_spread**2)
+        return self.ordinary_mean**2 * (ordinary + hot) - 1
+
+    def sample(self, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+        """Draw relative dark currents of a shape (...) from `rng`, their mean 1; without hot pixels as `sample_sensor` does."""
+        factors = rng.gamma(self.dsnu**-2, self.dsnu**2, shape) if self.dsnu > np.finfo(float).eps else np.ones(shape)
+        if self.hot_fraction:
+            hot = rng.random(shape) < self.hot_fraction
+            factors[hot] = self.hot_median * np.exp(self.hot_spread * rng.standard_normal(int(np.count_nonzero(hot))))
+            factors *= self.ordinary_mean
+        return factors
