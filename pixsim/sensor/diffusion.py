@@ -100,11 +100,11 @@ def diffused_shares(
     alpha = np.asarray(absorption_per_um, float)[..., None]
     low, high = np.log(SHORTEST * np.minimum(1 / alpha, diffusion_length_um)), math.log(LONGEST * diffusion_length_um)
     walk = np.exp(low + (high - low) * (1 + NODES) / 2)  # √τ
-    density = (
-        alpha * walk * (2 / np.sqrt(np.pi) - 2 * alpha * walk * erfcx(alpha * walk)) * np.exp(-((walk / diffusion_length_um) ** 2))
-    )
-    weight = density * WEIGHTS * (high - low) / 2
-    weight /= weight.sum(axis=-1, keepdims=True)  # (..., walks)
+    steep = alpha * walk
+    # 2/√π - 2x erfcx(x), by its expansion where the difference cancels
+    slope = np.where(steep < 1e3, 2 / np.sqrt(np.pi) - 2 * steep * erfcx(steep), 1 / (np.sqrt(np.pi) * np.maximum(steep, 1e3) ** 2))
+    weight = steep * slope * np.exp(-((walk / diffusion_length_um) ** 2)) * WEIGHTS
+    weight /= weight.sum(axis=-1, keepdims=True)  # (..., walks); a common factor is left out
     line = _gaussian_shares(pitch_um, side_um, 2 * walk)  # (..., walks, 5)
     spread = np.swapaxes(line * weight[..., None], -1, -2) @ line
     at_once = _gaussian_shares(pitch_um, side_um, np.zeros(1))[0]
@@ -123,11 +123,8 @@ def spread_shares(optical: Array, diffused: Array) -> Array:
     It is their convolution; what leaves the 5 × 5 pixels is lost.
     """
     reach = OFFSETS.size // 2
-    padded = np.zeros(
-        (*np.broadcast_shapes(optical.shape[:-2], diffused.shape[:-2]), *(size + 2 * reach for size in optical.shape[-2:]))
-    )
-    padded[..., reach:-reach, reach:-reach] = optical
-    result = np.zeros(padded.shape[:-2] + optical.shape[-2:])
+    padded = np.pad(optical, [(0, 0)] * (optical.ndim - 2) + [(reach, reach)] * 2)
+    result = np.zeros(np.broadcast_shapes(optical.shape, diffused.shape))
     for row, column in np.ndindex(diffused.shape[-2:]):
         moved = padded[..., 2 * reach - row :, 2 * reach - column :][..., : OFFSETS.size, : OFFSETS.size]
         result += diffused[..., row, column, None, None] * moved

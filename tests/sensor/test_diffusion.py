@@ -90,6 +90,8 @@ def test_diffused_shares_of_a_pixel():
     assert np.all((shares > 0) & (shares < 1))
     still = diffused_shares(2.2, 1.3, alpha, 1.0, 1e-6)
     assert np.abs(still[:, 2, 2] - 1).max() < 1e-6
+    shallow = diffused_shares(2.2, 1.3, 1e9, 0.0, 20.0)  # all absorbed at the surface; a share of 1/α reaches further
+    assert shallow[2, 2] == pytest.approx(1, abs=1e-8)
     half = diffused_shares(2.2, 4.4, 0.64, 1e3, 20.0)  # all depleted: geometry alone, a square of two pixels
     np.testing.assert_allclose(half[2], np.array([0, 0.25, 0.5, 0.25, 0]) * 0.5, atol=1e-6)
     assert diffused_shares(2.2, 1.3, 1e-6, 0.0, 1e-3)[2, 2] == pytest.approx(1, abs=1e-3)
