@@ -37,7 +37,7 @@ from pixsim.optics.pupil import Directions, Pupil, elliptic_pupil, numerical_ape
 
 LOWEST_LENS = 1 / math.sqrt(math.pi)  # height over pitch at which a microlens reaches the bound of étendue
 NARROWEST = 1e-8  # semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all rounding
-BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its MTF
+BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
 TABLE_STEPS = 64  # of the width of a spot
 MAX_RAYS = 1 << 12  # at a time, so that their shares fit into a core's cache
 
@@ -219,18 +219,45 @@ def aperture_mtf(
     if stack.microlens:
         mtf = np.abs(np.sinc(fx * stack.pitch_um) * np.sinc(fy * stack.pitch_um))
         return np.asarray(np.broadcast_to(mtf, (*pupil.chief_cosines.shape[:-1], mtf.size)))
+    side, centre, weight = _overlaps(stack, pupil)
+    otf = [
+        (weight * np.sinc(u * side[..., 0]) * np.sinc(v * side[..., 1]) * np.exp(2j * np.pi * (centre @ (u, v)))).sum(axis=-1)
+        for u, v in zip(fx, fy, strict=True)
+    ]
+    return np.abs(np.stack(otf, axis=-1))
+
+
+@checks_arguments
+def aperture_side_um(stack: Stack, pupil: Pupil | Directions) -> Array:
+    """Return the sides (x, y) of the box whose MTF falls as that of `aperture_mtf` at low frequencies, (..., 2).
+
+    √12 times the standard deviation of where on the pixel light enters that the photodiode collects: the pitch under a microlens.
+    At the Nyquist frequency of the pixels the box's MTF is that of the aperture to .002 up to f/1.4 in usual stacks.
+
+    pupil : of the points (...) of the sensor
+
+    Raises PixsimError if no light of a pupil reaches the photodiode.
+    """
+    if stack.microlens:
+        return np.full((*pupil.chief_cosines.shape[:-1], 2), stack.pitch_um)
+    side, centre, weight = _overlaps(stack, pupil)
+    mean = (weight[..., None] * centre).sum(axis=-2, keepdims=True)
+    return np.sqrt(12 * (weight[..., None] * (side**2 / 12 + (centre - mean) ** 2)).sum(axis=-2))
+
+
+def _overlaps(stack: Stack, pupil: Pupil | Directions) -> tuple[Array, Array, Array]:
+    """Return the overlap of a bare pixel's opening and photodiode for rays of a pupil: sides and centres (..., rays, 2), weights.
+
+    The weights (..., rays) are the parts of the collected light, with a sum of 1.
+    """
     rays = pupil.directions(*BARE_NODES) if isinstance(pupil, Pupil) else pupil
     landing = stack.landing_um(rays)
     side = np.maximum(stack.photodiode_side_um - np.abs(landing), 0.0)
     weight = rays.shares * side[..., 0] * side[..., 1]
-    collected = weight.sum(axis=-1)
+    collected = weight.sum(axis=-1, keepdims=True)
     if not np.all(collected > 0):
         raise invalid("pupil", "light that does not reach the photodiode at all", "a smaller angle, a shift or a lower stack")
-    otf = [
-        (weight * np.sinc(u * side[..., 0]) * np.sinc(v * side[..., 1]) * np.exp(1j * np.pi * (landing @ (u, v)))).sum(axis=-1)
-        for u, v in zip(fx, fy, strict=True)
-    ]
-    return np.abs(np.stack(otf, axis=-1)) / collected[..., None]
+    return side, -landing / 2, weight / collected
 
 
 @checks_arguments

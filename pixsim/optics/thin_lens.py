@@ -84,7 +84,7 @@ def thin_lens_pupil(f_number: float, tan_field: ArrayLike, azimuth_deg: ArrayLik
 
     f_number : nominal, for focus at infinity; at least 0.5/(1+|m|)
     tan_field : tangent of the field angle seen from the lens centre
-    azimuth_deg : of the light that arrives, from +x (columns) to +y (rows)
+    azimuth_deg : of the image point seen from the axis, from +x (columns) to +y (rows); light travels outwards
     magnification : image over object size; its absolute value is taken
 
     Raises PixsimError as `irradiance_factor` does, and if a tangent or an azimuth is not finite.

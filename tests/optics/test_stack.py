@@ -14,7 +14,7 @@ from pixsim import optics
 from pixsim.base.errors import PixsimError
 from pixsim.optics import stack as stacks
 from pixsim.optics.pupil import Directions, Pupil, elliptic_pupil, numerical_aperture
-from pixsim.optics.stack import Stack, aperture_mtf, collected_shares, largest_collection, model_limits
+from pixsim.optics.stack import Stack, aperture_mtf, aperture_side_um, collected_shares, largest_collection, model_limits
 from pixsim.optics.thin_lens import thin_lens_pupil
 
 DATA = Path(__file__).parents[1] / "data" / "microlens"
@@ -327,8 +327,20 @@ def test_bare_aperture_is_the_overlap_of_opening_and_photodiode():
     two = Directions(np.array([[0.2, 0.0], [-0.2, 0.0]]), np.ones(2), AXIS)  # two boxes, centred at ∓x/2
     mixed = np.sinc(1e-3 * frequency * (3.5 - x)) * np.cos(math.pi * 1e-3 * frequency * x)
     np.testing.assert_allclose(aperture_mtf(stack, two, frequency), np.abs(mixed), rtol=1e-12)
+    sides = aperture_side_um(stack, two)
+    np.testing.assert_allclose(sides, [math.hypot(3.5 - x, math.sqrt(3) * x), 3.5], rtol=1e-14)  # 12 (w²/12 + x²/4)
     with pytest.raises(PixsimError, match="does not reach the photodiode"):
         aperture_mtf(stack, Directions(np.array([[0.8, 0.0]]), np.ones(1), AXIS), frequency)
+
+
+@pytest.mark.parametrize(("pitch", "fill_factor", "height"), [row[:3] for row in PUBLISHED])
+def test_box_of_the_same_spread_has_the_mtf_of_the_aperture(pitch, fill_factor, height):
+    stack = Stack(pitch, pitch * math.sqrt(fill_factor), height, 1.5, False)
+    pupils, nyquist = elliptic_pupil(numerical_aperture(1.4), [0.0, 15.0]), 500 / pitch
+    mtf, sides = aperture_mtf(stack, pupils, [nyquist, 0.0], [0.0, nyquist]), aperture_side_um(stack, pupils)
+    assert np.abs(np.sinc(1e-3 * nyquist * sides) - mtf).max() < 0.002
+    assert np.all(sides < 0.95 * stack.photodiode_side_um)  # oblique light narrows the aperture
+    np.testing.assert_array_equal(aperture_side_um(Stack(6.5, 3.5, 8.0, 1.5), pupils), np.full((2, 2), 6.5))
 
 
 def test_model_limits_name_number_and_remedy():
