@@ -16,7 +16,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 
-AREA_NODES = 256  # of the trapezoidal rule, exact to rounding for a smooth closed curve (up to f/0.5 and 89°)
+AREA_NODES = 256  # of the trapezoidal rule along a boundary, exact to rounding up to f/0.5 and 89°
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,11 @@ class Pupil:
 
     @property
     def area(self) -> Array:
-        """Area in direction cosines, (...), sr: E/L for light that fills the pupil. By the trapezoidal rule on its boundary."""
-        s, slope = self.boundary(_angles())
-        turned = s[..., 0] * slope[..., 1] - s[..., 1] * slope[..., 0]
-        return np.asarray(np.abs(turned.mean(axis=-1)) * np.pi)
+        """Area in direction cosines, (...), sr: E/L for light that fills the pupil."""
+        if not self.of_tangents:
+            return np.asarray(np.pi * np.abs(_cross(self.radial, self.tangential)))
+        s, slope = self.boundary(np.linspace(0, 2 * np.pi, AREA_NODES, endpoint=False))
+        return np.asarray(np.abs(_cross(s, slope).mean(axis=-1)) * np.pi)
 
     def boundary(self, angle: Array) -> tuple[Array, Array]:
         """Return the direction cosines at angles φ, (..., φ), and their derivatives by φ, both (..., φ, 2)."""
@@ -118,9 +119,8 @@ class Pupil:
         return Pupil(centre, radial, tangential, self.of_tangents)
 
 
-def _angles() -> Array:
-    """Return the angles of the trapezoidal rule."""
-    return np.linspace(0, 2 * np.pi, AREA_NODES, endpoint=False)
+def _cross(one: Array, other: Array) -> Array:
+    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
 def numerical_aperture(f_number: float) -> float:
@@ -154,11 +154,12 @@ def elliptic_pupil(
         raise invalid("chief_ray_deg", f"{chief.flat[np.argmax(np.abs(chief))]:g}", "above -90 and below 90 degrees")
     turn = np.radians(azimuth)
     outward, sideways = np.stack([np.cos(turn), np.sin(turn)], -1), np.stack([-np.sin(turn), np.cos(turn)], -1)
-    centre, semi_axes = np.sin(np.radians(chief))[..., None] * outward, (aperture * along, aperture * across)
-    pupil = Pupil(centre, semi_axes[0][..., None] * outward, semi_axes[1][..., None] * sideways)
-    edge = pupil.boundary(_angles())[0]
-    farthest = np.maximum(np.hypot(edge[..., 0], edge[..., 1]).max(axis=-1), np.abs(np.sin(np.radians(chief))) + semi_axes[0])
+    sine, along, across = np.sin(np.radians(chief)), aperture * along, aperture * across
+    # The farthest point, at cos φ = c r/(t² - r²), or at the end of the radial axis.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = np.where(across > along, np.minimum(np.abs(sine) * along / (across**2 - along**2), 1.0), 1.0)
+    farthest = np.hypot(np.abs(sine) + along * cosine, across * np.sqrt(1 - cosine**2))
     if not np.all(farthest < 1):
         got = f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus semi-axis)"
         raise invalid("pupil", got, "below 1, the horizon", "Take a larger f_number or a smaller chief_ray_deg.")
-    return pupil
+    return Pupil(sine[..., None] * outward, along[..., None] * outward, across[..., None] * sideways)
