@@ -290,7 +290,7 @@ OFFSETS = np.arange(-2.0, 3.0)  # of the photodiodes that collect light, in pixe
 # --- shares of a pupil, by its boundary ---------------------------------------------------------------------------------
 
 STEPS = 32  # of the boundary; within one, a coordinate turns at most once
-QUARTERS = 8  # pieces of a boundary that crosses no edge
+PIECES = 8  # at least, of a boundary
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
 NEWTON_STEPS, WITHIN = 60, 1e-14  # 4 to 6 steps are needed, more where the boundary only touches an edge; radians
 POINTS = 256  # of the sensor at a time, for memory
@@ -388,8 +388,8 @@ def _pieces(stack: Stack, pupil: Pupil, edges: Array) -> tuple[NDArray[np.intp],
     bracket, rises = (angle[which, step], angle[which, step + 1]), above[which, step + 1, edge]
     edge_at = edges.reshape(line.size, -1)[which, edge]
     cut = _crossings(stack, pupil.at(line[which]), axis[which], bracket, edge_at, rises)
-    point = np.concatenate([line[which], np.repeat(np.arange(count), QUARTERS + 1)])
-    cut = np.concatenate([cut, np.tile(np.linspace(0, 2 * np.pi, QUARTERS + 1), count)])
+    point = np.concatenate([line[which], np.repeat(np.arange(count), PIECES + 1)])
+    cut = np.concatenate([cut, np.tile(np.linspace(0, 2 * np.pi, PIECES + 1), count)])
     order = np.lexsort((cut, point))
     point, cut = point[order], cut[order]
     pieces = np.flatnonzero((np.diff(point) == 0) & (np.diff(cut) > 0))
@@ -453,10 +453,13 @@ def _crossings(
 
 def _shares_of_rays(stack: Stack, rays: Directions) -> Array:
     """Return the geometric shares of rays, (..., 5, 5)."""
-    distance = np.abs(stack.landing_um(rays)[..., None] - stack.pitch_um * OFFSETS)
-    half = stack.photodiode_side_um / 2
-    along = distance <= half if stack.microlens else np.maximum(2 * half - distance, 0.0) / stack.pitch_um
-    return _mean_of_products(rays.shares, np.asarray(along, float))
+    landing, centre, half = stack.landing_um(rays)[..., None], stack.pitch_um * OFFSETS, stack.photodiode_side_um / 2
+    if not stack.microlens:
+        return _mean_of_products(rays.shares, np.maximum(2 * half - np.abs(landing - centre), 0.0) / stack.pitch_um)
+    low, high = centre - half, centre + half
+    # A ray on an edge is half inside, and photodiodes that touch share it.
+    inside = ((landing >= low) & (landing < high)) * 0.5 + ((landing > low) & (landing <= high)) * 0.5
+    return _mean_of_products(rays.shares, inside)
 
 
 def _mean_of_products(weight: Array, along: Array) -> Array:

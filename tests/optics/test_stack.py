@@ -138,6 +138,16 @@ def test_narrow_pupil_is_one_ray(f_number, refraction):
     np.testing.assert_allclose(lens, np.eye(3)[1] * np.eye(3)[1][:, None], atol=1e-15)
 
 
+def test_ray_on_an_edge_is_shared():
+    """Photodiodes that touch get half each of a ray on their common edge, a quarter each at a corner."""
+    ray = Directions(AXIS[None], np.ones(1), AXIS)
+    corner = collected_shares(Stack(3.0, 3.0, 4.0, 1.5, shift_um=(1.5, -1.5)), ray)
+    wanted = np.zeros((5, 5))
+    wanted[2:4, 1:3] = 0.25
+    np.testing.assert_array_equal(corner, wanted)
+    assert collected_shares(Stack(3.0, 2.0, 4.0, 1.5, shift_um=(1.0, 0.0)), ray)[2, 2] == 0.5
+
+
 def random_pupils(rng: np.random.Generator, count: int) -> Pupil:
     """Discs of f/0.7 to f/8, up to the horizon."""
     aperture = 1 / np.sqrt(1 + 4 * rng.uniform(0.7, 8.0, count) ** 2)
